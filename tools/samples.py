@@ -1,0 +1,193 @@
+"""Samples of atoms at rest under a load, solved in worker processes and kept in a cache."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from tools.graphene import THICKNESS, area_per_atom, disk, sheet
+from tools.lammps_session import LammpsError, LammpsSession
+from tools.loads import Load, WaveLoad, atom_force
+from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
+from warp_peri.files import whole_file
+
+TRAINING_STRAIN = 0.02
+"""Largest bond strain of every training sample (You et al. 2021, section 6)."""
+
+STRAIN_TOLERANCE = 1e-5
+CACHE_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Body:
+    """What carries the load, and the potential that holds it together.
+
+    Attributes:
+        bond: stress-free bond length [Å].
+        potential: Tersoff file.
+        cells: four-atom cells of a periodic sheet along x and y, or
+        radius: of a free disk [Å]; exactly one of the two is given.
+    """
+
+    bond: float
+    potential: str
+    cells: tuple[int, int] | None = None
+    radius: float | None = None
+
+    @property
+    def box(self) -> tuple[float, float] | None:
+        """Periods of the sheet [Å]; a disk has none."""
+        return None if self.cells is None else sheet(self.bond, cells=self.cells)[1]
+
+    def positions(self) -> np.ndarray:
+        """Atoms before any relaxation [Å], shape [A, 2]."""
+        if self.cells is not None:
+            return sheet(self.bond, cells=self.cells)[0]
+        assert self.radius is not None
+        return disk(self.bond, radius=self.radius)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One body at rest under one load.
+
+    Attributes:
+        reference: unloaded positions of the atoms [Å], shape [A, 2].
+        displacement: from the reference [Å], shape [A, 2].
+        force: external force on the atoms [eV/Å], shape [A, 2].
+        amplitude: of the load [TPa/Å].
+        max_bond_strain: largest |ℓ/ℓ₀ − 1|.
+        residual: largest component of the force left on an atom [eV/Å].
+    """
+
+    reference: np.ndarray
+    displacement: np.ndarray
+    force: np.ndarray
+    amplitude: float
+    max_bond_strain: float
+    residual: float
+
+
+def cache_file(cache: str | os.PathLike[str], body: Body, load: Load) -> Path:
+    """Where the sample lives: its name holds a hash of everything that determines it."""
+    content = {
+        "version": CACHE_VERSION,
+        "lammps": version("lammps"),
+        "potential": file_hash(body.potential),
+        "positions": _positions_hash(body),
+        "box": body.box,
+        "thickness": THICKNESS,
+        "load": repr(load),
+        "amplitude": TRAINING_STRAIN if isinstance(load, WaveLoad) else load.amplitude,
+        "tolerances": [TOLERANCE, STRAIN_TOLERANCE],
+    }
+    key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
+    name = re.sub(r"[^a-z0-9]+", "-", load.load_id).strip("-")
+    return Path(cache) / f"{name}-{key}.npz"
+
+
+@lru_cache
+def _positions_hash(body: Body) -> str:
+    return hashlib.sha256(body.positions().tobytes()).hexdigest()
+
+
+def read_sample(path: Path) -> Sample | None:
+    """The sample in a cache file; None when there is none, with a warning when it is corrupt."""
+    try:
+        with np.load(path) as content:
+            fields = {name: content[name] for name in Sample.__dataclass_fields__}
+        for name in ("amplitude", "max_bond_strain", "residual"):
+            fields[name] = float(fields[name])
+        shape = fields["reference"].shape
+        if not fields["displacement"].shape == fields["force"].shape == shape:
+            raise ValueError("arrays do not fit each other")
+        if not all(np.isfinite(value).all() for value in fields.values()):
+            raise ValueError("values that are not finite")
+        return Sample(**fields)
+    except FileNotFoundError:
+        return None
+    # Broken bytes surface as almost any exception of zipfile, zlib or NumPy.
+    except Exception as error:  # noqa: BLE001
+        warnings.warn(f"cached sample {path.name} is corrupt and is made again ({error})")
+        return None
+
+
+def solve_samples(body: Body, loads: Sequence[Load], cache: str | os.PathLike[str]) -> list[Path]:
+    """Solve `loads` on `body` and write each to the cache as soon as it is done.
+
+    Returns their cache files. Raises LammpsError, FileNotFoundError for the potential,
+    ConvergenceError naming the load, OSError when the cache cannot be written.
+    """
+    statics, paths = _statics(body), []
+    for load in loads:
+        sample = solve(body, statics, load)
+        paths.append(cache_file(cache, body, load))
+        try:
+            with whole_file(paths[-1]) as temporary:
+                np.savez(temporary, **vars(sample))
+        except OSError as error:
+            raise OSError(f"cannot write {paths[-1]}: {error}") from None
+    return paths
+
+
+def solve(body: Body, statics: Statics, load: Load) -> Sample:
+    """Equilibrium under a load; a WaveLoad is scaled until its bond strain is TRAINING_STRAIN."""
+    shape = load.shape(statics.reference, body.box)
+    unit = atom_force(shape, area_per_atom(body.bond), THICKNESS)
+    try:
+        if isinstance(load, WaveLoad):
+            amplitude, rest = _strained(statics, unit, load.load_id)
+        else:
+            amplitude = load.amplitude
+            rest = statics.equilibrium(amplitude * unit, name=load.load_id)
+    except LammpsError as error:
+        raise LammpsError(f"load '{load.load_id}': {error}") from None
+    strain = statics.max_bond_strain(rest.displacement)
+    return Sample(
+        statics.reference, rest.displacement, rest.force, amplitude, strain, rest.residual
+    )
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _strained(statics: Statics, unit: np.ndarray, name: str) -> tuple[float, Equilibrium]:
+    """Amplitude and equilibrium at TRAINING_STRAIN; strain grows almost linearly with load."""
+    linear = statics.linear_response(unit)
+    small = 1e-6 / np.abs(linear).max()
+    amplitude = TRAINING_STRAIN * small / statics.max_bond_strain(small * linear)
+    guess, slope = amplitude * linear, TRAINING_STRAIN / amplitude
+    before: tuple[float, float] | None = None
+    for _ in range(20):
+        rest = statics.equilibrium(amplitude * unit, name=name, guess=guess)
+        strain = statics.max_bond_strain(rest.displacement)
+        if abs(strain / TRAINING_STRAIN - 1) <= STRAIN_TOLERANCE:
+            return amplitude, rest
+        if before is not None:
+            slope = (strain - before[1]) / (amplitude - before[0])
+        before = amplitude, strain
+        amplitude += (TRAINING_STRAIN - strain) / slope
+        guess = rest.displacement * (amplitude / before[0])
+    raise ConvergenceError(
+        f"load '{name}': bond strain {strain:.6g} after 20 amplitudes, wanted {TRAINING_STRAIN}"
+    )
+
+
+@lru_cache(maxsize=2)
+def _statics(body: Body) -> Statics:
+    """One factorisation per body and process, however many loads follow."""
+    positions, box = body.positions(), body.box
+    session = LammpsSession(positions, box=box, potential=body.potential)
+    return Statics(positions, box=box, session=session)

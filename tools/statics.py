@@ -1,0 +1,197 @@
+"""Equilibrium of atoms at 0 K: modified Newton, one sparse factorisation for many loads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse.linalg as spla
+from scipy.spatial import cKDTree
+
+from tools.hessian import ColouredHessian
+from tools.lammps_session import LammpsSession
+
+TOLERANCE = 1e-9
+"""Largest force component left on an atom [eV/Å]."""
+
+MAX_STEPS = 200
+SLOW = 0.7
+"""A step that leaves more than this share of the residual asks for a new factorisation."""
+LARGEST_STRETCH = 0.2
+"""No bond changes by more in one step, lest atoms collide far from any equilibrium [Å]."""
+
+BOND_CUTOFF = 2.0
+"""Between the first (1.46 Å) and second (2.53 Å) neighbour distance of graphene [Å]."""
+
+
+class ConvergenceError(RuntimeError):
+    """No equilibrium was found; the message names the load and the residual reached."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Atoms at rest under a load.
+
+    Attributes:
+        displacement: from the reference [Å], shape [A, 2]; no mean, and in a free body no mean
+            rotation (Σ X × u = 0).
+        force: the external load actually balanced [eV/Å], shape [A, 2].
+        residual: largest component of internal plus external force [eV/Å].
+        steps: number of Newton steps.
+    """
+
+    displacement: np.ndarray
+    force: np.ndarray
+    residual: float
+    steps: int
+
+
+class Statics:
+    """Atoms around a stress-free reference, and their equilibria under dead loads.
+
+    Attributes:
+        reference: positions of the unloaded atoms [Å], shape [A, 2].
+        bonds: pairs of bonded atoms, shape [bonds, 2].
+    """
+
+    def __init__(
+        self, positions: np.ndarray, *, box: tuple[float, float] | None, session: LammpsSession
+    ) -> None:
+        """Relax the atoms without load and factorise their Hessian.
+
+        Args:
+            positions: [Å], shape [A, 2].
+            box: periods of the session [Å], None for a free body.
+            session: evaluates the forces; it must hold the same atoms.
+
+        Raises ConvergenceError when no unloaded equilibrium is found.
+        """
+        self._session, self._box = session, box
+        self.bonds = find_bonds(positions, box)
+        self._hessian = ColouredHessian(self.bonds, len(positions))
+        self.reference = np.array(positions, dtype=float)
+        self._factor = self._factorise(self.reference)
+        if np.abs(session.forces(self.reference)).max() > TOLERANCE:
+            relaxed = self.equilibrium(np.zeros_like(self.reference), name="no load")
+            self.reference = self.reference + relaxed.displacement
+            self._factor = self._factorise(self.reference)
+        self._length = self._bond_lengths(self.reference)
+
+    def equilibrium(
+        self,
+        force: np.ndarray,
+        *,
+        name: str,
+        guess: np.ndarray | None = None,
+        tolerance: float = TOLERANCE,
+    ) -> Equilibrium:
+        """Displacement at which internal forces balance `force`.
+
+        A rigid motion cannot be resisted: the part of the load that pushes or turns the body as
+        a whole is taken out, in the deformed configuration.
+
+        Args:
+            force: dead load on the atoms [eV/Å], shape [A, 2].
+            name: of the load, for messages.
+            guess: displacement to start from [Å], shape [A, 2].
+            tolerance: on the largest component of the residual [eV/Å].
+
+        Raises ConvergenceError when the residual does not fall below the tolerance.
+        """
+        u = np.zeros_like(self.reference) if guess is None else self._without_rigid_motion(guess)
+        factor, fresh = self._factor, guess is None
+        r, load = self._residual(u, force)
+        for step in range(MAX_STEPS):
+            if np.abs(r).max() <= tolerance:
+                return Equilibrium(u, load, float(np.abs(r).max()), step)
+            du = self._without_rigid_motion(factor(r))
+            stretch = np.linalg.norm(du[self.bonds[:, 1]] - du[self.bonds[:, 0]], axis=1).max()
+            du *= min(1.0, LARGEST_STRETCH / stretch)
+            part = 1.0
+            trial, r_trial, load_trial, gain = self._try(u + du, force, r)
+            if gain > SLOW and not fresh:
+                factor, fresh = self._factorise(self.reference + u), True
+                continue
+            while not gain < 1 and part > 1e-3:
+                part /= 2
+                trial, r_trial, load_trial, gain = self._try(u + part * du, force, r)
+            if not gain < 1:  # also when it is not a number
+                break
+            u, r, load, fresh = trial, r_trial, load_trial, False
+        raise ConvergenceError(
+            f"load '{name}': no equilibrium within {tolerance:g} eV/Å after {step} steps, "
+            f"residual {np.abs(r).max():.3g} eV/Å"
+        )
+
+    def linear_response(self, force: np.ndarray) -> np.ndarray:
+        """Displacement [Å] of the atoms made linear about the reference, shapes [A, 2]."""
+        return self._without_rigid_motion(self._factor(self._balanced(force, self.reference)))
+
+    def max_bond_strain(self, displacement: np.ndarray) -> float:
+        """Largest |ℓ/ℓ₀ − 1| over the bonds."""
+        length = self._bond_lengths(self.reference + displacement)
+        return float(np.abs(length / self._length - 1).max())
+
+    def _try(
+        self, u: np.ndarray, force: np.ndarray, before: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        r, load = self._residual(u, force)
+        return u, r, load, float(np.linalg.norm(r) / np.linalg.norm(before))
+
+    def _residual(self, u: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        positions = self.reference + u
+        load = self._balanced(force, positions)
+        return self._session.forces(positions) + load, load
+
+    def _balanced(self, force: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        force = force - force.mean(axis=0)
+        return force if self._box is not None else _without_rotation(force, positions)
+
+    def _without_rigid_motion(self, u: np.ndarray) -> np.ndarray:
+        u = u - u.mean(axis=0)
+        return u if self._box is not None else _without_rotation(u, self.reference)
+
+    def _factorise(self, positions: np.ndarray):
+        """Solver of Hessian · du = r with the rigid motions pinned."""
+        hessian = self._hessian(self._session.forces, positions)
+        pinned = [0, 1]
+        if self._box is None:
+            # The atom farthest from the pinned one, across the line between the two.
+            arm = positions - positions[0]
+            far = int(np.argmax(np.abs(arm).max(axis=1)))
+            pinned.append(2 * far + int(np.argmin(np.abs(arm[far]))))
+        free = np.setdiff1d(np.arange(hessian.shape[0]), pinned)
+        lu = spla.splu(
+            hessian[free][:, free].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+        def solve(r: np.ndarray) -> np.ndarray:
+            du = np.zeros(r.size)
+            du[free] = lu.solve(r.ravel()[free])
+            return du.reshape(-1, 2)
+
+        return solve
+
+    def _bond_lengths(self, positions: np.ndarray) -> np.ndarray:
+        arm = positions[self.bonds[:, 1]] - positions[self.bonds[:, 0]]
+        if self._box is not None:
+            arm -= self._box * np.rint(arm / self._box)
+        return np.linalg.norm(arm, axis=1)
+
+
+def find_bonds(positions: np.ndarray, box: tuple[float, float] | None) -> np.ndarray:
+    """Pairs of atoms [Å], shape [A, 2], within BOND_CUTOFF of each other; shape [bonds, 2].
+
+    `box` gives the periods [Å], each more than twice the cutoff; None for a free body.
+    """
+    inside = positions if box is None else np.mod(positions, box)
+    return cKDTree(inside, boxsize=box).query_pairs(BOND_CUTOFF, output_type="ndarray")
+
+
+def _without_rotation(field: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    arm = positions - positions.mean(axis=0)
+    turn = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+    return field - turn * (np.vdot(turn, field) / np.vdot(turn, turn))

@@ -1,0 +1,33 @@
+"""Linear peridynamic solids learned from molecular data, on NVIDIA Warp."""
+
+from warp_peri.certificate import Certificate, certify
+from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
+from warp_peri.errors import InputError
+from warp_peri.model import Model, load_model
+from warp_peri.operator import LPSOperator
+from warp_peri.solve import solve, solve_periodic
+from warp_peri.training import Fit, fit
+from warp_peri.validation import evaluate
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Certificate",
+    "Dataset",
+    "Fit",
+    "InputError",
+    "LPSOperator",
+    "Model",
+    "PointSet",
+    "certify",
+    "coarse_grain",
+    "evaluate",
+    "fit",
+    "load_dataset",
+    "load_model",
+    "save_dataset",
+    "smoothing_matrix",
+    "solve",
+    "solve_periodic",
+]

@@ -1,0 +1,96 @@
+"""What is known about the solvability of a model's static problems (theory.md, 20–24)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.linalg import eigh, eigvalsh
+
+from warp_peri.conditions import Conditions, ZoneSearch
+from warp_peri.dataset import PointSet
+from warp_peri.families import bond_classes
+from warp_peri.matrices import matrices
+from warp_peri.model import Model
+from warp_peri.symbol import stiffnesses
+
+INTERVALS = 500
+"""Intervals of the zone grid of a certificate; finer than any that a fit looks at."""
+RANK_TOLERANCE = 1e-9
+"""Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
+SCHWARZ_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Solvability figures of a model on one lattice.
+
+    Attributes:
+        spacing: h [Å].
+        symbol_min: smallest Λmin D(k)/s(k) found over the zone [TPa].
+        gamma_min: Λmin(Γ) [Å⁻²] on the training domain; None where none was given, as below.
+        inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
+        inf_sup_rank: number of its eigenvalues that are not zero.
+        gamma_minus_2phi_min: Λmin(Γ − 2ΦᵗΦ) [Å⁻²].
+        gamma_max: Λmax(Γ − 2ΦᵗΦ) [Å⁻²], which sets what zero means for the one above.
+    """
+
+    spacing: float
+    symbol_min: float
+    gamma_min: float | None = None
+    inf_sup_min: float | None = None
+    inf_sup_rank: int | None = None
+    gamma_minus_2phi_min: float | None = None
+    gamma_max: float | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether D(k) > 0 over the sampled zone and, where it was computed, Γ > 0."""
+        return self.symbol_min > 0 and (self.gamma_min is None or self.gamma_min > 0)
+
+    @property
+    def schwarz(self) -> bool | None:
+        """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; asked for by conditions="paper" only."""
+        if self.gamma_minus_2phi_min is None or self.gamma_max is None:
+            return None
+        return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_max
+
+    def figures(self) -> dict[str, float | int | None]:
+        """The figures as plain values."""
+        return asdict(self)
+
+
+def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> Certificate:
+    """Compute the certificate of a model on a lattice.
+
+    Args:
+        model: the model.
+        spacing: h [Å].
+        points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
+            interior nodes, Φ with the dilatation of interior nodes only.
+
+    Raises InputError when the horizon is below one spacing or the points do not carry it.
+    """
+    classes = bond_classes(spacing, model.horizon)
+    v, kappa = stiffnesses(model, classes)
+    zeta = 1.0  # any level; the search is for the smallest ratio
+    search = ZoneSearch(Conditions(classes, "direct", zeta), INTERVALS)
+    smallest = float(search.worst(v, kappa)[0][0]) + zeta
+    if points is None:
+        return Certificate(spacing, smallest)
+
+    parts = matrices(model, points)
+    unknown = np.repeat(points.interior, 2)
+    gamma = parts.gamma[:, unknown].toarray()
+    phi = parts.phi[points.interior][:, unknown].toarray()
+    gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
+    schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
+    inf_sup, rank = None, None
+    if gamma_min > 0:
+        # Eigenvalues of ΦΓ⁻¹Φᵗ are those of the pencil (ΦᵗΦ, Γ), zeros aside.
+        values = eigh(phi.T @ phi, gamma, eigvals_only=True)
+        values = values[values > RANK_TOLERANCE * values[-1]]
+        inf_sup, rank = float(values[0]), len(values)
+    return Certificate(
+        spacing, smallest, gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+    )

@@ -1,0 +1,157 @@
+"""From atoms to nodes: smoothed displacement and body force (theory.md, equations 1–3)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
+
+EV_PER_CUBIC_ANGSTROM = 0.1602176634
+"""1 eV/Å³ in TPa."""
+
+SHAPES = ("cone", "paraboloid")
+
+
+def smoothing_matrix(
+    atoms: ArrayLike,
+    nodes: ArrayLike,
+    *,
+    radius: float = 10.0,
+    shape: str = "cone",
+    box: tuple[float, float] | None = None,
+    spacing: float | None = None,
+) -> sp.csr_array:
+    """Smoothing functions ω(x_i, X_ε) of every node and atom (You et al. 2021, equation 6.1).
+
+    ω = τ(x_i, X_ε) / Σ_j τ(x_j, X_ε), τ a cone R − r or a paraboloid R² − r² of radius R, so that
+    each atom is shared out completely.
+
+    Args:
+        atoms: reference positions [Å], shape [A, 2].
+        nodes: node positions [Å], shape [N, 2]; they may reach beyond a periodic box.
+        radius: coarse-graining radius R [Å].
+        shape: "cone" or "paraboloid".
+        box: periods (Lx, Ly) of the atoms [Å]; None for a free body. A node sees every image of
+            an atom, and all of them are summed into the atom's column.
+        spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
+            over in the denominator; None sums over the given nodes, so that atoms outside their
+            reach or at the edge of the node set are shared out among fewer nodes.
+
+    Returns:
+        Sparse ω, shape [N, A], dimensionless.
+
+    Raises InputError for an unknown shape, a radius that no node of the lattice can meet, nodes
+    that are not on a lattice of the given spacing, or arrays of another shape.
+    """
+    atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
+    if shape not in SHAPES:
+        raise InputError(f"shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
+    if not radius > 0:
+        raise InputError(f"radius: expected a length > 0, got {radius}")
+    if spacing is not None:
+        if not radius > spacing / np.sqrt(2):
+            raise InputError(f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
+                             f"got {radius}; some atoms would belong to no node")  # fmt: skip
+        offset = nodes - nodes[0]
+        if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
+            raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
+
+    images, owner = _images(atoms, nodes, radius, box)
+    tau = _tau(nodes, images, radius, shape)
+    if spacing is not None:
+        # All lattice nodes that any image can reach, on the lattice of the given nodes.
+        low = np.floor((images.min(0) - radius - nodes[0]) / spacing).astype(int)
+        high = np.ceil((images.max(0) + radius - nodes[0]) / spacing).astype(int)
+        p, q = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij")
+        lattice = nodes[0] + spacing * np.stack([p.ravel(), q.ravel()], axis=1)
+        total = _tau(lattice, images, radius, shape).sum(axis=0)
+    else:
+        total = np.asarray(tau.sum(axis=0))
+        if box is not None:
+            total = np.bincount(owner, total, len(atoms))[owner]
+    scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
+    to_owner = sp.csr_array(
+        (np.ones(len(owner)), (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms))
+    )
+    return sp.csr_array(tau @ sp.diags_array(scale) @ to_owner)
+
+
+def coarse_grain(
+    omega: sp.csr_array,
+    *,
+    displacement: ArrayLike,
+    force: ArrayLike,
+    mass: ArrayLike = 1.0,
+    node_area: float,
+    thickness: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed displacement and body force density (You et al. 2021, equations 2.2 and 2.3).
+
+    Args:
+        omega: smoothing functions, shape [N, A].
+        displacement: of the atoms [Å], shape [S, A, 2].
+        force: external force on the atoms [eV/Å], shape [S, A, 2].
+        mass: of the atoms, shape [A] or one number; any unit, it cancels.
+        node_area: area that a node stands for [Å²], h² on a lattice: (6.1) makes Σ_i ω = 1, while
+            a density needs ∫ω dx = 1.
+        thickness: of the sheet [Å].
+
+    Returns:
+        u [Å] and b [TPa/Å], each of shape [S, N, 2].
+
+    Raises InputError when arrays do not fit or a node has no atom within the radius.
+    """
+    atoms = omega.shape[1]
+    fields = {"displacement": np.asarray(displacement, float), "force": np.asarray(force, float)}
+    for name, value in fields.items():
+        if value.ndim != 3 or value.shape[1:] != (atoms, 2):
+            raise InputError(f"{name}: expected shape [S, {atoms}, 2], got {list(value.shape)}")
+    weighted = omega @ sp.diags_array(np.broadcast_to(np.asarray(mass, float), (atoms,)))
+    density = np.asarray(weighted.sum(axis=1))
+    if not (density > 0).all():
+        bad = np.flatnonzero(~(density > 0))
+        raise InputError(f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}")
+    u = _apply(weighted, fields["displacement"]) / density[:, None]
+    b = _apply(omega, fields["force"]) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
+    return u, b
+
+
+def _apply(matrix: sp.csr_array, values: np.ndarray) -> np.ndarray:
+    samples, atoms, _ = values.shape
+    flat = matrix @ values.transpose(1, 0, 2).reshape(atoms, 2 * samples)
+    return np.ascontiguousarray(flat.reshape(-1, samples, 2).transpose(1, 0, 2))
+
+
+def _images(
+    atoms: np.ndarray, nodes: np.ndarray, radius: float, box: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Every atom and periodic image that a node can reach [Å], and the atom each belongs to."""
+    if box is None:
+        return atoms, np.arange(len(atoms))
+    low, high = nodes.min(0) - radius, nodes.max(0) + radius
+    first = np.floor((low - atoms.max(0)) / box).astype(int)
+    last = np.ceil((high - atoms.min(0)) / box).astype(int)
+    shifts = [(a, b) for a in range(first[0], last[0] + 1) for b in range(first[1], last[1] + 1)]
+    images = np.concatenate([atoms + np.multiply(shift, box) for shift in shifts])
+    owner = np.tile(np.arange(len(atoms)), len(shifts))
+    near = ((images >= low) & (images <= high)).all(axis=1)
+    return images[near], owner[near]
+
+
+def _tau(nodes: np.ndarray, atoms: np.ndarray, radius: float, shape: str) -> sp.csr_array:
+    pairs = cKDTree(nodes).sparse_distance_matrix(cKDTree(atoms), radius, output_type="ndarray")
+    r = pairs["v"]
+    tau = radius - r if shape == "cone" else radius**2 - r**2
+    return sp.csr_array((tau, (pairs["i"], pairs["j"])), shape=(len(nodes), len(atoms)))
+
+
+def _positions(name: str, value: ArrayLike) -> np.ndarray:
+    value = np.asarray(value, dtype=float)
+    if value.ndim != 2 or value.shape[1] != 2 or len(value) == 0:
+        raise InputError(f"{name}: expected shape [N, 2] with N > 0, got {list(value.shape)}")
+    if not np.isfinite(value).all():
+        raise InputError(f"{name}: expected finite values, got NaN or infinity")
+    return value

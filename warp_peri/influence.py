@@ -1,0 +1,27 @@
+"""The influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, equation 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import comb
+
+from warp_peri.errors import InputError
+
+ALPHA_BOUND = 3.0
+"""The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
+
+
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+    """Bernstein polynomials B_k,M(r/δ), shape [..., M + 1].
+
+    Args:
+        r: bond lengths [Å] in [0, δ]; a rounding error beyond δ counts as δ.
+        horizon: δ [Å].
+        degree: M ≥ 0.
+    """
+    if not (isinstance(degree, (int, np.integer)) and degree >= 0):
+        raise InputError(f"degree: expected a whole number ≥ 0, got {degree}")
+    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    k = np.arange(degree + 1)
+    return comb(degree, k) * t**k * (1 - t) ** (degree - k)

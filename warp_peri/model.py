@@ -1,0 +1,174 @@
+"""The model and its file (`warp_peri.model`, version 1)."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.errors import InputError
+from warp_peri.files import write_json
+from warp_peri.influence import ALPHA_BOUND, bernstein_basis
+from warp_peri.quadrature import DEGREE, SINGULARITY
+
+FORMAT, VERSION = "warp_peri.model", 1
+QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
+_NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
+_RECORDS = ("certificate", "errors", "provenance", "versions")
+_KEYS = {
+    "format", "version", "length_unit", "stress_unit", "degree", "D", "quadrature", "trained_on",
+    "certified_on", *_NUMBERS, *_RECORDS,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Model:
+    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9).
+
+    Attributes:
+        lam, mu: Lamé parameters λ, μ [TPa].
+        alpha: exponent α < 3.
+        D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
+        horizon: δ [Å].
+        trained_on, certified_on: lattice spacings [Å].
+        certificate: figures of the certificate, by spacing.
+        errors, provenance, versions: records that travel with the model.
+
+    Raises InputError naming the first number out of its range.
+    """
+
+    lam: float
+    mu: float
+    alpha: float
+    D: np.ndarray
+    horizon: float
+    trained_on: tuple[float, ...] = ()
+    certified_on: tuple[float, ...] = ()
+    certificate: dict[str, Any] = field(default_factory=dict)
+    errors: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("lam", "mu", "alpha", "horizon"):
+            object.__setattr__(self, name, _number(name, getattr(self, name)))
+        for name in ("D", "trained_on", "certified_on"):
+            value = np.array([_number(name, item) for item in np.ravel(getattr(self, name))])
+            object.__setattr__(self, name, value if name == "D" else tuple(value.tolist()))
+        if len(self.D) == 0:
+            raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
+        if not self.alpha < ALPHA_BOUND:
+            raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
+        if not self.horizon > 0:
+            raise InputError(f"horizon: expected a length > 0 Å, got {self.horizon}")
+        if not (self.mu > 0 and self.lam + self.mu > 0):
+            raise InputError(f"lambda, mu: expected μ > 0 and λ + μ > 0, got {self.lam}, {self.mu}")
+        if not np.any(self.D):
+            raise InputError("D: expected a coefficient other than 0")
+
+    @property
+    def degree(self) -> int:
+        """M."""
+        return len(self.D) - 1
+
+    @property
+    def E(self) -> float:
+        """Young's modulus of the continuum [TPa], plane stress."""
+        return 4 * self.mu * (self.lam + self.mu) / (self.lam + 2 * self.mu)
+
+    @property
+    def nu(self) -> float:
+        """Poisson's ratio of the continuum, plane stress."""
+        return self.lam / (self.lam + 2 * self.mu)
+
+    def influence(self, r: ArrayLike) -> np.ndarray:
+        """K at the distances r [Å] in (0, δ]."""
+        r = np.asarray(r, dtype=float)
+        return r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D)
+
+    def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
+        """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
+        if np.isclose(spacing, self.certified_on, rtol=1e-6).any():
+            return
+        known = ", ".join(f"{value:g} Å" for value in self.certified_on) or "no spacing"
+        message = (
+            f"spacing: the model is certified on {known}, not on {spacing:g} Å, where its static "
+            "problems may have no solution or a wrong one"
+        )
+        if not allow_uncertified:
+            raise InputError(message)
+        warnings.warn(message, stacklevel=3)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model as JSON, whole or not at all."""
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "length_unit": "angstrom",
+            "stress_unit": "TPa",
+        }
+        content |= {key: getattr(self, name) for key, name in _NUMBERS.items()}
+        content |= {"degree": self.degree, "D": self.D, "quadrature": QUADRATURE}
+        content |= {key: getattr(self, key) for key in ("trained_on", "certified_on", *_RECORDS)}
+        write_json(path, content)
+
+
+def load_model(path: str | os.PathLike[str]) -> Model:
+    """Read a model file.
+
+    Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
+    missing or unknown keys, numbers out of range.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = json.load(file)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such model file") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a readable JSON file ({error})") from None
+    try:
+        return _model(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _model(content: Any) -> Model:
+    if not isinstance(content, dict):
+        raise InputError(f"expected a JSON object, got {type(content).__name__}")
+    for key, expected in {"format": FORMAT, "version": VERSION}.items():
+        if content.get(key) != expected:
+            raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r}")
+    if missing := sorted(_KEYS - set(content)):
+        raise InputError(f"missing keys: {', '.join(missing)}")
+    if unknown := sorted(set(content) - _KEYS):
+        raise InputError(f"unknown keys: {', '.join(unknown)}")
+    fixed = {"length_unit": "angstrom", "stress_unit": "TPa", "quadrature": QUADRATURE}
+    for key, wanted in fixed.items():
+        if content[key] != wanted:
+            raise InputError(f"{key}: expected {wanted!r}, got {content[key]!r}")
+    for key in ("D", "trained_on", "certified_on"):
+        if not isinstance(content[key], list):
+            raise InputError(f"{key}: expected a list, got {content[key]!r}")
+    for key in _RECORDS:
+        if not isinstance(content[key], dict):
+            raise InputError(f"{key}: expected an object, got {content[key]!r}")
+    model = Model(
+        **{name: _number(key, content[key]) for key, name in _NUMBERS.items()},
+        **{key: content[key] for key in ("D", "trained_on", "certified_on", *_RECORDS)},
+    )
+    if content["degree"] != model.degree:
+        raise InputError(f"degree: expected {model.degree} for {len(model.D)} coefficients, "
+                         f"got {content['degree']!r}")  # fmt: skip
+    return model
+
+
+def _number(name: str, value: Any) -> float:
+    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not real or not np.isfinite(value):
+        raise InputError(f"{name}: expected a finite number, got {value!r}")
+    return float(value)

@@ -1,0 +1,116 @@
+"""The reduced regression: the full loss of a lattice data set in a few hundred rows.
+
+With the weights w_c = K(r_c) W_c / m of each bond class, the residual is affine in the products
+μ w_c and (λ−μ) w_c w_d (theory.md, 14–17). One sweep of the data and a QR factorisation give
+‖L u − b‖² over all samples and nodes as ‖R c‖².
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import warp as wp
+
+from warp_peri.dataset import PointSet
+from warp_peri.families import BondClasses
+from warp_peri.full_loss import sample_factors
+from warp_peri.influence import bernstein_basis
+from warp_peri.kernels import features as kernels
+from warp_peri.operator import DEVICE, Sweeps
+
+_BLOCK_BYTES = 2**27
+"""Rows are factorised in blocks of about this size, so memory does not grow with the data."""
+
+
+@dataclass(frozen=True)
+class ReducedLoss:
+    """The loss (10) of one data set on one lattice, as a small least-squares problem.
+
+    Attributes:
+        classes: bond classes of the lattice.
+        R: triangular factor, shape [F + 1, F + 1]; its last column belongs to −b.
+        pairs: class numbers of each quadratic feature, shape [2, C (C + 1) / 2].
+        scale: mean ‖b‖² over the samples [TPa²/Å²]; losses are given relative to it.
+    """
+
+    classes: BondClasses
+    R: np.ndarray
+    pairs: np.ndarray
+    scale: float
+
+    def products(self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        """The vector c(λ, μ, w) of (17), shape [F + 1]; w [Å⁻²] has one entry a class."""
+        return torch.cat([mu * w, (lam - mu) * w[self.pairs[0]] * w[self.pairs[1]], _ONE])
+
+    def loss(self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
+        """(1/S) Σ_s ‖L u − b‖² / scale; differentiable."""
+        residual = torch.from_numpy(self.R) @ self.products(lam, mu, w)
+        return residual @ residual
+
+    def class_weights(self, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+        """w_c = K(r_c) W_c / m [Å⁻²] of the influence function, differentiable in α and D."""
+        classes = self.classes
+        r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
+        basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
+        kw = weight * r**-alpha * (basis @ D)
+        return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
+
+
+_ONE = torch.ones(1, dtype=torch.float64)
+
+
+def reduce(points: PointSet, horizon: float, *, normalise: bool = False) -> ReducedLoss:
+    """Sweep a lattice data set once and factorise its features.
+
+    Args:
+        points: samples on a lattice.
+        horizon: δ [Å].
+        normalise: divide each sample by ‖b‖ on the interior.
+
+    Raises InputError for a set without samples or loads, or one that does not carry the horizon.
+    """
+    factor, scale = sample_factors(points, normalise=normalise)
+    factor = factor / np.sqrt(scale * len(points))
+    sweeps = Sweeps(points, horizon)
+    classes = sweeps.families.classes
+    number = len(classes.r)
+    pairs = np.array(np.triu_indices(number))
+    column = np.empty((number, number), dtype=np.int32)
+    column[tuple(pairs)] = column[tuple(pairs[::-1])] = number + np.arange(pairs.shape[1])
+    width = number + pairs.shape[1]
+    block = max(1, _BLOCK_BYTES // (16 * (width + 1) * np.count_nonzero(points.interior)))
+    R = np.zeros((0, width + 1))
+    for first in range(0, len(points), block):
+        some = slice(first, first + block)
+        rows = _features(sweeps, points.u[some], column, width)
+        rows = np.concatenate([rows, -points.b[some][:, points.interior, None, :]], axis=2)
+        rows *= factor[some, None, None, None]
+        rows = rows.transpose(0, 1, 3, 2).reshape(-1, width + 1)
+        R = np.linalg.qr(np.concatenate([R, rows]), mode="r")
+    return ReducedLoss(classes, R, pairs, scale)
+
+
+def _features(sweeps: Sweeps, u: np.ndarray, column: np.ndarray, width: int) -> np.ndarray:
+    """Features of some samples on the interior nodes, shape [S, I, F, 2]."""
+    samples, nodes, _ = u.shape
+    field = wp.array(u, dtype=wp.vec2d, device=DEVICE)
+    theta = wp.zeros((samples, nodes, len(column)), dtype=wp.float64, device=DEVICE)
+    out = wp.zeros((samples, len(sweeps.rows), width), dtype=wp.vec2d, device=DEVICE)
+    wp.launch(
+        kernels.class_dilatation,
+        dim=(samples, len(sweeps.full)),
+        inputs=[sweeps.full, *sweeps.links, field],
+        outputs=[theta],
+        device=DEVICE,
+    )
+    columns = wp.array(column, dtype=wp.int32, device=DEVICE)
+    wp.launch(
+        kernels.class_force,
+        dim=(samples, len(sweeps.rows)),
+        inputs=[sweeps.rows, *sweeps.links, columns, field, theta],
+        outputs=[out],
+        device=DEVICE,
+    )
+    return out.numpy()

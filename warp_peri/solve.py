@@ -1,0 +1,102 @@
+"""Forward solves: displacement from loads, with a Dirichlet collar or on a periodic sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
+
+from warp_peri.dataset import PointSet
+from warp_peri.errors import InputError
+from warp_peri.families import bond_classes
+from warp_peri.matrices import matrices
+from warp_peri.model import Model
+from warp_peri.symbol import stiffnesses, symbol
+
+RESIDUAL = 1e-9
+"""Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+
+
+def solve(
+    model: Model,
+    points: PointSet,
+    b: ArrayLike,
+    u_collar: ArrayLike,
+    *,
+    allow_uncertified: bool = False,
+) -> np.ndarray:
+    """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
+
+    Args:
+        model: the model, certified for the spacing of the points.
+        points: lattice point set; its u and b are not looked at.
+        b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
+        u_collar: displacement [Å], same shape; only collar values count.
+        allow_uncertified: warn about an uncertified spacing instead of raising.
+
+    Returns:
+        u [Å], shape as given: u_collar on the collar, the solution on the interior.
+
+    Raises InputError for arrays that do not fit, an uncertified spacing, or an operator that is
+    singular to working precision.
+    """
+    model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+    b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
+    if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
+        raise InputError(f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
+                         f"[{len(points.x)}, 2], got {list(b.shape)} and {list(u.shape)}")  # fmt: skip
+    fixed, free = ~points.interior, points.interior
+    if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
+        raise InputError("b, u_collar: expected finite values")
+    L = matrices(model, points).operator(model.lam, model.mu)
+    unknown = np.repeat(free, 2)
+    stiffness = sp.csc_array(L[:, unknown])
+    flat = (-1, 2 * np.count_nonzero(free))
+    collar = u[..., fixed, :].reshape(flat[0] if u.ndim == 3 else 1, 2 * np.count_nonzero(fixed))
+    right = b[..., free, :].reshape(flat).T - L[:, ~unknown] @ collar.T
+    try:
+        solution = splu(stiffness).solve(right)
+    except RuntimeError as error:
+        raise InputError(f"the operator on these {len(right) // 2} nodes is singular: the model is "
+                         f"not well posed here ({error})") from None  # fmt: skip
+    wrong = np.linalg.norm(stiffness @ solution - right, axis=0)
+    if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
+        raise InputError("the operator on these nodes is singular to working precision: "
+                         f"the residual of the solve is {wrong.max():.1e} TPa/Å")  # fmt: skip
+    u[..., free, :] = solution.T.reshape(*u.shape[:-2], -1, 2)
+    return u
+
+
+def solve_periodic(
+    model: Model, b: ArrayLike, *, spacing: float, allow_uncertified: bool = False
+) -> np.ndarray:
+    """Displacement of a periodic sheet under a load of zero mean, by FFT of the symbol.
+
+    Args:
+        model: the model, certified for the spacing.
+        b: body force density on the lattice [TPa/Å], shape [..., n₁, n₂, 2]; its mean is removed.
+        spacing: h [Å].
+        allow_uncertified: warn about an uncertified spacing instead of raising.
+
+    Returns:
+        u [Å] of zero mean, shape as given.
+    """
+    model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+    b = np.asarray(b, dtype=float)
+    if b.ndim < 3 or b.shape[-1] != 2 or not np.isfinite(b).all():
+        raise InputError(f"b: expected finite values of shape [..., n1, n2, 2], got {list(b.shape)}")
+    classes = bond_classes(spacing, model.horizon)
+    shape = b.shape[-3:-1]
+    waves = [2 * np.pi * np.fft.fftfreq(n, spacing) for n in shape]
+    k = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1).reshape(-1, 2)
+    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
+    d11[0] = d22[0] = 1.0  # k = 0: a mean load has no answer; the transform below is zeroed there
+    D = np.stack([d11, d12, d12, d22], axis=1).reshape(*shape, 2, 2)
+    transform = np.fft.fftn(b, axes=(-3, -2))
+    transform[..., 0, 0, :] = 0
+    try:
+        wave = np.linalg.solve(D, transform[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        raise InputError("the symbol is singular at a wave vector of this sheet") from None
+    return np.fft.ifftn(wave, axes=(-3, -2)).real
