@@ -8,8 +8,8 @@ import numpy as np
 
 from tools.graphene import THICKNESS, sheet
 from tools.lammps_session import LammpsSession
-from tools.loads import EV_PER_CUBIC_ANGSTROM
 from tools.statics import Statics
+from warp_peri.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 STRAIN = 1e-4
 

@@ -171,5 +171,5 @@ def _lammps_words() -> Iterator[None]:
         yield
     except LammpsError:
         raise
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         raise LammpsError(f"LAMMPS failed: {error}") from None

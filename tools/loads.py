@@ -12,8 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-EV_PER_CUBIC_ANGSTROM = 0.1602176634
-"""1 eV/Å³ in TPa."""
+from warp_peri.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None
 """Periods (Lx, Ly) of the atoms [Å]; None for a free body."""

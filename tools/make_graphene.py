@@ -162,8 +162,9 @@ def point_set(
     *,
     spacing: float,
     shape: str = "cone",
+    shift: tuple[float, float] = (0.0, 0.0),
 ) -> PointSet:
-    """Samples of one body, smoothed to a lattice of nodes through the origin.
+    """Samples of one body, smoothed to a lattice of nodes.
 
     Args:
         body: a sheet is evaluated through its periodic images.
@@ -171,6 +172,7 @@ def point_set(
         samples: at least one.
         spacing: of the nodes [Å].
         shape: of the smoothing function, "cone" or "paraboloid".
+        shift: where the middle node lies, seen from the body's origin [Å].
     """
     count = int(REACH / spacing)
     line = spacing * np.arange(-count, count + 1)
@@ -182,7 +184,7 @@ def point_set(
         interior = (np.abs(x) <= INTERIOR).all(axis=1)
     omega = smoothing_matrix(
         samples[0].reference,
-        x,
+        x + shift,
         radius=SMOOTHING_RADIUS,
         shape=shape,
         box=body.box,
@@ -202,7 +204,7 @@ def point_set(
     waves = [load.wave_number(body.box) for load in loads if isinstance(load, WaveLoad)]
     if waves:
         record["wave_number"] = np.array(waves)
-    return PointSet(x=x, u=u, b=b, interior=interior, spacing=spacing, samples=record)
+    return PointSet(x=x + shift, u=u, b=b, interior=interior, spacing=spacing, samples=record)
 
 
 def shape_change(cone: PointSet, body: Body, samples: Sequence[Sample]) -> dict[str, float]:

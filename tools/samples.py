@@ -117,8 +117,10 @@ def read_sample(path: Path) -> Sample | None:
     except FileNotFoundError:
         return None
     # Broken bytes surface as almost any exception of zipfile, zlib or NumPy.
-    except Exception as error:  # noqa: BLE001
-        warnings.warn(f"cached sample {path.name} is corrupt and is made again ({error})")
+    except Exception as error:
+        warnings.warn(
+            f"cached sample {path.name} is corrupt and is made again ({error})", stacklevel=2
+        )
         return None
 
 

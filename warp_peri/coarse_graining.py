@@ -53,8 +53,10 @@ def smoothing_matrix(
         raise InputError(f"radius: expected a length > 0, got {radius}")
     if spacing is not None:
         if not radius > spacing / np.sqrt(2):
-            raise InputError(f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
-                             f"got {radius}; some atoms would belong to no node")  # fmt: skip
+            raise InputError(
+                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
+                f"got {radius}; some atoms would belong to no node"
+            )
         offset = nodes - nodes[0]
         if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
             raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")

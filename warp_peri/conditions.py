@@ -33,7 +33,9 @@ class Conditions:
 
     def __post_init__(self) -> None:
         if self.kind not in CONDITIONS:
-            raise InputError(f"conditions: expected one of {', '.join(CONDITIONS)}, got {self.kind!r}")
+            raise InputError(
+                f"conditions: expected one of {', '.join(CONDITIONS)}, got {self.kind!r}"
+            )
         if not (np.isfinite(self.zeta) and self.zeta > 0):
             raise InputError(f"zeta: expected a stiffness > 0 TPa, got {self.zeta}")
 

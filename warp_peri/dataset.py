@@ -60,7 +60,9 @@ class PointSet:
         for name in ("u", "b"):
             shape = getattr(self, name).shape
             if len(shape) != 3 or shape[1:] != (n, 2) or shape[0] != len(self.u):
-                raise InputError(f"{name}: expected shape [{len(self.u)}, {n}, 2], got {list(shape)}")
+                raise InputError(
+                    f"{name}: expected shape [{len(self.u)}, {n}, 2], got {list(shape)}"
+                )
         if not (np.isfinite(self.spacing) and self.spacing >= 0):
             raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing}")
         for name, value in self.samples.items():

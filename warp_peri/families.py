@@ -148,8 +148,9 @@ def lattice_families(
             raise InputError("box: expected a lattice along the axes, got a rotated one")
         size = np.rint(np.divide(box, h)).astype(np.int64)
         if np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
-            raise InputError(f"box: expected whole multiples of {h} Å above {2 * reach * h} Å, "
-                             f"got {box}")  # fmt: skip
+            raise InputError(
+                f"box: expected whole multiples of {h} Å above {2 * reach * h} Å, got {box}"
+            )
         grid = grid % size
     number = np.full(size, -1, dtype=np.int64)
     number[tuple(grid.T)] = np.arange(len(x))
@@ -159,7 +160,7 @@ def lattice_families(
     table = np.empty((len(x), len(classes.steps)), dtype=np.int64)
     for column, step in enumerate(classes.steps):
         table[:, column] = number[tuple(((grid + step) % size).T)]
-    full = (table >= 0).all(axis=1)
+    full = np.all(table >= 0, axis=1)
     inner = full.copy()
     inner[full] = full[table[full]].all(axis=1)
     lacking = points.interior & ~inner
@@ -179,8 +180,10 @@ def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
     i, j = cKDTree(x).query_pairs(spacing * (1 + LATTICE_TOLERANCE), output_type="ndarray").T
     step = (x[j] - x[i]) @ (1, 1j)
     if len(step) == 0:
-        raise InputError(f"points: expected a square lattice of spacing {spacing} Å, but no two "
-                         "points are that close")  # fmt: skip
+        raise InputError(
+            f"points: expected a square lattice of spacing {spacing} Å, but no two "
+            "points are that close"
+        )
     angle = np.angle((step**4).sum()) / 4  # the fourth power is blind to quarter turns
     if abs(angle) < 1e-12:
         return np.eye(2)
@@ -189,9 +192,10 @@ def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
 
 def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> str:
     """Say what horizon the collar would carry."""
-    present = np.zeros(grid.max(0) - grid.min(0) + 1, bool)
+    rows, columns = grid.max(0) - grid.min(0) + 1
+    present: np.ndarray = np.zeros((rows, columns), bool)
+    asked: np.ndarray = np.zeros((rows, columns), bool)
     present[tuple((grid - grid.min(0)).T)] = True
-    asked = np.zeros_like(present)
     asked[tuple((grid[interior] - grid.min(0)).T)] = True
     reach = min(present.shape) // 4 + 1  # twice this leaves any node of the set
     length = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -44,15 +46,15 @@ class FullLoss:
         self.b = torch.from_numpy(points.b[:, points.interior])
         self.weight = torch.from_numpy(factor**2 / (scale * len(points)))
 
-    def _squares(self, *parameters: torch.Tensor | float | np.ndarray) -> torch.Tensor:
+    def _squares(self, *parameters: Any) -> torch.Tensor:
         residual = lps_force(self.sweeps, self.u, *parameters) - self.b
         return (residual**2).sum(dim=(1, 2))
 
-    def loss(self, *parameters: torch.Tensor | float | np.ndarray) -> torch.Tensor:
+    def loss(self, *parameters: Any) -> torch.Tensor:
         """The loss at (λ, μ, α, D), differentiable."""
         return self.weight @ self._squares(*parameters)
 
-    def mean_error(self, *parameters: torch.Tensor | float | np.ndarray) -> float:
+    def mean_error(self, *parameters: Any) -> float:
         """E_res, the mean over samples of ‖L u − b‖/‖b‖; samples without load are left out."""
         load = (self.b**2).sum(dim=(1, 2))
         loaded = load > 0

@@ -11,7 +11,7 @@ import warp as wp
 from warp_peri.dataset import PointSet
 from warp_peri.kernels.matrix import bond_entries
 from warp_peri.model import Model
-from warp_peri.operator import DEVICE, Sweeps
+from warp_peri.operator import DEVICE, Sweeps, as_float
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,7 @@ def matrices(model: Model, points: PointSet) -> Matrices:
     Raises InputError for a point set that does not carry the horizon.
     """
     sweeps = Sweeps(points, model.horizon)
-    parameters = (np.array([model.alpha]), model.D)
-    alpha, D = (wp.array(value, dtype=wp.float64, device=DEVICE) for value in parameters)
+    alpha, D = as_float(np.array([model.alpha])), as_float(model.D)
     kw, m = sweeps.influence(alpha, D, gradient=False)
     edges = len(sweeps.families.neighbour)
     gamma = sweeps.zeros(edges, dtype=wp.mat22d)

@@ -21,9 +21,18 @@ QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 _NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
 _RECORDS = ("certificate", "errors", "provenance", "versions")
 _KEYS = {
-    "format", "version", "length_unit", "stress_unit", "degree", "D", "quadrature", "trained_on",
-    "certified_on", *_NUMBERS, *_RECORDS,
-}  # fmt: skip
+    "format",
+    "version",
+    "length_unit",
+    "stress_unit",
+    "degree",
+    "D",
+    "quadrature",
+    "trained_on",
+    "certified_on",
+    *_NUMBERS,
+    *_RECORDS,
+}
 
 
 @dataclass(frozen=True)
@@ -158,12 +167,14 @@ def _model(content: Any) -> Model:
         if not isinstance(content[key], dict):
             raise InputError(f"{key}: expected an object, got {content[key]!r}")
     model = Model(
-        **{name: _number(key, content[key]) for key, name in _NUMBERS.items()},
+        **{name: content[key] for key, name in _NUMBERS.items()},
         **{key: content[key] for key in ("D", "trained_on", "certified_on", *_RECORDS)},
     )
     if content["degree"] != model.degree:
-        raise InputError(f"degree: expected {model.degree} for {len(model.D)} coefficients, "
-                         f"got {content['degree']!r}")  # fmt: skip
+        raise InputError(
+            f"degree: expected {model.degree} for {len(model.D)} coefficients, "
+            f"got {content['degree']!r}"
+        )
     return model
 
 

@@ -17,6 +17,7 @@ from warp_peri.kernels import lps
 from warp_peri.model import Model
 
 DEVICE = "cpu"
+wp.config.log_level = wp.LOG_WARNING  # its banner would mix with what commands print
 
 
 class Sweeps:
@@ -46,14 +47,14 @@ class Sweeps:
         self.rows, self.full = _int(rows), _int(np.flatnonzero(reached))
         self.pattern = (_int(self.families.bond), _int(classes.bond_class))
         self.row = _int(row)
-        xi = wp.array(self.families.xi, dtype=wp.vec2d, device=DEVICE)
+        xi: wp.array = wp.array(self.families.xi, dtype=wp.vec2d, device=DEVICE)
         self.links = (self.row, _int(self.families.neighbour), *self.pattern, xi)
-        self.r, self.weight = _float(classes.r), _float(classes.weight)
+        self.r, self.weight = as_float(classes.r), as_float(classes.weight)
 
     def influence(self, alpha: wp.array, D: wp.array, *, gradient: bool) -> tuple[wp.array, ...]:
         """K W of each class, shape [C], and weighted volumes m, shape [N] (0 where not needed)."""
         classes = self.families.classes
-        bernstein = _float(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
+        bernstein = as_float(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
         kw = self.zeros(len(self.r), gradient=gradient)
         m = self.zeros(len(self.row) - 1, gradient=gradient)
         _launch(lps.influence, len(self.r), (self.r, self.weight, bernstein, alpha, D), kw)
@@ -97,7 +98,7 @@ class _Force(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, sweeps: Sweeps, *inputs: torch.Tensor) -> torch.Tensor:
         wanted = any(ctx.needs_input_grad)
-        arrays = [
+        arrays: list[Any] = [
             wp.from_torch(
                 tensor.detach().contiguous(),
                 dtype=wp.vec2d if number == 0 else wp.float64,
@@ -182,8 +183,10 @@ def lps_force(
     """
     nodes = len(sweeps.row) - 1
     if u.dtype != torch.float64 or u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
-        raise InputError(f"u: expected float64 of shape [S, {nodes}, 2] or [{nodes}, 2], "
-                         f"got {u.dtype} of shape {list(u.shape)}")  # fmt: skip
+        raise InputError(
+            f"u: expected float64 of shape [S, {nodes}, 2] or [{nodes}, 2], "
+            f"got {u.dtype} of shape {list(u.shape)}"
+        )
     numbers = [
         torch.as_tensor(value, dtype=torch.float64).reshape(-1) for value in (lam, mu, alpha, D)
     ]
@@ -195,5 +198,6 @@ def _int(values: np.ndarray) -> wp.array:
     return wp.array(values.astype(np.int32), dtype=wp.int32, device=DEVICE)
 
 
-def _float(values: np.ndarray) -> wp.array:
+def as_float(values: np.ndarray) -> wp.array:
+    """A float64 Warp array."""
     return wp.array(values, dtype=wp.float64, device=DEVICE)

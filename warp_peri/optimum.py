@@ -1,4 +1,4 @@
-"""Stage 3: the optimum that the conditions allow, by cutting planes (theory.md, 25–28).
+"""Stage 3: the optimum that the conditions allow, by cutting planes (theory.md, 26–28).
 
 Variables are κ = (λ−μ)/μ² and the stiffnesses v = μ w of the bond classes, in which the residual
 is R (v, κ v⊗v, 1) and no scale of K is left over. The kernel family {r^(−α) Σ D_k B_k} allows the v
@@ -142,7 +142,9 @@ def constrained_optimum(
             break
         cuts = np.concatenate([cuts, worst])
     parameters = coordinates.parameters(y, losses)
-    return Optimum(parameters, loss, float(margin.min()), len(cuts), bool((margin >= -SEARCH_TOLERANCE).all()))
+    return Optimum(
+        parameters, loss, float(margin.min()), len(cuts), bool((margin >= -SEARCH_TOLERANCE).all())
+    )
 
 
 def _fit(

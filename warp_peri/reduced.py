@@ -88,14 +88,14 @@ def reduce(points: PointSet, horizon: float, *, normalise: bool = False) -> Redu
         rows = np.concatenate([rows, -points.b[some][:, points.interior, None, :]], axis=2)
         rows *= factor[some, None, None, None]
         rows = rows.transpose(0, 1, 3, 2).reshape(-1, width + 1)
-        R = np.linalg.qr(np.concatenate([R, rows]), mode="r")
+        R = np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))
     return ReducedLoss(classes, R, pairs, scale)
 
 
 def _features(sweeps: Sweeps, u: np.ndarray, column: np.ndarray, width: int) -> np.ndarray:
     """Features of some samples on the interior nodes, shape [S, I, F, 2]."""
     samples, nodes, _ = u.shape
-    field = wp.array(u, dtype=wp.vec2d, device=DEVICE)
+    field: wp.array = wp.array(u, dtype=wp.vec2d, device=DEVICE)
     theta = wp.zeros((samples, nodes, len(column)), dtype=wp.float64, device=DEVICE)
     out = wp.zeros((samples, len(sweeps.rows), width), dtype=wp.vec2d, device=DEVICE)
     wp.launch(
@@ -105,7 +105,7 @@ def _features(sweeps: Sweeps, u: np.ndarray, column: np.ndarray, width: int) -> 
         outputs=[theta],
         device=DEVICE,
     )
-    columns = wp.array(column, dtype=wp.int32, device=DEVICE)
+    columns: wp.array = wp.array(column, dtype=wp.int32, device=DEVICE)
     wp.launch(
         kernels.class_force,
         dim=(samples, len(sweeps.rows)),

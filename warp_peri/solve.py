@@ -44,8 +44,10 @@ def solve(
     model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
     b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
     if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
-        raise InputError(f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
-                         f"[{len(points.x)}, 2], got {list(b.shape)} and {list(u.shape)}")  # fmt: skip
+        raise InputError(
+            f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
+            f"[{len(points.x)}, 2], got {list(b.shape)} and {list(u.shape)}"
+        )
     fixed, free = ~points.interior, points.interior
     if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
         raise InputError("b, u_collar: expected finite values")
@@ -58,12 +60,16 @@ def solve(
     try:
         solution = splu(stiffness).solve(right)
     except RuntimeError as error:
-        raise InputError(f"the operator on these {len(right) // 2} nodes is singular: the model is "
-                         f"not well posed here ({error})") from None  # fmt: skip
+        raise InputError(
+            f"the operator on these {len(right) // 2} nodes is singular: the model is "
+            f"not well posed here ({error})"
+        ) from None
     wrong = np.linalg.norm(stiffness @ solution - right, axis=0)
     if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
-        raise InputError("the operator on these nodes is singular to working precision: "
-                         f"the residual of the solve is {wrong.max():.1e} TPa/Å")  # fmt: skip
+        raise InputError(
+            "the operator on these nodes is singular to working precision: "
+            f"the residual of the solve is {wrong.max():.1e} TPa/Å"
+        )
     u[..., free, :] = solution.T.reshape(*u.shape[:-2], -1, 2)
     return u
 
@@ -85,7 +91,9 @@ def solve_periodic(
     model.check_spacing(spacing, allow_uncertified=allow_uncertified)
     b = np.asarray(b, dtype=float)
     if b.ndim < 3 or b.shape[-1] != 2 or not np.isfinite(b).all():
-        raise InputError(f"b: expected finite values of shape [..., n1, n2, 2], got {list(b.shape)}")
+        raise InputError(
+            f"b: expected finite values of shape [..., n1, n2, 2], got {list(b.shape)}"
+        )
     classes = bond_classes(spacing, model.horizon)
     shape = b.shape[-3:-1]
     waves = [2 * np.pi * np.fft.fftfreq(n, spacing) for n in shape]

@@ -20,6 +20,7 @@ from warp_peri.full_loss import FullLoss
 from warp_peri.model import Model
 from warp_peri.optimum import constrained_optimum
 from warp_peri.reduced import ReducedLoss, reduce
+from warp_peri.symbol import moduli
 from warp_peri.two_stage import Parameters, positive_stage, sign_changing_stage
 
 METHODS = ("constrained", "two-stage")
@@ -50,12 +51,14 @@ class Fit:
     Attributes:
         model: the model; certified for the training spacing if its certificate holds.
         certificate: the certificate.
+        moduli: long-wave moduli C11, C12, C44 of the discrete operator [TPa].
         history: the stages, in order.
         starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
     """
 
     model: Model
     certificate: Certificate
+    moduli: dict[str, float]
     history: list[Stage]
     starts: dict[str, float]
 
@@ -134,8 +137,10 @@ def fit(
                 tick(found[name].loss)
             kept = [one for one in found.values() if one.converged]
             if not kept:
-                raise RuntimeError("stage 3: no start ended with the conditions kept; smallest "
-                                   f"margin {max(one.margin for one in found.values()):.1e} TPa")  # fmt: skip
+                raise RuntimeError(
+                    "stage 3: no start ended with the conditions kept; smallest "
+                    f"margin {max(one.margin for one in found.values()):.1e} TPa"
+                )
             lowest = min(one.loss for one in kept)
             # Equal losses are one optimum: the first start is kept, whatever the rounding.
             return next(one for one in kept if one.loss <= lowest * (1 + SAME_LOSS)).parameters
@@ -156,7 +161,7 @@ def fit(
         certificate={f"{points.spacing:g}": certificate.figures()},
         versions=_versions(),
     )
-    return Fit(model, certificate, history, starts)
+    return Fit(model, certificate, moduli(model, reduced.classes), history, starts)
 
 
 class _Oracle:
@@ -181,14 +186,18 @@ class _Oracle:
                 loss = self.reduced.loss(lam, mu, self.reduced.class_weights(alpha, D))
             gradient = torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, numbers)])
             results.append((loss.item(), gradient))
-        (loss, gradient), (expected, reference) = results
+        (found, gradient), (expected, reference) = results
         self.gradient_size = self.gradient_size or float(reference.norm())
-        if abs(loss - expected) > AGREEMENT * expected:
-            raise RuntimeError(f"the reduced loss {loss:.15e} departs from the full {expected:.15e}")
+        if abs(found - expected) > AGREEMENT * expected:
+            raise RuntimeError(
+                f"the reduced loss {found:.15e} departs from the full {expected:.15e}"
+            )
         difference = float((gradient - reference).norm())
         if difference > AGREEMENT * self.gradient_size:
-            raise RuntimeError(f"the reduced gradient departs from Warp's tape by {difference:.1e}, "
-                               f"the gradient at the start is {self.gradient_size:.1e}")  # fmt: skip
+            raise RuntimeError(
+                f"the reduced gradient departs from Warp's tape by {difference:.1e}, "
+                f"the gradient at the start is {self.gradient_size:.1e}"
+            )
 
 
 def _versions() -> dict[str, str]:

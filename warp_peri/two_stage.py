@@ -67,7 +67,9 @@ class Variables:
     drives to zero early in stage 1, would stay there for good.
     """
 
-    def __init__(self, lam: float, mu: float, alpha: float, D: np.ndarray, *, positive: bool) -> None:
+    def __init__(
+        self, lam: float, mu: float, alpha: float, D: np.ndarray, *, positive: bool
+    ) -> None:
         values = (lam, mu, alpha, D)
         self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
         self.lam, self.mu, self.alpha, self.D = (leaf.requires_grad_() for leaf in self.leaves)
@@ -91,22 +93,27 @@ class Variables:
 def _adam(
     variables: Variables,
     extra: list[torch.Tensor],
-    objective: Callable[[], torch.Tensor],
+    objective: Callable[[], tuple[torch.Tensor, torch.Tensor]],
     epochs: int,
     tick: Callable[[float], None],
 ) -> list[float]:
-    """Adam on the variables until the objective stagnates; returns it by epoch."""
+    """Adam on the variables until the objective stagnates; returns the loss by epoch.
+
+    `objective` gives what is minimised and the loss that is part of it.
+    """
     optimiser = torch.optim.Adam([*variables.leaves, *extra], lr=LEARNING_RATE)
+    totals: list[float] = []
     losses: list[float] = []
     for _ in range(epochs):
         optimiser.zero_grad()
-        loss = objective()
-        loss.backward()  # type: ignore[no-untyped-call]
+        total, loss = objective()
+        total.backward()
         optimiser.step()
         variables.project()
+        totals.append(total.item())
         losses.append(loss.item())
         tick(losses[-1])
-        if _stagnant(losses, WINDOW):
+        if _stagnant(totals, WINDOW):
             break
     return losses
 
@@ -129,9 +136,10 @@ def positive_stage(
     D = np.random.default_rng(seed).uniform(size=degree + 1)
     variables = Variables(0.0, 1.0, 1.0, D, positive=True)
 
-    def objective() -> torch.Tensor:
+    def objective() -> tuple[torch.Tensor, torch.Tensor]:
         w = reduced.class_weights(variables.alpha, variables.D)
-        return reduced.loss(variables.lam, variables.mu, w)
+        loss = reduced.loss(variables.lam, variables.mu, w)
+        return loss, loss
 
     return variables.parameters(_adam(variables, [], objective, EPOCHS, tick))
 
@@ -166,9 +174,9 @@ def sign_changing_stage(
         margin = _Zone.apply(conditions, at, mu * w, (lam - mu) / mu**2)
         return reduced.loss(lam, mu, w), margin - slack**2
 
-    def objective() -> torch.Tensor:
+    def objective() -> tuple[torch.Tensor, torch.Tensor]:
         loss, H = loss_and_violation()
-        return loss + multiplier @ H + penalty / 2 * (H @ H)
+        return loss + multiplier @ H + penalty / 2 * (H @ H), loss
 
     losses: list[float] = []
     previous = torch.full_like(slack, torch.inf, requires_grad=False)
@@ -179,7 +187,7 @@ def sign_changing_stage(
         H = signed.abs()
         if (H <= TOLERANCE).all() and _stagnant(losses, INNER_EPOCHS):
             break
-        if ((H >= REQUIRED_DECREASE * previous) & (H > TOLERANCE)).any():
+        if ((REQUIRED_DECREASE * previous <= H) & (H > TOLERANCE)).any():
             penalty *= PENALTY_GROWTH
         else:
             multiplier = multiplier + penalty * signed

@@ -13,16 +13,16 @@ from warp_peri.operator import LPSOperator
 from warp_peri.solve import solve
 
 
-def residual_errors(model: Model, points: PointSet, *, allow_uncertified: bool = False) -> np.ndarray:
+def residual_errors(
+    model: Model, points: PointSet, *, allow_uncertified: bool = False
+) -> np.ndarray:
     """‖L u − b‖₂ and ‖b‖₂ of each sample on the interior [TPa/Å], shape [2, S]."""
     operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
     b = points.b[:, points.interior]
     return np.array([_norms(operator(points.u) - b), _norms(b)])
 
 
-def evaluate(
-    model: Model, points: PointSet, *, allow_uncertified: bool = False
-) -> dict[str, float | list[float]]:
+def evaluate(model: Model, points: PointSet, *, allow_uncertified: bool = False) -> dict[str, Any]:
     """Errors on every sample of a set and their means.
 
     Args:

@@ -1,0 +1,187 @@
+"""Figures, metrics and report of the graphene example."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri import plots
+from warp_peri.dataset import PointSet
+from warp_peri.files import whole_file, write_text
+from warp_peri.model import Model
+from warp_peri.solve import solve
+from warp_peri.training import Fit
+
+PAPER = {
+    "You et al. 2021, LPS": {
+        "E_res": {"train": 9.81, "val": 13.28},
+        "E_u": {"train": 11.72, "val": 7.16, "test": 6.75},
+    },
+    "Jafarzadeh et al. 2024, PNO": {
+        "E_res": {"train": 7.89, "val": 10.23},
+        "E_u": {"train": 10.00, "val": 2.78, "test": 3.80},
+    },
+}
+"""Errors printed in the papers at h = 5 Å, δ = 20 Å, 0 K [%]."""
+
+PAPER_CONSTANTS = {"lambda": -0.4796, "mu": 0.7978, "E": 0.91, "nu": -0.4297}
+ROLES = {"train": "training", "val": "validation", "test": "disks"}
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure whole or not at all, and close it."""
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=150, bbox_inches="tight")
+    plt.close(figure)
+
+
+def draw_fit(folder: Path, fit: Fit, spacing: float) -> None:
+    """influence.png and loss.png."""
+    figure, ax = plt.subplots(figsize=(6.4, 4.2))
+    plots.influence_function(fit.model, spacing=spacing, ax=ax)
+    ax.set_title(f"Influence function, δ = {fit.model.horizon:g} Å, M = {fit.model.degree}")
+    save_figure(figure, folder / "influence.png")
+
+    figure, ax = plt.subplots(figsize=(6.4, 4.2))
+    plots.loss_by_stage(fit.history, ax=ax)
+    ax.set_title("Training loss by stage")
+    save_figure(figure, folder / "loss.png")
+
+
+def draw_disks(path: Path, model: Model, points: PointSet, table: dict[str, Any]) -> None:
+    """u₁ on the disks: molecular data, model and error, a row a disk."""
+    solved = solve(model, points, points.b, points.u, allow_uncertified=True)
+    inside = points.interior
+    rows = len(points)
+    figure, axes = plt.subplots(
+        rows, 3, figsize=(9.5, 2.7 * rows + 0.4), squeeze=False, layout="constrained"
+    )
+    names = points.samples.get("load_id", np.arange(1, rows + 1))
+    for s, row in enumerate(axes):
+        truth, predicted = points.u[s, inside, 0], solved[s, inside, 0]
+        error = 1000 * (predicted - truth)
+        limit, small = np.abs([truth, predicted]).max(), np.abs(error).max()
+        plots.node_field(points.x[inside], truth, limit=limit, ax=row[0])
+        mesh = plots.node_field(points.x[inside], predicted, limit=limit, ax=row[1])
+        figure.colorbar(mesh, ax=row[:2], label="u₁ [Å]")
+        mesh = plots.node_field(points.x[inside], error, limit=small, ax=row[2])
+        figure.colorbar(mesh, ax=row[2], label="error of u₁ [mÅ]")
+        for ax, title in zip(row, ("molecular data", "model", "model − molecular")):
+            ax.set_title(title, fontsize="medium")
+            ax.set_xlabel("x₁ [Å]")
+        row[0].set_ylabel(f"{names[s]}: E_u = {100 * table['E_u_samples'][s]:.2f} %\nx₂ [Å]")
+    figure.suptitle("Displacement on disks the fit never saw (interior nodes)")
+    save_figure(figure, path)
+
+
+def draw_waves(path: Path, points: PointSet, table: dict[str, Any]) -> None:
+    """Errors of the training samples against their wave number."""
+    figure, ax = plt.subplots(figsize=(6.4, 4.2))
+    errors = {"E_res": table["E_res_samples"], "E_u": table["E_u_samples"]}
+    plots.errors_by_wave_number(points.samples["wave_number"], errors, ax=ax)
+    ax.set_title("Errors of the training samples")
+    save_figure(figure, path)
+
+
+def metrics(
+    fit: Fit, tables: dict[str, dict[str, Any]], truth: dict[str, float] | None
+) -> dict[str, Any]:
+    """Contents of metrics.json, without the seconds; errors are fractions."""
+    model, figures = fit.model, fit.certificate.figures()
+    certificate = ("symbol_min", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
+    return {
+        "E_res": {role: table["E_res"] for role, table in tables.items()},
+        "E_u": {role: table["E_u"] for role, table in tables.items()},
+        "E_res_abs": {role: table["E_res_abs"] for role, table in tables.items()},
+        "lambda": model.lam,
+        "mu": model.mu,
+        "E": model.E,
+        "nu": model.nu,
+        "alpha": model.alpha,
+        "D": model.D,
+        "horizon": model.horizon,
+        "degree": model.degree,
+        "moduli": fit.moduli,
+        "truth": truth,
+        "stages": [
+            {"name": stage.name, "E_res_train": stage.E_res_train, "seconds": stage.seconds}
+            for stage in fit.history
+        ],
+        "starts": fit.starts,
+        "certificate": {key: figures[key] for key in certificate},
+        "certified": bool(model.certified_on),
+    }
+
+
+def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
+    """report.md: the errors beside the printed ones, constants, stages, certificate, times."""
+    roles = [role for role in ROLES if role in numbers["E_u"]]
+    columns = [("E_res", r) for r in roles if r != "test"] + [("E_u", r) for r in roles]
+    lines = [
+        "# Graphene at 0 K",
+        "",
+        f"Made by `{command}`. Errors are means over samples of relative ℓ2 errors [%].",
+        "",
+        "| | " + " | ".join(f"{e} {ROLES[r]}" for e, r in columns) + " |",
+        "|---" * (len(columns) + 1) + "|",
+        f"| this run, δ = {numbers['horizon']:g} Å, M = {numbers['degree']} | "
+        + " | ".join(f"{100 * numbers[e][r]:.2f}" for e, r in columns)
+        + " |",
+    ]
+    for name, printed in PAPER.items():
+        values = [printed[e].get(r) for e, r in columns]
+        cells = ("–" if value is None else f"{value:.2f}" for value in values)
+        lines.append(f"| {name} (as printed) | " + " | ".join(cells) + " |")
+    if "test" in roles:
+        lines += [
+            "",
+            f"Residual on the disks, absolute: {numbers['E_res_abs']['test']:.2e} TPa/Å "
+            f"(relative {100 * numbers['E_res']['test']:.0f} %: the load there is only what "
+            "the smoothing reaches in from the rim).",
+        ]
+    lines += ["", "## Constants [TPa]", "", "| | λ | μ | E | ν |", "|---|---|---|---|---|"]
+    keys = ("lambda", "mu", "E", "nu")
+    rows = {"learned": numbers, "the potential's own": numbers["truth"] or {}}
+    for name, row in (rows | {"You et al. 2021, learned": PAPER_CONSTANTS}).items():
+        cells = (f"{row[key]:.4f}" if key in row else "–" for key in keys)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    moduli = ", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items())
+    lines += ["", f"Long-wave moduli of the discrete operator: {moduli}."]
+    if numbers["truth"]:
+        lam, mu = numbers["truth"]["lambda"], numbers["truth"]["mu"]
+        lines[-1] += f" The potential's: C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
+    lines += ["", "## Stages", "", "| stage | E_res training [%] | seconds |", "|---|---|---|"]
+    for stage in numbers["stages"]:
+        error = 100 * stage["E_res_train"]
+        lines.append(f"| {stage['name']} | {error:.2f} | {stage['seconds']:.1f} |")
+    certificate = numbers["certificate"]
+    verdict = "holds" if numbers["certified"] else "DOES NOT HOLD"
+    lines += [
+        "",
+        f"## Certificate: {verdict}",
+        "",
+        f"- smallest D(k)/s(k) found over the Brillouin zone: {certificate['symbol_min']:.5f} TPa",
+        f"- Λmin(Γ) on the training domain: {_number(certificate['gamma_min'])} Å⁻²",
+        f"- Λmin(ΦΓ⁻¹Φᵗ), zeros aside: {_number(certificate['inf_sup_min'])} (not asked for)",
+        f"- Λmin(Γ − 2ΦᵗΦ): {_number(certificate['gamma_minus_2phi_min'])} Å⁻² "
+        "(asked for with `--conditions paper`)",
+        "",
+        "## Seconds",
+        "",
+        ", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
+        "",
+        "Figures: `influence.png`, `loss.png`, `disks.png`, `waves.png`.",
+    ]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _number(value: float | None) -> str:
+    return "not defined" if value is None else f"{value:.3e}"

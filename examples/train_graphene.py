@@ -1,0 +1,165 @@
+"""From atoms to held-out disks: make graphene data, learn a peridynamic model, certify, predict.
+
+Writes model.json, metrics.json, report.md and figures to the output folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import hashlib
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
+
+import warp_peri
+from examples import graphene_report as report
+from warp_peri.dataset import Dataset, PointSet
+from warp_peri.errors import InputError
+from warp_peri.files import write_json
+from warp_peri.training import METHODS, fit
+
+DATA = ROOT / "data" / "graphene_0K.h5"
+OUT = ROOT / "runs" / "graphene_0K"
+
+
+def run(given: argparse.Namespace) -> dict[str, object]:
+    """The whole main job; returns what metrics.json holds."""
+    seconds: dict[str, float] = {}
+    begin = time.perf_counter()
+    with phase("data", seconds):
+        path = given.data or make_data(given.jobs)
+        data = warp_peri.load_dataset(path)
+        sets = sets_at(data, given.spacing)
+    with phase("learning", seconds):
+        found = fit(
+            sets["train"],
+            horizon=given.horizon,
+            degree=given.degree,
+            method=given.method,
+            conditions=given.conditions,
+            seed=given.seed,
+            progress=True,
+        )
+    print_certificate(found)
+    with phase("prediction", seconds):
+        tables = {
+            role: warp_peri.evaluate(found.model, points, allow_uncertified=True)
+            for role, points in sets.items()
+        }
+    truth = data.provenance.get("truth")
+    numbers = report.metrics(found, tables, truth)
+    errors = {key: numbers[key] for key in ("E_res", "E_u", "E_res_abs")}
+    provenance = {
+        "data": path.name,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "data_provenance": data.provenance,
+        "seed": given.seed,
+        "method": given.method,
+        "conditions": given.conditions,
+    }
+    model = dataclasses.replace(found.model, errors=errors, provenance=provenance)
+    with phase("figures", seconds):
+        report.draw_fit(given.out, found, given.spacing)
+        if "test" in sets:
+            report.draw_disks(given.out / "disks.png", model, sets["test"], tables["test"])
+        if "wave_number" in sets["train"].samples:
+            report.draw_waves(given.out / "waves.png", sets["train"], tables["train"])
+    model.save(given.out / "model.json")
+    seconds["all"] = time.perf_counter() - begin
+    numbers["seconds"] = seconds
+    write_json(given.out / "metrics.json", numbers)
+    report.write_report(given.out / "report.md", numbers, given.command)
+    return numbers
+
+
+def make_data(jobs: int) -> Path:
+    """The data set beside the checkout, made if it is not there."""
+    if not DATA.exists():
+        from tools.make_graphene import make_graphene
+
+        print("making graphene data with LAMMPS (once; finished samples are kept)")
+        make_graphene(DATA, jobs=jobs)
+    return DATA
+
+
+def sets_at(data: Dataset, spacing: float) -> dict[str, PointSet]:
+    """The training, validation and test sets on nodes of one spacing [Å], by role."""
+    found = {}
+    for role in report.ROLES:
+        for name in data:
+            if name.split("_")[0] == role and abs(data[name].spacing - spacing) < 1e-6 * spacing:
+                found[role] = data[name]
+    if "train" not in found:
+        known = ", ".join(f"{name} ({data[name].spacing:g} Å)" for name in data)
+        raise InputError(f"no training set on nodes {spacing:g} Å apart; the file has {known}")
+    return found
+
+
+def print_certificate(found: warp_peri.Fit) -> None:
+    """Print the dense eigenvalues of (4.6) and what they are judged to mean."""
+    figures = found.certificate.figures()
+    print("certificate:", "holds" if found.model.certified_on else "DOES NOT HOLD")
+    for key, unit in (
+        ("symbol_min", "TPa, smallest D(k)/s(k) over the zone"),
+        ("gamma_min", "Å⁻², Λmin(Γ) on the training domain"),
+        ("inf_sup_min", "Λmin(ΦΓ⁻¹Φᵗ) without zeros (not asked for)"),
+        ("gamma_minus_2phi_min", "Å⁻², Λmin(Γ − 2ΦᵗΦ) (asked for by --conditions paper)"),
+    ):
+        value = figures[key]
+        print(f"  {'not defined' if value is None else f'{value:.4e}':>11}  {unit}")
+
+
+@contextmanager
+def phase(name: str, seconds: dict[str, float]) -> Iterator[None]:
+    """Time one phase."""
+    begin = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - begin
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--spacing", type=float, default=5.0, help="of the nodes [Å]; 5 or 2.5")
+    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0])
+    parser.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    parser.add_argument("--seed", type=int, default=0, help="of the initial influence function")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
+    parser.add_argument("--data", type=Path, help="use this HDF5 file instead of making data")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
+    given = parser.parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    given.command = shlex.join(["python", "examples/train_graphene.py", *words])
+    try:
+        numbers = run(given)
+    except KeyboardInterrupt:
+        print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
+        return 130
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (OSError, RuntimeError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    text = (given.out / "report.md").read_text(encoding="utf-8")
+    print("\n".join(text.splitlines()[4:10]))
+    print(
+        f"λ = {numbers['lambda']:.4f} TPa, μ = {numbers['mu']:.4f} TPa; "
+        f"everything is in {given.out}/ (start with report.md)"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+"""Figures of a model and its fit. Every function draws on the Axes it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from numpy.typing import ArrayLike
+
+from warp_peri.families import bond_classes
+from warp_peri.model import Model
+from warp_peri.training import Stage
+
+
+def influence_function(model: Model, *, spacing: float, ax: Axes) -> Axes:
+    """K(r), scaled to unit weighted volume, and its values at the bond lengths of a lattice.
+
+    Args:
+        model: the model.
+        spacing: of the lattice [Å].
+        ax: where to draw.
+    """
+    classes = bond_classes(spacing, model.horizon)
+    volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
+    values = model.influence(classes.r) / volume
+    r = np.linspace(0.5 * spacing, model.horizon, 1000)
+    ax.axhline(0, color="0.7", linewidth=0.8)
+    ax.plot(r, model.influence(r) / volume, color="C0", linewidth=1, alpha=0.6, label="K(r)")
+    ax.plot(classes.r, values, "o", color="C0", label=f"at the bonds of the {spacing:g} Å lattice")
+    room = 1.5 * np.abs(values).max()
+    ax.set_ylim(-room, room)
+    ax.set_xlim(0, 1.03 * model.horizon)
+    ax.set_xlabel("bond length r [Å]")
+    ax.set_ylabel("K / m  [Å⁻⁴]")
+    ax.legend(frameon=False)
+    return ax
+
+
+def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
+    """Relative residual √loss over the steps of each stage, one after the other.
+
+    Args:
+        history: stages of a fit.
+        ax: where to draw.
+    """
+    begin = 0
+    for number, stage in enumerate(history):
+        residual = 100 * np.sqrt(stage.loss)
+        steps = begin + np.arange(1, len(residual) + 1)
+        name = f"{stage.name} ({len(residual)} steps)"
+        style = "-D" if len(residual) < 100 else "-"
+        ax.plot(steps, residual, style, color=f"C{number}", label=name, markersize=5)
+        begin = int(steps[-1])
+    ax.set_yscale("log")
+    ax.set_xlabel("steps (Adam epochs, then rounds of cutting planes)")
+    ax.set_ylabel("‖L u − b‖ / ‖b‖ over the training set [%]")
+    ax.legend(frameon=False)
+    return ax
+
+
+def node_field(x: ArrayLike, values: ArrayLike, *, limit: float, ax: Axes) -> QuadMesh:
+    """A scalar on the nodes of a lattice along the axes, on a colour scale from −limit to limit.
+
+    Args:
+        x: node positions [Å], shape [N, 2].
+        values: shape [N].
+        limit: of the colour scale.
+        ax: where to draw.
+
+    Returns:
+        The mesh, for a colour bar.
+    """
+    x, values = np.asarray(x), np.asarray(values)
+    lines = [np.unique(x[:, a].round(6)) for a in (0, 1)]
+    grid = np.full([len(line) for line in lines], np.nan)
+    grid[tuple(np.searchsorted(line, x[:, a].round(6)) for a, line in enumerate(lines))] = values
+    mesh = ax.pcolormesh(*lines, grid.T, shading="nearest", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    ax.set_aspect("equal")
+    return mesh
+
+
+def errors_by_wave_number(
+    wave_number: ArrayLike, errors: dict[str, ArrayLike], *, ax: Axes
+) -> Axes:
+    """Errors of each sample against the wave number of its load.
+
+    Args:
+        wave_number: |k| of each sample [1/Å], shape [S].
+        errors: named errors as fractions, each of shape [S].
+        ax: where to draw.
+    """
+    for number, (name, values) in enumerate(errors.items()):
+        marker = "os^v"[number % 4]
+        ax.plot(wave_number, 100 * np.asarray(values), marker, fillstyle="none", label=name)
+    ax.set_xlabel("wave number |k| of the load [1/Å]")
+    ax.set_ylabel("relative error [%]")
+    ax.set_ylim(bottom=0)
+    ax.legend(frameon=False)
+    return ax
