@@ -96,7 +96,7 @@ def metrics(
 ) -> dict[str, Any]:
     """Contents of metrics.json, without the seconds; errors are fractions."""
     model, figures = fit.model, fit.certificate.figures()
-    certificate = ("symbol_min", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
+    certificate = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
     return {
         "E_res": {role: table["E_res"] for role, table in tables.items()},
         "E_u": {role: table["E_u"] for role, table in tables.items()},
@@ -117,6 +117,7 @@ def metrics(
         ],
         "starts": fit.starts,
         "certificate": {key: figures[key] for key in certificate},
+        "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
     }
 
@@ -168,7 +169,10 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
         "",
         f"## Certificate: {verdict}",
         "",
-        f"- smallest D(k)/s(k) found over the Brillouin zone: {certificate['symbol_min']:.5f} TPa",
+        numbers["statement"],
+        "",
+        f"- smallest D(k)/s(k) found over the Brillouin zone: {certificate['symbol_min']:.5f} TPa; "
+        f"proven: at least {certificate['symbol_bound']:.5f} TPa",
         f"- Λmin(Γ) on the training domain: {_number(certificate['gamma_min'])} Å⁻²",
         f"- Λmin(ΦΓ⁻¹Φᵗ), zeros aside: {_number(certificate['inf_sup_min'])} (not asked for)",
         f"- Λmin(Γ − 2ΦᵗΦ): {_number(certificate['gamma_minus_2phi_min'])} Å⁻² "

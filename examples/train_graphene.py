@@ -108,6 +108,7 @@ def print_certificate(found: warp_peri.Fit) -> None:
     print("certificate:", "holds" if found.model.certified_on else "DOES NOT HOLD")
     for key, unit in (
         ("symbol_min", "TPa, smallest D(k)/s(k) over the zone"),
+        ("symbol_bound", "TPa, the same, proven for the whole zone"),
         ("gamma_min", "Å⁻², Λmin(Γ) on the training domain"),
         ("inf_sup_min", "Λmin(ΦΓ⁻¹Φᵗ) without zeros (not asked for)"),
         ("gamma_minus_2phi_min", "Å⁻², Λmin(Γ − 2ΦᵗΦ) (asked for by --conditions paper)"),

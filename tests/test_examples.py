@@ -34,7 +34,7 @@ def test_main_job_on_a_small_setting(small_run):
     assert set(numbers["moduli"]) == {"C11", "C12", "C44"}
     assert set(numbers["truth"]) == {"lambda", "mu", "E", "nu"}
     assert set(numbers["certificate"]) == {
-        "symbol_min", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min",
+        "symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min",
     }  # fmt: skip
     errors = [stage["E_res_train"] for stage in numbers["stages"]]
     assert len(errors) == 3

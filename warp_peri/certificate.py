@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
@@ -12,6 +13,7 @@ from warp_peri.dataset import PointSet
 from warp_peri.families import bond_classes
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
+from warp_peri.proof import proven_bound
 from warp_peri.symbol import stiffnesses
 
 INTERVALS = 500
@@ -28,6 +30,7 @@ class Certificate:
     Attributes:
         spacing: h [Å].
         symbol_min: smallest Λmin D(k)/s(k) found over the zone [TPa].
+        symbol_bound: c with a proof that D(k) ≥ c s(k) for every k [TPa]; 0 when there is none.
         gamma_min: Λmin(Γ) [Å⁻²] on the training domain; None where none was given, as below.
         inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
         inf_sup_rank: number of its eigenvalues that are not zero.
@@ -37,6 +40,7 @@ class Certificate:
 
     spacing: float
     symbol_min: float
+    symbol_bound: float
     gamma_min: float | None = None
     inf_sup_min: float | None = None
     inf_sup_rank: int | None = None
@@ -45,8 +49,20 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether D(k) > 0 over the sampled zone and, where it was computed, Γ > 0."""
-        return self.symbol_min > 0 and (self.gamma_min is None or self.gamma_min > 0)
+        """Whether D(k) ≥ c s(k) is proven with c > 0 and, where it was computed, Γ > 0."""
+        return self.symbol_bound > 0 and (self.gamma_min is None or self.gamma_min > 0)
+
+    @property
+    def statement(self) -> str:
+        """What the certificate proves, in one sentence."""
+        if not self.symbol_bound > 0:
+            return f"Nothing is proven on the lattice of spacing {self.spacing:g} Å."
+        return (
+            f"Every static problem on any finite set of nodes of the square lattice of spacing "
+            f"{self.spacing:g} Å, with displacement given out to twice the horizon around it, has "
+            f"exactly one solution, and the operator's smallest eigenvalue is at least "
+            f"{self.symbol_bound:.6g} TPa times that of the 5-point Laplacian on the same nodes."
+        )
 
     @property
     def schwarz(self) -> bool | None:
@@ -55,9 +71,9 @@ class Certificate:
             return None
         return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_max
 
-    def figures(self) -> dict[str, float | int | None]:
-        """The figures as plain values."""
-        return asdict(self)
+    def figures(self) -> dict[str, Any]:
+        """The figures as plain values, and the statement."""
+        return asdict(self) | {"statement": self.statement}
 
 
 def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> Certificate:
@@ -76,8 +92,9 @@ def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> 
     zeta = 1.0  # any level; the search is for the smallest ratio
     search = ZoneSearch(Conditions(classes, "direct", zeta), INTERVALS)
     smallest = float(search.worst(v, kappa)[0][0]) + zeta
+    bound = proven_bound(classes, v, kappa, smallest)
     if points is None:
-        return Certificate(spacing, smallest)
+        return Certificate(spacing, smallest, bound)
 
     parts = matrices(model, points)
     unknown = np.repeat(points.interior, 2)
@@ -92,5 +109,5 @@ def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> 
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
     return Certificate(
-        spacing, smallest, gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+        spacing, smallest, bound, gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
     )

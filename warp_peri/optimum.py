@@ -106,7 +106,7 @@ def smoothest_coefficients(
     Scaled to the weighted volume of K = r^(−α), which is D = (1, …, 1).
     """
     basis = bernstein_basis(classes.r, classes.horizon, degree)
-    active = classes.weight != 0
+    active = np.abs(classes.weight) > RANK_TOLERANCE * np.abs(classes.weight).max()
     K = v[active] / classes.weight[active] * classes.r[active] ** alpha
     D = lstsq(basis[active], K, cond=RANK_TOLERANCE)[0]
     free = null_space(basis[active], rcond=RANK_TOLERANCE)

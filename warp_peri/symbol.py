@@ -91,15 +91,21 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
     return model.mu * kw / m, (model.lam - model.mu) / model.mu**2
 
 
-def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
-    """Long-wave moduli C11, C12, C44 [TPa] of the discrete operator (theory.md, 22).
+def long_wave_moduli(
+    classes: BondClasses, v: np.ndarray, kappa: float
+) -> tuple[float, float, float]:
+    """C11, C12, C44 [TPa] of the symbol at long waves (theory.md, 22), from fourth moments of v.
 
-    From the fourth moments of v: C44 = 8 Σ v ξ₁²ξ₂²/r², C11 = 8 Σ v ξ₁⁴/r² + λ − μ,
-    C12 = C44 + λ − μ. The dilatation is exact on affine fields, hence the plain λ − μ.
+    C44 = 8 Σ v ξ₁²ξ₂²/r², C11 = 8 Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ. The dilatation is exact on
+    affine fields, hence the plain λ − μ = κ μ².
     """
-    v, _ = stiffnesses(model, classes)
     x1, x2 = classes.xi.T
     each = 8 * v[classes.bond_class] / (x1**2 + x2**2)
-    C44 = float((each * x1**2 * x2**2).sum())
-    excess = model.lam - model.mu
-    return {"C11": float((each * x1**4).sum()) + excess, "C12": C44 + excess, "C44": C44}
+    excess = kappa * (classes.count @ (v * classes.r**2)) ** 2
+    C44 = each @ (x1**2 * x2**2)
+    return float(each @ x1**4 + excess), float(C44 + excess), float(C44)
+
+
+def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
+    """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory.md, 22)."""
+    return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, *stiffnesses(model, classes))))

@@ -23,11 +23,13 @@ from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.symbol import moduli
 from warp_peri.two_stage import Parameters, positive_stage, sign_changing_stage
 
-METHODS = ("constrained", "two-stage")
+METHODS = ("constrained", "two-stage", "optimum")
 AGREEMENT = 1e-10
 """Reduced and full loss must agree to this, relative; their gradients to this times the
 gradient's norm at the start."""
 SAME_LOSS = 1e-6
+PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
+"""Kernels r^(−α) that the method "optimum" starts from."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def fit(
         horizon: δ [Å], at least one spacing.
         degree: M ≥ 0 of the Bernstein polynomials.
         method: "two-stage" is Algorithm 1 of You et al. (2021); "constrained" goes on from it to
-            the constrained optimum.
+            the constrained optimum; "optimum" starts at the optimum, from plain kernels.
         conditions: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
         zeta: ζ [TPa].
         normalise: divide each sample by ‖b‖ in the loss.
@@ -119,21 +121,27 @@ def fit(
 
     rough = np.random.default_rng(seed).uniform(size=degree + 1)
     oracle.check(Parameters(0.0, 1.0, 1.0, rough))
-    first = stage("1 positive", lambda tick: positive_stage(reduced, degree, seed=seed, tick=tick))
-    final = second = stage(
-        "2 sign-changing", lambda tick: sign_changing_stage(reduced, first, asked, tick=tick)
-    )
-    starts: dict[str, float] = {}
-    if method == "constrained":
-        plain = Parameters(0.0, 1.0, second.alpha, np.ones(degree + 1))
-        begin = {"stage 2": second, "stage 1": first, "r^(-α)": plain}
+    starts: dict[str, Parameters] = {}
+    if method != "optimum":
+        first = stage(
+            "1 positive", lambda tick: positive_stage(reduced, degree, seed=seed, tick=tick)
+        )
+        final = second = stage(
+            "2 sign-changing", lambda tick: sign_changing_stage(reduced, first, asked, tick=tick)
+        )
+        starts = {"stage 2": second, "stage 1": first}
+    reached: dict[str, float] = {}
+    if method != "two-stage":
+        exponents = (second.alpha,) if starts else PLAIN_EXPONENTS
+        for alpha in exponents:
+            starts[f"r^-{alpha:.3g}"] = Parameters(0.0, 1.0, alpha, np.ones(degree + 1))
 
         def best(tick: Callable[[float], None]) -> Parameters:
             search = ZoneSearch(asked)
             found = {}
-            for name, start in begin.items():
+            for name, start in starts.items():
                 found[name] = constrained_optimum(reduced, start, asked, search)
-                starts[name] = float(np.sqrt(found[name].loss))
+                reached[name] = float(np.sqrt(found[name].loss))
                 tick(found[name].loss)
             kept = [one for one in found.values() if one.converged]
             if not kept:
@@ -161,7 +169,7 @@ def fit(
         certificate={f"{points.spacing:g}": certificate.figures()},
         versions=_versions(),
     )
-    return Fit(model, certificate, moduli(model, reduced.classes), history, starts)
+    return Fit(model, certificate, moduli(model, reduced.classes), history, reached)
 
 
 class _Oracle:
