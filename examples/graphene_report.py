@@ -109,7 +109,7 @@ def metrics(
         "D": model.D,
         "horizon": model.horizon,
         "degree": model.degree,
-        "moduli": fit.moduli,
+        "moduli": fit.moduli[0],
         "truth": truth,
         "stages": [
             {"name": stage.name, "E_res_train": stage.E_res_train, "seconds": stage.seconds}

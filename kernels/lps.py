@@ -1,7 +1,9 @@
 """The linear peridynamic solid, top to bottom: influence → weighted volume → dilatation → force.
 
-Equation numbers are those of docs/theory.md. Bond e of node i runs from row[i] to row[i + 1];
-bond[e] is its number in the family pattern, which gives its vector ξ and its class.
+Equation numbers are those of docs/theory.md. The deviatoric part reads the table kw and its
+weighted volume m, the dilatation kd and md; with one influence function they are the same arrays. Bond e of
+node i runs from row[i] to row[i + 1]; bond[e] is its number in the family pattern, which gives its
+vector ξ and its class.
 
 Warp's adjoint loses derivatives to factors applied to a sum after a dynamic loop, so factors are
 hoisted into the loop.
@@ -55,19 +57,19 @@ def dilatation(
     bond: wp.array(dtype=wp.int32),
     bond_class: wp.array(dtype=wp.int32),
     xi: wp.array(dtype=wp.vec2d),
-    kw: wp.array(dtype=wp.float64),
-    m: wp.array(dtype=wp.float64),
+    kd: wp.array(dtype=wp.float64),
+    md: wp.array(dtype=wp.float64),
     u: wp.array2d(dtype=wp.vec2d),
     theta: wp.array2d(dtype=wp.float64),
 ):
     """θ_i = (2/m_i) Σ_j K ξ·(u_j − u_i) W, (6)."""
     s, t = wp.tid()
     i = nodes[t]
-    factor = wp.float64(2.0) / m[i]
+    factor = wp.float64(2.0) / md[i]
     total = wp.float64(0.0)
     for e in range(row[i], row[i + 1]):
         p = bond[e]
-        total += factor * kw[bond_class[p]] * wp.dot(xi[p], u[s, neighbour[e]] - u[s, i])
+        total += factor * kd[bond_class[p]] * wp.dot(xi[p], u[s, neighbour[e]] - u[s, i])
     theta[s, i] = total
 
 
@@ -81,6 +83,8 @@ def force(
     xi: wp.array(dtype=wp.vec2d),
     kw: wp.array(dtype=wp.float64),
     m: wp.array(dtype=wp.float64),
+    kd: wp.array(dtype=wp.float64),
+    md: wp.array(dtype=wp.float64),
     lam: wp.array(dtype=wp.float64),
     mu: wp.array(dtype=wp.float64),
     u: wp.array2d(dtype=wp.vec2d),
@@ -90,13 +94,14 @@ def force(
     """(L u)_i = −(2/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
     s, t = wp.tid()
     i = nodes[t]
-    dilatational = wp.float64(-2.0) * (lam[0] - mu[0]) / m[i]
+    dilatational = wp.float64(-2.0) * (lam[0] - mu[0]) / md[i]
     deviatoric = wp.float64(-16.0) * mu[0] / m[i]
     total = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
     for e in range(row[i], row[i + 1]):
         p = bond[e]
         j = neighbour[e]
         stretch = wp.dot(xi[p], u[s, j] - u[s, i]) / wp.dot(xi[p], xi[p])
-        density = dilatational * (theta[s, i] + theta[s, j]) + deviatoric * stretch
-        total += kw[bond_class[p]] * density * xi[p]
+        c = bond_class[p]
+        density = kd[c] * dilatational * (theta[s, i] + theta[s, j]) + kw[c] * deviatoric * stretch
+        total += density * xi[p]
     Lu[s, t] = total

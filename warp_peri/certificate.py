@@ -88,11 +88,11 @@ def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> 
     Raises InputError when the horizon is below one spacing or the points do not carry it.
     """
     classes = bond_classes(spacing, model.horizon)
-    v, kappa = stiffnesses(model, classes)
+    v, z, kappa = stiffnesses(model, classes)
     zeta = 1.0  # any level; the search is for the smallest ratio
     search = ZoneSearch(Conditions(classes, "direct", zeta), INTERVALS)
-    smallest = float(search.worst(v, kappa)[0][0]) + zeta
-    bound = proven_bound(classes, v, kappa, smallest)
+    smallest = float(search.worst(v, z, kappa)[0][0]) + zeta
+    bound = proven_bound(classes, v, z, kappa, smallest)
     if points is None:
         return Certificate(spacing, smallest, bound)
 

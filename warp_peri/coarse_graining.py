@@ -43,15 +43,20 @@ def smoothing_matrix(
     Returns:
         Sparse ω, shape [N, A], dimensionless.
 
-    Raises InputError for an unknown shape, a radius that no node of the lattice can meet, nodes
-    that are not on a lattice of the given spacing, or arrays of another shape.
+    Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
+    without two periods, nodes that are not on a lattice of the given spacing, or arrays of another
+    shape.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
     if shape not in SHAPES:
         raise InputError(f"shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
-    if not radius > 0:
+    if not 0 < radius < np.inf:
         raise InputError(f"radius: expected a length > 0, got {radius}")
+    if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
+        raise InputError(f"box: expected two periods > 0, got {box}")
     if spacing is not None:
+        if spacing <= 0:
+            raise InputError(f"spacing: expected a length > 0, got {spacing}")
         if not radius > spacing / np.sqrt(2):
             raise InputError(
                 f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
@@ -62,6 +67,8 @@ def smoothing_matrix(
             raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
 
     images, owner = _images(atoms, nodes, radius, box)
+    if len(images) == 0:
+        return sp.csr_array((len(nodes), len(atoms)))
     tau = _tau(nodes, images, radius, shape)
     if spacing is not None:
         # All lattice nodes that any image can reach, on the lattice of the given nodes.
@@ -104,14 +111,24 @@ def coarse_grain(
     Returns:
         u [Å] and b [TPa/Å], each of shape [S, N, 2].
 
-    Raises InputError when arrays do not fit or a node has no atom within the radius.
+    Raises InputError when arrays do not fit, a value is not finite, a mass or size is not > 0, or
+    a node has no atom within the radius.
     """
     atoms = omega.shape[1]
     fields = {"displacement": np.asarray(displacement, float), "force": np.asarray(force, float)}
     for name, value in fields.items():
         if value.ndim != 3 or value.shape[1:] != (atoms, 2):
             raise InputError(f"{name}: expected shape [S, {atoms}, 2], got {list(value.shape)}")
-    weighted = omega @ sp.diags_array(np.broadcast_to(np.asarray(mass, float), (atoms,)))
+        if not np.isfinite(value).all():
+            raise InputError(f"{name}: expected finite values, got NaN or infinity")
+    mass = np.asarray(mass, float)
+    if mass.shape not in ((), (atoms,)):
+        raise InputError(f"mass: expected one number or shape [{atoms}], got {list(mass.shape)}")
+    for name, size in (("mass", mass), ("node_area", node_area), ("thickness", thickness)):
+        if not (np.isfinite(size).all() and np.all(np.greater(size, 0))):
+            what = "values" if name == "mass" else "a number"
+            raise InputError(f"{name}: expected {what} > 0, got {size}")
+    weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
     density = np.asarray(weighted.sum(axis=1))
     if not (density > 0).all():
         bad = np.flatnonzero(~(density > 0))

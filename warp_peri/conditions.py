@@ -45,7 +45,7 @@ class Conditions:
         return CONDITIONS[self.kind]
 
     def _forms(self, v: np.ndarray, kappa: float) -> list[tuple[float, np.ndarray, float]]:
-        """For each condition: κ of its form Γ + κφφᵗ, the derivatives of it, and the level."""
+        """For each condition: κ of its form Γ + κφφᵗ, its derivative to (κ, v), and the level."""
         sigma = self.classes.count * self.classes.r**2
         mu = sigma @ v  # Σ w r² = 1
         one = np.zeros(1 + len(v))
@@ -58,18 +58,18 @@ class Conditions:
         }
         return [forms[name] for name in self.names]
 
-    def margins(self, at: Symbol, v: np.ndarray, kappa: float) -> np.ndarray:
+    def margins(self, at: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin / s minus the level [TPa] of each condition, shape [J, K]; ≥ 0 where it holds."""
-        return np.array([at.ratio(v, form) - level for form, _, level in self._forms(v, kappa)])
+        return np.array([at.ratio(v, z, form) - level for form, _, level in self._forms(v, kappa)])
 
-    def gradients(self, at: Symbol, v: np.ndarray, kappa: float) -> np.ndarray:
-        """Derivatives of the margins to (κ, v), shape [J, K, 1 + C]."""
+    def gradients(self, at: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+        """Derivatives of the margins to (κ, v, z), shape [J, K, 1 + 2 C]."""
         out = []
         for form, chain, _ in self._forms(v, kappa):
-            _, by_v, by_form = at.ratio_gradient(v, form)
+            by_v, by_z, by_form = at.ratio_gradient(v, z, form)
             gradient = by_form[:, None] * chain
             gradient[:, 1:] += by_v
-            out.append(gradient)
+            out.append(np.concatenate([gradient, by_z], axis=1))
         return np.array(out)
 
 
@@ -83,25 +83,25 @@ class ZoneSearch:
         self.step = np.pi / conditions.classes.spacing / intervals
 
     def worst(
-        self, v: np.ndarray, kappa: float, candidates: int = 6
+        self, v: np.ndarray, z: np.ndarray, kappa: float, candidates: int = 6
     ) -> tuple[np.ndarray, np.ndarray]:
         """Smallest margin of each condition, shape [J], and wave vectors near the minima.
 
         The wave vectors [1/Å], shape [J · candidates, 2], are the ones to add to a fit.
         """
-        margins = self.conditions.margins(self.table, v, kappa)
+        margins = self.conditions.margins(self.table, v, z, kappa)
         smallest, found = [], []
         for number, values in enumerate(margins):
             best = values.min()
             for start in np.argsort(values)[:candidates]:
-                k, value = self._zoom(self.k[start], number, v, kappa)
+                k, value = self._zoom(self.k[start], number, v, z, kappa)
                 found.append(k)
                 best = min(best, value)
             smallest.append(best)
         return np.array(smallest), np.array(found)
 
     def _zoom(
-        self, k: np.ndarray, number: int, v: np.ndarray, kappa: float
+        self, k: np.ndarray, number: int, v: np.ndarray, z: np.ndarray, kappa: float
     ) -> tuple[np.ndarray, float]:
         """Follow one minimum down through three grids, each ten times finer."""
         patch = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 11)]), axis=-1).reshape(-1, 2)
@@ -110,7 +110,7 @@ class ZoneSearch:
         for _ in range(3):
             near = np.clip(k + reach * patch, 1e-6 * edge, edge)
             at = symbol(self.conditions.classes, near)
-            values = self.conditions.margins(at, v, kappa)[number]
+            values = self.conditions.margins(at, v, z, kappa)[number]
             k, value = near[np.argmin(values)], float(values.min())
             reach /= 5
         return k, value

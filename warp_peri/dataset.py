@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,7 +20,7 @@ UNITS = {"length_unit": "angstrom", "stress_unit": "TPa"}
 _FIELDS = ("x", "u", "b", "interior")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointSet:
     """Samples of one body on one set of points.
 
@@ -31,7 +31,7 @@ class PointSet:
         spacing: lattice spacing [Å]; 0 for scattered points.
         u: displacements [Å], shape [S, N, 2].
         b: body force densities [TPa/Å], shape [S, N, 2].
-        samples: optional per-sample arrays, each with first dimension S.
+        samples: optional per-sample arrays by name, each with first dimension S.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
     """
@@ -63,9 +63,11 @@ class PointSet:
                 raise InputError(
                     f"{name}: expected shape [{len(self.u)}, {n}, 2], got {list(shape)}"
                 )
-        if not (np.isfinite(self.spacing) and self.spacing >= 0):
-            raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing}")
+        if not (_is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
+            raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
         for name, value in self.samples.items():
+            if name in _FIELDS or not _is_name(name):
+                raise InputError(f"samples: {name!r} cannot be the name of an array")
             if np.ndim(value) == 0 or len(value) != len(self.u):
                 raise InputError(f"{name}: expected one entry for each of {len(self.u)} samples")
 
@@ -74,7 +76,7 @@ class PointSet:
         return len(self.u)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dataset:
     """Named point sets of one material.
 
@@ -83,12 +85,25 @@ class Dataset:
         thickness: of the sheet [Å].
         density: mass per volume [kg/m³].
         provenance: how the data came to be; plain JSON values.
+
+    Raises InputError for a data set without point sets, or a thickness or density not > 0.
     """
 
     sets: dict[str, PointSet]
     thickness: float
     density: float
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("thickness", "density"):
+            value = getattr(self, name)
+            if not (_is_number(value) and np.isfinite(value) and value > 0):
+                raise InputError(f"{name}: expected a number > 0, got {value!r}")
+        if not self.sets:
+            raise InputError("expected at least one point set, got none")
+        for name in self.sets:
+            if not _is_name(name):
+                raise InputError(f"sets: {name!r} cannot be the name of a set")
 
     def __getitem__(self, name: str) -> PointSet:
         """The point set called `name`; InputError lists what there is when it is missing."""
@@ -101,12 +116,19 @@ class Dataset:
 
 
 def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
-    """Write `dataset` to an HDF5 file, whole or not at all."""
+    """Write `dataset` to an HDF5 file, whole or not at all.
+
+    Raises InputError for a provenance that is not JSON.
+    """
+    try:
+        provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"provenance: expected plain JSON values ({error})") from None
     with whole_file(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update({"format": FORMAT, "version": VERSION, **UNITS})
         file.attrs["thickness"] = float(dataset.thickness)
         file.attrs["density"] = float(dataset.density)
-        file.attrs["provenance"] = json.dumps(plain(dataset.provenance), allow_nan=False)
+        file.attrs["provenance"] = provenance
         for name, points in dataset.sets.items():
             group = file.create_group(name)
             group.attrs["spacing"] = float(points.spacing)
@@ -137,14 +159,14 @@ def load_dataset(path: str | os.PathLike[str]) -> Dataset:
 
 def _read(file: h5py.File) -> Dataset:
     for key, expected in {"format": FORMAT, "version": VERSION, **UNITS}.items():
-        if file.attrs.get(key) != expected:
-            raise InputError(f"{key}: expected {expected!r}, got {file.attrs.get(key)!r}")
-    numbers = {}
-    for key in ("thickness", "density"):
-        numbers[key] = float(file.attrs.get(key, np.nan))
-        if not (np.isfinite(numbers[key]) and numbers[key] > 0):
-            raise InputError(f"{key}: expected a number > 0, got {file.attrs.get(key)!r}")
-    provenance = json.loads(file.attrs.get("provenance", "{}"))
+        found = file.attrs.get(key)
+        if np.shape(found) != () or found != expected:
+            raise InputError(f"{key}: expected {expected!r}, got {found!r}")
+    thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
+    try:
+        provenance = json.loads(file.attrs.get("provenance", "{}"))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"provenance: expected JSON ({error})") from None
     if not isinstance(provenance, dict):
         raise InputError(f"provenance: expected a JSON object, got {type(provenance).__name__}")
     sets = {}
@@ -155,37 +177,55 @@ def _read(file: h5py.File) -> Dataset:
             sets[name] = _read_points(group)
         except InputError as error:
             raise InputError(f"set '{name}': {error}") from None
-    if not sets:
-        raise InputError("expected at least one point set, got none")
-    return Dataset(sets=sets, provenance=provenance, **numbers)
+    return Dataset(sets, thickness, density, provenance)
 
 
 def _read_points(group: h5py.Group) -> PointSet:
     missing = [key for key in _FIELDS if not isinstance(group.get(key), h5py.Dataset)]
     if missing:
         raise InputError(f"arrays missing: {', '.join(missing)}")
-    if "spacing" not in group.attrs:
-        raise InputError("attribute 'spacing' is missing")
     if group["interior"].dtype != bool:
         raise InputError(f"interior: expected bool, got {group['interior'].dtype}")
     extra = {}
     for key in set(group) - set(_FIELDS):
-        item = group[key]
+        item = group.get(key)
+        if not isinstance(item, h5py.Dataset):
+            raise InputError(f"{key}: expected an array")
         text = h5py.check_string_dtype(item.dtype) is not None
         extra[key] = item.asstr()[:] if text else item[()]
     return PointSet(
         **{key: group[key][()] for key in _FIELDS},
-        spacing=float(group.attrs["spacing"]),
+        spacing=_attribute(group.attrs, "spacing"),
         samples=dict(sorted(extra.items())),
     )
 
 
+def _attribute(attributes: Mapping[str, Any], key: str) -> float:
+    if key not in attributes:
+        raise InputError(f"attribute '{key}' is missing")
+    if not _is_number(attributes[key]):
+        raise InputError(f"{key}: expected a number, got {attributes[key]!r}")
+    return float(attributes[key])
+
+
+def _is_number(value: Any) -> bool:
+    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
+
+
+def _is_name(name: Any) -> bool:
+    """Whether HDF5 takes it as the name of one thing."""
+    return isinstance(name, str) and name not in ("", ".") and "/" not in name
+
+
 def _array(name: str, value: ArrayLike, kind: type) -> np.ndarray:
-    value = np.asarray(value)
+    try:
+        value = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"{name}: expected an array ({error})") from None
     wanted = "b" if kind is bool else "fiu"
     if value.dtype.kind not in wanted:
         raise InputError(f"{name}: expected {kind.__name__} values, got {value.dtype}")
-    value = np.ascontiguousarray(value, dtype=np.float64 if kind is float else bool)
+    value = np.require(value, np.float64 if kind is float else bool, ["C", "W"])
     if kind is float and not np.isfinite(value).all():
         bad = np.argwhere(~np.isfinite(value))[0].tolist()
         raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")

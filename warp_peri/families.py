@@ -146,10 +146,11 @@ def lattice_families(
     else:
         if not np.array_equal(axes, np.eye(2)):
             raise InputError("box: expected a lattice along the axes, got a rotated one")
-        size = np.rint(np.divide(box, h)).astype(np.int64)
-        if np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
+        fits = np.shape(box) == (2,) and np.isfinite(box).all()
+        size = np.rint(np.divide(box, h)).astype(np.int64) if fits else np.zeros(2, np.int64)
+        if not fits or np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
             raise InputError(
-                f"box: expected whole multiples of {h} Å above {2 * reach * h} Å, got {box}"
+                f"box: expected two whole multiples of {h} Å above {2 * reach * h} Å, got {box}"
             )
         grid = grid % size
     number = np.full(size, -1, dtype=np.int64)
@@ -191,7 +192,7 @@ def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> str:
-    """Say what horizon the collar would carry."""
+    """Say what horizon the collar would carry, of those for which there are quadrature weights."""
     rows, columns = grid.max(0) - grid.min(0) + 1
     present: np.ndarray = np.zeros((rows, columns), bool)
     asked: np.ndarray = np.zeros((rows, columns), bool)
@@ -206,8 +207,8 @@ def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> 
         needed = binary_dilation(binary_dilation(asked, ball), ball)
         return not (needed & ~present).any()
 
-    candidates = np.unique(length[(length >= 1) & (length <= reach)])
+    candidates = np.unique(length[(length >= 2) & (length <= reach)])
     number = bisect.bisect_left(candidates, True, key=lambda horizon: not fits(horizon))
     if number == 0:
-        return "no horizon of one spacing or more fits"
+        return "no horizon of two spacings or more fits"
     return f"the largest that fits is {candidates[number - 1] * spacing:g} Å"

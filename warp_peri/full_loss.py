@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,39 +13,41 @@ from warp_peri.errors import InputError
 from warp_peri.operator import Sweeps, lps_force
 
 
-def sample_factors(points: PointSet, *, normalise: bool) -> tuple[np.ndarray, float]:
-    """Factor of each sample's residual, shape [S], and the mean square of the weighted loads.
+def sample_weights(sets: Sequence[PointSet], *, normalise: bool) -> list[np.ndarray]:
+    """Weight of each sample's ‖L u − b‖² in the loss, one array of shape [S] a set.
 
-    The factor is 1, or 1/‖b‖ over the interior with `normalise`. Raises InputError for a set
-    without samples or loads, or a sample without load that is to be normalised.
+    The loss is Σ f² ‖L u − b‖² / Σ f² ‖b‖² over the samples of all sets, f = 1, or 1/‖b‖ with
+    `normalise`. Raises InputError for a set without samples or loads, or a sample without load
+    that is to be normalised.
     """
-    if len(points) == 0:
-        raise InputError("the training set has no samples")
-    load = np.linalg.norm(points.b[:, points.interior].reshape(len(points), -1), axis=1)
-    if not load.any():
-        raise InputError("the training set has no loads on its interior")
-    if not normalise:
-        return np.ones(len(points)), float(np.mean(load**2))
-    if not load.all():
-        raise InputError(f"sample {int(np.argmin(load))} has no load and cannot be normalised")
-    return 1 / load, 1.0
+    factors, total = [], 0.0
+    for points in sets:
+        if len(points) == 0:
+            raise InputError("the training set has no samples")
+        load = np.linalg.norm(points.b[:, points.interior].reshape(len(points), -1), axis=1)
+        if not load.any():
+            raise InputError("the training set has no loads on its interior")
+        if normalise and not load.all():
+            raise InputError(f"sample {int(np.argmin(load))} has no load and cannot be normalised")
+        factors.append(1 / load if normalise else np.ones(len(points)))
+        total += float(((factors[-1] * load) ** 2).sum())
+    return [factor**2 / total for factor in factors]
 
 
 class FullLoss:
-    """(1/S) Σ_s ‖L u − b‖² over the interior, relative to (1/S) Σ_s ‖b‖².
+    """Σ_s weight_s ‖L u − b‖² over the interior of one set.
 
     Args:
         points: samples on a lattice.
         horizon: δ [Å].
-        normalise: divide each sample by ‖b‖ first.
+        weight: of each sample, shape [S].
     """
 
-    def __init__(self, points: PointSet, horizon: float, *, normalise: bool = False) -> None:
-        factor, scale = sample_factors(points, normalise=normalise)
+    def __init__(self, points: PointSet, horizon: float, weight: np.ndarray) -> None:
         self.sweeps = Sweeps(points, horizon)
         self.u = torch.from_numpy(points.u)
         self.b = torch.from_numpy(points.b[:, points.interior])
-        self.weight = torch.from_numpy(factor**2 / (scale * len(points)))
+        self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:
         residual = lps_force(self.sweeps, self.u, *parameters) - self.b
@@ -54,10 +57,9 @@ class FullLoss:
         """The loss at (λ, μ, α, D), differentiable."""
         return self.weight @ self._squares(*parameters)
 
-    def mean_error(self, *parameters: Any) -> float:
-        """E_res, the mean over samples of ‖L u − b‖/‖b‖; samples without load are left out."""
+    def errors(self, *parameters: Any) -> np.ndarray:
+        """‖L u − b‖/‖b‖ of each sample that has a load."""
         load = (self.b**2).sum(dim=(1, 2))
         loaded = load > 0
         with torch.no_grad():
-            ratio = self._squares(*parameters)[loaded] / load[loaded]
-        return float(ratio.sqrt().mean())
+            return (self._squares(*parameters)[loaded] / load[loaded]).sqrt().numpy()

@@ -40,8 +40,12 @@ def matrices(model: Model, points: PointSet) -> Matrices:
     Raises InputError for a point set that does not carry the horizon.
     """
     sweeps = Sweeps(points, model.horizon)
-    alpha, D = as_float(np.array([model.alpha])), as_float(model.D)
-    kw, m = sweeps.influence(alpha, D, gradient=False)
+    alpha = as_float(np.array([model.alpha]))
+    tables = [
+        table
+        for D in (model.D, model.dilatation)
+        for table in sweeps.influence(alpha, as_float(D), gradient=False)
+    ]
     edges = len(sweeps.families.neighbour)
     gamma = sweeps.zeros(edges, dtype=wp.mat22d)
     phi = sweeps.zeros(edges, dtype=wp.vec2d)
@@ -49,7 +53,7 @@ def matrices(model: Model, points: PointSet) -> Matrices:
     wp.launch(
         bond_entries,
         dim=len(sweeps.full),
-        inputs=[sweeps.full, row, bond, bond_class, xi, kw, m],
+        inputs=[sweeps.full, row, bond, bond_class, xi, *tables],
         outputs=[gamma, phi],
         device=DEVICE,
     )

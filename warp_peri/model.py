@@ -27,6 +27,7 @@ _KEYS = {
     "stress_unit",
     "degree",
     "D",
+    "D_dilatation",
     "quadrature",
     "trained_on",
     "certified_on",
@@ -35,7 +36,7 @@ _KEYS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9).
 
@@ -43,6 +44,8 @@ class Model:
         lam, mu: Lamé parameters λ, μ [TPa].
         alpha: exponent α < 3.
         D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
+        D_dilatation: coefficients of the dilatation's own influence function, shape [M + 1]; those
+            of D where none are given.
         horizon: δ [Å].
         trained_on, certified_on: lattice spacings [Å].
         certificate: figures of the certificate, by spacing.
@@ -56,6 +59,7 @@ class Model:
     alpha: float
     D: np.ndarray
     horizon: float
+    D_dilatation: np.ndarray | None = None
     trained_on: tuple[float, ...] = ()
     certified_on: tuple[float, ...] = ()
     certificate: dict[str, Any] = field(default_factory=dict)
@@ -66,9 +70,11 @@ class Model:
     def __post_init__(self) -> None:
         for name in ("lam", "mu", "alpha", "horizon"):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
-        for name in ("D", "trained_on", "certified_on"):
-            value = np.array([_number(name, item) for item in np.ravel(getattr(self, name))])
-            object.__setattr__(self, name, value if name == "D" else tuple(value.tolist()))
+        if self.D_dilatation is None:
+            object.__setattr__(self, "D_dilatation", self.D)
+        for name in ("D", "D_dilatation", "trained_on", "certified_on"):
+            value = np.array(_numbers(name, getattr(self, name)))
+            object.__setattr__(self, name, value if name[0] == "D" else tuple(value.tolist()))
         if len(self.D) == 0:
             raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
         if not self.alpha < ALPHA_BOUND:
@@ -77,8 +83,12 @@ class Model:
             raise InputError(f"horizon: expected a length > 0 Å, got {self.horizon}")
         if not (self.mu > 0 and self.lam + self.mu > 0):
             raise InputError(f"lambda, mu: expected μ > 0 and λ + μ > 0, got {self.lam}, {self.mu}")
-        if not np.any(self.D):
+        if not (np.any(self.D) and np.any(self.dilatation)):
             raise InputError("D: expected a coefficient other than 0")
+        if len(self.dilatation) != len(self.D):
+            raise InputError(
+                f"D_dilatation: expected {len(self.D)} coefficients, got {len(self.dilatation)}"
+            )
 
     @property
     def degree(self) -> int:
@@ -95,10 +105,23 @@ class Model:
         """Poisson's ratio of the continuum, plane stress."""
         return self.lam / (self.lam + 2 * self.mu)
 
+    @property
+    def dilatation(self) -> np.ndarray:
+        """Coefficients of the dilatation's influence function, shape [M + 1]."""
+        assert self.D_dilatation is not None  # filled in above
+        return self.D_dilatation
+
     def influence(self, r: ArrayLike) -> np.ndarray:
-        """K at the distances r [Å] in (0, δ]."""
+        """K of the deviatoric part at the distances r [Å] in (0, δ]."""
+        return self._kernel(r, self.D)
+
+    def influence_dilatation(self, r: ArrayLike) -> np.ndarray:
+        """K of the dilatation at the distances r [Å] in (0, δ]."""
+        return self._kernel(r, self.dilatation)
+
+    def _kernel(self, r: ArrayLike, D: np.ndarray) -> np.ndarray:
         r = np.asarray(r, dtype=float)
-        return r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D)
+        return r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
 
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
@@ -122,7 +145,8 @@ class Model:
             "stress_unit": "TPa",
         }
         content |= {key: getattr(self, name) for key, name in _NUMBERS.items()}
-        content |= {"degree": self.degree, "D": self.D, "quadrature": QUADRATURE}
+        content |= {"degree": self.degree, "D": self.D, "D_dilatation": self.D_dilatation}
+        content["quadrature"] = QUADRATURE
         content |= {key: getattr(self, key) for key in ("trained_on", "certified_on", *_RECORDS)}
         write_json(path, content)
 
@@ -160,7 +184,7 @@ def _model(content: Any) -> Model:
     for key, wanted in fixed.items():
         if content[key] != wanted:
             raise InputError(f"{key}: expected {wanted!r}, got {content[key]!r}")
-    for key in ("D", "trained_on", "certified_on"):
+    for key in ("D", "D_dilatation", "trained_on", "certified_on"):
         if not isinstance(content[key], list):
             raise InputError(f"{key}: expected a list, got {content[key]!r}")
     for key in _RECORDS:
@@ -168,7 +192,10 @@ def _model(content: Any) -> Model:
             raise InputError(f"{key}: expected an object, got {content[key]!r}")
     model = Model(
         **{name: content[key] for key, name in _NUMBERS.items()},
-        **{key: content[key] for key in ("D", "trained_on", "certified_on", *_RECORDS)},
+        **{
+            key: content[key]
+            for key in ("D", "D_dilatation", "trained_on", "certified_on", *_RECORDS)
+        },
     )
     if content["degree"] != model.degree:
         raise InputError(
@@ -180,6 +207,15 @@ def _model(content: Any) -> Model:
 
 def _number(name: str, value: Any) -> float:
     real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not real or not np.isfinite(value):
-        raise InputError(f"{name}: expected a finite number, got {value!r}")
-    return float(value)
+    try:
+        number = float(value) if real else np.nan
+    except OverflowError:  # a whole number beyond floating point
+        number = np.inf
+    if not np.isfinite(number):
+        raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
+    return number
+
+
+def _numbers(name: str, values: Any) -> list[float]:
+    flat = list(values) if isinstance(values, (list, tuple)) or np.ndim(values) == 1 else [values]
+    return [_number(name, value) for value in flat]

@@ -8,6 +8,7 @@ from typing import Any, overload
 import numpy as np
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
@@ -69,17 +70,22 @@ class Sweeps:
         mu: wp.array,
         alpha: wp.array,
         D: wp.array,
+        D_dilatation: wp.array | None = None,
         *,
         gradient: bool = False,
     ) -> wp.array:
         """L u [TPa/Å] on the interior nodes, shape [S, I]; on the active tape, if there is one."""
         samples = u.shape[0]
         kw, m = self.influence(alpha, D, gradient=gradient)
+        kd, md = kw, m
+        if D_dilatation is not None:
+            kd, md = self.influence(alpha, D_dilatation, gradient=gradient)
         theta = self.zeros(samples, len(self.row) - 1, gradient=gradient)
         Lu = self.zeros(samples, len(self.rows), dtype=wp.vec2d, gradient=gradient)
-        links = (*self.links, kw, m)
-        _launch(lps.dilatation, (samples, len(self.full)), (self.full, *links, u), theta)
-        _launch(lps.force, (samples, len(self.rows)), (self.rows, *links, lam, mu, u, theta), Lu)
+        inputs = (self.full, *self.links, kd, md, u)
+        _launch(lps.dilatation, (samples, len(self.full)), inputs, theta)
+        inputs = (self.rows, *self.links, kw, m, kd, md, lam, mu, u, theta)
+        _launch(lps.force, (samples, len(self.rows)), inputs, Lu)
         return Lu
 
     @staticmethod
@@ -107,6 +113,7 @@ class _Force(torch.autograd.Function):
             for number, tensor in enumerate(inputs)
         ]
         ctx.tape, ctx.arrays = wp.Tape(), arrays
+        ctx.save_for_backward(*inputs)  # the arrays share their memory
         if wanted:
             with ctx.tape:
                 ctx.output = sweeps.force(*arrays, gradient=True)
@@ -115,8 +122,10 @@ class _Force(torch.autograd.Function):
         return wp.to_torch(ctx.output, requires_grad=False)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        seed = wp.from_torch(upstream[0].contiguous(), dtype=wp.vec2d)
+        _ = ctx.saved_tensors  # an error where one was changed in place since
+        seed = wp.from_torch(upstream[0].detach().contiguous(), dtype=wp.vec2d)
         ctx.tape.zero()  # a second backward pass through the same graph starts afresh
         ctx.tape.backward(grads={ctx.output: seed})
         return None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
@@ -157,8 +166,11 @@ class LPSOperator:
     def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
     def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
         model = self.model
-        tensor = u if isinstance(u, torch.Tensor) else torch.from_numpy(np.asarray(u, float))
-        Lu = lps_force(self.sweeps, tensor, model.lam, model.mu, model.alpha, model.D)
+        tensor = (
+            u if isinstance(u, torch.Tensor) else torch.from_numpy(np.require(u, float, ["C", "W"]))
+        )
+        numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+        Lu = lps_force(self.sweeps, tensor, *numbers)
         return Lu if isinstance(u, torch.Tensor) else Lu.numpy()
 
 
@@ -169,6 +181,7 @@ def lps_force(
     mu: float | torch.Tensor,
     alpha: float | torch.Tensor,
     D: Sequence[float] | np.ndarray | torch.Tensor,
+    D_dilatation: Sequence[float] | np.ndarray | torch.Tensor | None = None,
 ) -> torch.Tensor:
     """L u [TPa/Å] on the interior nodes, shape [..., I, 2], differentiable in every argument.
 
@@ -178,6 +191,8 @@ def lps_force(
         lam, mu: Lamé parameters [TPa].
         alpha: exponent α < 3.
         D: Bernstein coefficients, shape [M + 1].
+        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
+            shares that of D.
 
     Raises InputError for a u of another shape or type.
     """
@@ -188,7 +203,9 @@ def lps_force(
             f"got {u.dtype} of shape {list(u.shape)}"
         )
     numbers = [
-        torch.as_tensor(value, dtype=torch.float64).reshape(-1) for value in (lam, mu, alpha, D)
+        torch.as_tensor(value, dtype=torch.float64).reshape(-1)
+        for value in (lam, mu, alpha, D, D_dilatation)
+        if value is not None
     ]
     Lu = _Force.apply(sweeps, u.reshape(-1, nodes, 2), *numbers)
     return Lu.reshape(*u.shape[:-2], -1, 2)

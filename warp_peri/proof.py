@@ -22,30 +22,34 @@ ROUNDING = 1e-11
 """Set aside for rounding, relative to the largest Γ."""
 
 
-def proven_bound(classes: BondClasses, v: np.ndarray, kappa: float, sampled: float) -> float:
+def proven_bound(
+    classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, sampled: float
+) -> float:
     """Largest tried c with a proof that D(k) ≥ c s(k) for every k; 0 when none was found.
 
     Args:
         classes: bond classes of the lattice.
-        v, kappa: stiffnesses [TPa/Å²] and κ [1/TPa] of the symbol.
+        v, z, kappa: stiffnesses [TPa/Å²] and κ [1/TPa] of the symbol.
         sampled: smallest ratio found by sampling [TPa]; nothing above it is tried.
     """
     if not sampled > 0:
         return 0.0
     for fraction in FRACTIONS:
-        if _holds(classes, v, kappa, fraction * sampled):
+        if _holds(classes, v, z, kappa, fraction * sampled):
             return fraction * sampled
     return 0.0
 
 
-def taylor_radius(classes: BondClasses, v: np.ndarray, kappa: float, c: float) -> float:
+def taylor_radius(
+    classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: float
+) -> float:
     """Radius |k| [1/Å] inside which the long-wave moduli prove D ≥ c s; 0 if they do not (33)."""
     slowest = _slowest(*long_wave_moduli(classes, v, kappa))
     mu = classes.count @ (v * classes.r**2)
-    fourth = classes.count @ (np.abs(v) * classes.r**4)
+    fourth_v, fourth_z = (classes.count @ (np.abs(x) * classes.r**4) for x in (v, z))
     # slowest − c − a k² − b k⁴ ≥ 0
-    a = (2 / 3 + 2 / 3 * abs(kappa * mu)) * fourth
-    b = abs(kappa) * fourth**2 / 9
+    a = 2 / 3 * (fourth_v + abs(kappa * mu) * fourth_z)
+    b = abs(kappa) * fourth_z**2 / 9
     if slowest <= c:
         return 0.0
     square = (-a + np.sqrt(a**2 + 4 * b * (slowest - c))) / (2 * b) if b > 0 else (slowest - c) / a
@@ -65,22 +69,22 @@ def _slowest(C11: float, C12: float, C44: float) -> float:
     return trace / 2 - np.sqrt(max(trace**2 / 4 - determinant, 0.0))
 
 
-def _second_derivative(classes: BondClasses, v: np.ndarray, kappa: float) -> float:
+def _second_derivative(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> float:
     """Bound of |d²/dt² eᵗD(k + t n)e| over unit e, n and all k [TPa] (34)."""
-    stiff = classes.count * np.abs(v)
-    first, second, third = (stiff @ classes.r**power for power in (1, 2, 3))
-    # eᵗφ and its first and second derivative; the second moments of an orbit are isotropic.
+    second_v = classes.count @ (np.abs(v) * classes.r**2)
+    first, second, third = (classes.count @ (np.abs(z) * classes.r**power) for power in (1, 2, 3))
+    # eᵗφ, its first and its second derivative; the second moments of an orbit are isotropic.
     value, slope, bend = 2 * first, second, 2 * third
-    return float(8 * second + 2 * abs(kappa) * (value * bend + slope**2))
+    return float(8 * second_v + 2 * abs(kappa) * (value * bend + slope**2))
 
 
-def _holds(classes: BondClasses, v: np.ndarray, kappa: float, c: float) -> bool:
+def _holds(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: float) -> bool:
     """Whether D(k) ≥ c s(k) is proven for all k, by cells that are halved where they fail."""
     edge = np.pi / classes.spacing
-    ball = taylor_radius(classes, v, kappa, c)
+    ball = taylor_radius(classes, v, z, kappa, c)
     if ball == 0:
         return False
-    curvature = _second_derivative(classes, v, kappa) + 2 * c  # |s″| ≤ 2
+    curvature = _second_derivative(classes, v, z, kappa) + 2 * c  # |s″| ≤ 2
     slack = ROUNDING * 32 * (classes.count @ np.abs(v))
     half = edge / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
@@ -92,7 +96,7 @@ def _holds(classes: BondClasses, v: np.ndarray, kappa: float, c: float) -> bool:
         work += len(middle)
         if work > MOST_CELLS:
             return False
-        d, slopes = _affine(classes, v, kappa, c, middle)
+        d, slopes = _affine(classes, v, z, kappa, c, middle)
         bound = np.full(len(middle), np.inf)
         for corner in half * corners:
             e11, e22, e12 = d + np.einsum("a,aek->ek", corner, slopes)
@@ -107,21 +111,21 @@ def _holds(classes: BondClasses, v: np.ndarray, kappa: float, c: float) -> bool:
 
 
 def _affine(
-    classes: BondClasses, v: np.ndarray, kappa: float, c: float, k: np.ndarray
+    classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: float, k: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Entries 11, 22, 12 of D − c s, shape [3, K], and their derivatives to k, [2, 3, K]."""
     table = symbol(classes, k)
-    d = np.array(table.entries(v, kappa))
+    d = np.array(table.entries(v, z, kappa))
     d[:2] -= c * table.laplacian
-    phi = (table.phi @ v).T
-    xi, stiff = classes.xi, v[classes.bond_class]
+    phi = (table.phi @ z).T
+    xi, stiff, soft = classes.xi, v[classes.bond_class], z[classes.bond_class]
     phase = k @ xi.T
     sin, cos = np.sin(phase), np.cos(phase)
     products = np.stack([xi[:, 0] ** 2, xi[:, 1] ** 2, xi[:, 0] * xi[:, 1]]) / (xi**2).sum(1)
     slopes = np.empty((2, 3, len(k)))
     for a in (0, 1):
         slopes[a] = 16 * (products * stiff * xi[:, a]) @ sin.T
-        dphi = 2 * (xi * (stiff * xi[:, a])[:, None]).T @ cos.T
+        dphi = 2 * (xi * (soft * xi[:, a])[:, None]).T @ cos.T
         slopes[a, 0] += 2 * kappa * phi[0] * dphi[0]
         slopes[a, 1] += 2 * kappa * phi[1] * dphi[1]
         slopes[a, 2] += kappa * (phi[0] * dphi[1] + phi[1] * dphi[0])

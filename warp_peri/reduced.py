@@ -15,7 +15,6 @@ import warp as wp
 
 from warp_peri.dataset import PointSet
 from warp_peri.families import BondClasses
-from warp_peri.full_loss import sample_factors
 from warp_peri.influence import bernstein_basis
 from warp_peri.kernels import features as kernels
 from warp_peri.operator import DEVICE, Sweeps
@@ -32,21 +31,24 @@ class ReducedLoss:
         classes: bond classes of the lattice.
         R: triangular factor, shape [F + 1, F + 1]; its last column belongs to −b.
         pairs: class numbers of each quadratic feature, shape [2, C (C + 1) / 2].
-        scale: mean ‖b‖² over the samples [TPa²/Å²]; losses are given relative to it.
     """
 
     classes: BondClasses
     R: np.ndarray
     pairs: np.ndarray
-    scale: float
 
-    def products(self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
-        """The vector c(λ, μ, w) of (17), shape [F + 1]; w [Å⁻²] has one entry a class."""
-        return torch.cat([mu * w, (lam - mu) * w[self.pairs[0]] * w[self.pairs[1]], _ONE])
+    def loss(
+        self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor, p: torch.Tensor
+    ) -> torch.Tensor:
+        """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable.
 
-    def loss(self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
-        """(1/S) Σ_s ‖L u − b‖² / scale; differentiable."""
-        residual = torch.from_numpy(self.R) @ self.products(lam, mu, w)
+        Args:
+            lam, mu: Lamé parameters [TPa].
+            w: class weights of the deviatoric part [Å⁻²], shape [C].
+            p: class weights of the dilatation [Å⁻²], shape [C]; those of w for one K.
+        """
+        products = torch.cat([mu * w, (lam - mu) * p[self.pairs[0]] * p[self.pairs[1]], _ONE])
+        residual = torch.from_numpy(self.R) @ products
         return residual @ residual
 
     def class_weights(self, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
@@ -61,18 +63,17 @@ class ReducedLoss:
 _ONE = torch.ones(1, dtype=torch.float64)
 
 
-def reduce(points: PointSet, horizon: float, *, normalise: bool = False) -> ReducedLoss:
+def reduce(points: PointSet, horizon: float, weight: np.ndarray) -> ReducedLoss:
     """Sweep a lattice data set once and factorise its features.
 
     Args:
         points: samples on a lattice.
         horizon: δ [Å].
-        normalise: divide each sample by ‖b‖ on the interior.
+        weight: of each sample in the loss, shape [S]; see sample_weights.
 
-    Raises InputError for a set without samples or loads, or one that does not carry the horizon.
+    Raises InputError for a set that does not carry the horizon.
     """
-    factor, scale = sample_factors(points, normalise=normalise)
-    factor = factor / np.sqrt(scale * len(points))
+    factor = np.sqrt(weight)
     sweeps = Sweeps(points, horizon)
     classes = sweeps.families.classes
     number = len(classes.r)
@@ -89,7 +90,7 @@ def reduce(points: PointSet, horizon: float, *, normalise: bool = False) -> Redu
         rows *= factor[some, None, None, None]
         rows = rows.transpose(0, 1, 3, 2).reshape(-1, width + 1)
         R = np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))
-    return ReducedLoss(classes, R, pairs, scale)
+    return ReducedLoss(classes, R, pairs)
 
 
 def _features(sweeps: Sweeps, u: np.ndarray, column: np.ndarray, width: int) -> np.ndarray:

@@ -16,6 +16,8 @@ from warp_peri.symbol import stiffnesses, symbol
 
 RESIDUAL = 1e-9
 """Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+SINGULAR = 1e-13
+"""Eigenvalues of the symbol below this fraction of the largest count as zero."""
 
 
 def solve(
@@ -54,7 +56,8 @@ def solve(
     L = matrices(model, points).operator(model.lam, model.mu)
     unknown = np.repeat(free, 2)
     stiffness = sp.csc_array(L[:, unknown])
-    flat = (-1, 2 * np.count_nonzero(free))
+    nodes = np.count_nonzero(free)
+    flat = (-1, 2 * nodes)
     collar = u[..., fixed, :].reshape(flat[0] if u.ndim == 3 else 1, 2 * np.count_nonzero(fixed))
     right = b[..., free, :].reshape(flat).T - L[:, ~unknown] @ collar.T
     try:
@@ -65,12 +68,15 @@ def solve(
             f"not well posed here ({error})"
         ) from None
     wrong = np.linalg.norm(stiffness @ solution - right, axis=0)
+    # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
+    rounding = np.finfo(float).eps * abs(L).sum(axis=1).max()
+    wrong = np.maximum(wrong, rounding * np.linalg.norm(solution, axis=0))
     if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
         raise InputError(
             "the operator on these nodes is singular to working precision: "
             f"the residual of the solve is {wrong.max():.1e} TPa/Å"
         )
-    u[..., free, :] = solution.T.reshape(*u.shape[:-2], -1, 2)
+    u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
     return u
 
 
@@ -87,6 +93,9 @@ def solve_periodic(
 
     Returns:
         u [Å] of zero mean, shape as given.
+
+    Raises InputError for a load that does not fit, an uncertified spacing, or a symbol that is
+    singular at a wave vector of the sheet.
     """
     model.check_spacing(spacing, allow_uncertified=allow_uncertified)
     b = np.asarray(b, dtype=float)
@@ -103,8 +112,8 @@ def solve_periodic(
     D = np.stack([d11, d12, d12, d22], axis=1).reshape(*shape, 2, 2)
     transform = np.fft.fftn(b, axes=(-3, -2))
     transform[..., 0, 0, :] = 0
-    try:
-        wave = np.linalg.solve(D, transform[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        raise InputError("the symbol is singular at a wave vector of this sheet") from None
+    size = np.abs(np.linalg.eigvalsh(D))
+    if not size.min() > SINGULAR * size.max():
+        raise InputError("the symbol is singular at a wave vector of this sheet")
+    wave = np.linalg.solve(D, transform[..., None])[..., 0]
     return np.fft.ifftn(wave, axes=(-3, -2)).real

@@ -1,7 +1,8 @@
 """The symbol of the LPS operator on the infinite lattice (theory.md, 18–21).
 
-With stiffnesses v_c = μ w_c [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] it is
-D(k) = Γ(k) + κ φ(k) φ(k)ᵗ, linear in v but for φφᵗ, and free of the scale of K.
+With stiffnesses v_c = μ w_c of the deviatoric part and z_c = μ p_c of the dilatation [TPa/Å²],
+equal when both have one influence function, and κ = (λ−μ)/μ² [1/TPa], it is
+D(k) = Γ(k) + κ φ(k) φ(k)ᵗ, Γ linear in v, φ linear in z, and free of the scale of K.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ class Symbol:
 
     Attributes:
         gamma: Γ of unit v per class, entries 11, 22, 12, shape [K, 3, C].
-        phi: φ of unit v per class, shape [K, 2, C].
+        phi: φ of unit z per class, shape [K, 2, C].
         laplacian: s(k) = (4/h²) Σ_a sin²(k_a h/2) [1/Å²], shape [K].
     """
 
@@ -28,35 +29,37 @@ class Symbol:
     phi: np.ndarray
     laplacian: np.ndarray
 
-    def entries(self, v: np.ndarray, kappa: float) -> tuple[np.ndarray, ...]:
+    def entries(self, v: np.ndarray, z: np.ndarray, kappa: float) -> tuple[np.ndarray, ...]:
         """D11, D22, D12 [TPa/Å²], each of shape [K]; κ = 0 gives μΓ alone."""
         g11, g22, g12 = (self.gamma @ v).T
-        p1, p2 = (self.phi @ v).T
+        p1, p2 = (self.phi @ z).T
         return g11 + kappa * p1 * p1, g22 + kappa * p2 * p2, g12 + kappa * p1 * p2
 
-    def ratio(self, v: np.ndarray, kappa: float) -> np.ndarray:
+    def ratio(self, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin D(k) / s(k) [TPa], shape [K]."""
-        d11, d22, d12 = self.entries(v, kappa)
+        d11, d22, d12 = self.entries(v, z, kappa)
         return ((d11 + d22) / 2 - np.hypot((d11 - d22) / 2, d12)) / self.laplacian
 
-    def ratio_gradient(self, v: np.ndarray, kappa: float) -> tuple[np.ndarray, ...]:
-        """Λmin D / s and its derivatives to v, shape [K, C], and to κ, shape [K]."""
-        d11, d22, d12 = self.entries(v, kappa)
+    def ratio_gradient(
+        self, v: np.ndarray, z: np.ndarray, kappa: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of Λmin D / s to v and z, each of shape [K, C], and to κ, shape [K]."""
+        d11, d22, d12 = self.entries(v, z, kappa)
         angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
         e = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
         quadratic = np.stack([e[:, 0] ** 2, e[:, 1] ** 2, 2 * e[:, 0] * e[:, 1]], axis=1)
-        e_phi = np.einsum("ka,kac->kc", e, self.phi)  # e·φ of unit v
-        along = e_phi @ v
+        e_phi = np.einsum("ka,kac->kc", e, self.phi)  # e·φ of unit z
+        along = e_phi @ z
         by_v = np.einsum("kg,kgc->kc", quadratic, self.gamma)
-        by_v += 2 * kappa * along[:, None] * e_phi
+        by_z = 2 * kappa * along[:, None] * e_phi
         s = self.laplacian
-        return self.ratio(v, kappa), by_v / s[:, None], along**2 / s
+        return by_v / s[:, None], by_z / s[:, None], along**2 / s
 
 
 def symbol(classes: BondClasses, k: np.ndarray) -> Symbol:
     """Tables at the wave vectors k [1/Å], shape [K, 2], none of them a reciprocal lattice vector.
 
-    Γ(k) = 16 Σ v (1 − cos k·ξ) ξ⊗ξ/r², φ(k) = 2 Σ v sin(k·ξ) ξ, sums over the bonds of a family.
+    Γ(k) = 16 Σ v (1 − cos k·ξ) ξ⊗ξ/r², φ(k) = 2 Σ z sin(k·ξ) ξ, sums over the bonds of a family.
     """
     xi = classes.xi
     r2 = (xi**2).sum(1)
@@ -84,11 +87,13 @@ def zone_wedge(spacing: float, intervals: int) -> np.ndarray:
     return np.pi / spacing * np.concatenate([ring, grid])
 
 
-def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
-    """v_c = μ K(r_c) W_c / m [TPa/Å²] and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice."""
-    kw = model.influence(classes.r) * classes.weight
-    m = classes.count @ (kw * classes.r**2)
-    return model.mu * kw / m, (model.lam - model.mu) / model.mu**2
+def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
+    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice."""
+    tables = []
+    for K in (model.influence(classes.r), model.influence_dilatation(classes.r)):
+        kw = K * classes.weight
+        tables.append(model.mu * kw / (classes.count @ (kw * classes.r**2)))
+    return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
 
 
 def long_wave_moduli(
@@ -108,4 +113,5 @@ def long_wave_moduli(
 
 def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
     """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory.md, 22)."""
-    return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, *stiffnesses(model, classes))))
+    v, _, kappa = stiffnesses(model, classes)
+    return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, v, kappa)))

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
+import joblib
 import numpy as np
 import torch
 from tqdm import tqdm
 
 from warp_peri.certificate import Certificate, certify
-from warp_peri.conditions import Conditions, ZoneSearch
+from warp_peri.conditions import Conditions
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
-from warp_peri.full_loss import FullLoss
+from warp_peri.full_loss import FullLoss, sample_weights
 from warp_peri.model import Model
 from warp_peri.optimum import constrained_optimum
 from warp_peri.reduced import ReducedLoss, reduce
-from warp_peri.symbol import moduli
-from warp_peri.two_stage import Parameters, positive_stage, sign_changing_stage
+from warp_peri.symbol import moduli as moduli_of
+from warp_peri.two_stage import Parameters, Variables, positive_stage, sign_changing_stage
 
 METHODS = ("constrained", "two-stage", "optimum")
 AGREEMENT = 1e-10
@@ -52,21 +55,26 @@ class Fit:
 
     Attributes:
         model: the model; certified for the training spacing if its certificate holds.
-        certificate: the certificate.
-        moduli: long-wave moduli C11, C12, C44 of the discrete operator [TPa].
+        certificates: the certificate on each training lattice.
+        moduli: long-wave moduli C11, C12, C44 of the discrete operator on each of them [TPa].
         history: the stages, in order.
         starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
     """
 
     model: Model
-    certificate: Certificate
-    moduli: dict[str, float]
+    certificates: list[Certificate]
+    moduli: list[dict[str, float]]
     history: list[Stage]
     starts: dict[str, float]
 
+    @property
+    def certificate(self) -> Certificate:
+        """The certificate on the first training lattice."""
+        return self.certificates[0]
+
 
 def fit(
-    points: PointSet,
+    points: PointSet | Sequence[PointSet],
     *,
     horizon: float,
     degree: int,
@@ -74,13 +82,17 @@ def fit(
     conditions: str = "direct",
     zeta: float = 0.01,
     normalise: bool = False,
+    two_functions: bool = False,
+    moduli: tuple[float, float] | None = None,
     seed: int = 0,
+    jobs: int = 1,
     progress: bool = False,
 ) -> Fit:
-    """Learn λ, μ, α and D from displacement and load fields on a lattice.
+    """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
-        points: training samples; interior nodes need the 2δ collar.
+        points: training samples, one set or several on different lattices; interior nodes need
+            the 2δ collar.
         horizon: δ [Å], at least one spacing.
         degree: M ≥ 0 of the Bernstein polynomials.
         method: "two-stage" is Algorithm 1 of You et al. (2021); "constrained" goes on from it to
@@ -88,7 +100,11 @@ def fit(
         conditions: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
         zeta: ζ [TPa].
         normalise: divide each sample by ‖b‖ in the loss.
-        seed: of the initial D.
+        two_functions: give the dilatation an influence function of its own.
+        moduli: (λ, μ) [TPa] to hold at long waves, isotropy of the lattice included; None learns
+            them. Not with "two-stage".
+        seed: of the initial D of stage 1.
+        jobs: threads for the starts of stage 3.
         progress: show a progress bar for each stage.
 
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
@@ -98,10 +114,19 @@ def fit(
         raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     if not (isinstance(degree, (int, np.integer)) and degree >= 0):
         raise InputError(f"degree: expected a whole number ≥ 0, got {degree!r}")
-    full = FullLoss(points, horizon, normalise=normalise)
-    reduced = reduce(points, horizon, normalise=normalise)
-    asked = Conditions(reduced.classes, conditions, zeta)
-    oracle = _Oracle(reduced, full)
+    if moduli is not None:
+        if method == "two-stage":
+            raise InputError("moduli: the two-stage method cannot hold them")
+        if not (np.isfinite(moduli).all() and moduli[1] > 0 and sum(moduli) > 0):
+            raise InputError(f"moduli: expected μ > 0 and λ + μ > 0, got (λ, μ) = {moduli}")
+    sets = [points] if isinstance(points, PointSet) else list(points)
+    if not sets:
+        raise InputError("points: expected at least one training set, got none")
+    weights = sample_weights(sets, normalise=normalise)
+    full = [FullLoss(one, horizon, weight) for one, weight in zip(sets, weights)]
+    grids = [reduce(one, horizon, weight) for one, weight in zip(sets, weights)]
+    asked = [Conditions(grid.classes, conditions, zeta) for grid in grids]
+    oracle = _Oracle(grids, full)
     history: list[Stage] = []
 
     def stage(name: str, run: Callable[[Callable[[float], None]], Parameters]) -> Parameters:
@@ -115,39 +140,44 @@ def fit(
 
             found = run(tick)
         seconds = time.perf_counter() - begin
-        error = full.mean_error(found.lam, found.mu, found.alpha, found.D)
+        errors = [one.errors(*_numbers(found)) for one in full]
+        error = float(np.concatenate(errors).mean())
         history.append(Stage(name, found, error, seconds, found.losses))
         return found
 
-    rough = np.random.default_rng(seed).uniform(size=degree + 1)
-    oracle.check(Parameters(0.0, 1.0, 1.0, rough))
+    random = np.random.default_rng(seed)
+    D = random.uniform(size=degree + 1)
+    own = random.uniform(size=degree + 1) if two_functions else None
+    rough = Parameters(0.0, 1.0, 1.0, D, D_dilatation=own)
+    oracle.check(rough)
     starts: dict[str, Parameters] = {}
     if method != "optimum":
-        first = stage(
-            "1 positive", lambda tick: positive_stage(reduced, degree, seed=seed, tick=tick)
-        )
+        first = stage("1 positive", lambda tick: positive_stage(grids, rough, tick=tick))
         final = second = stage(
-            "2 sign-changing", lambda tick: sign_changing_stage(reduced, first, asked, tick=tick)
+            "2 sign-changing", lambda tick: sign_changing_stage(grids, first, asked, tick=tick)
         )
         starts = {"stage 2": second, "stage 1": first}
     reached: dict[str, float] = {}
     if method != "two-stage":
-        exponents = (second.alpha,) if starts else PLAIN_EXPONENTS
-        for alpha in exponents:
+        for alpha in (second.alpha,) if starts else PLAIN_EXPONENTS:
             starts[f"r^-{alpha:.3g}"] = Parameters(0.0, 1.0, alpha, np.ones(degree + 1))
 
         def best(tick: Callable[[float], None]) -> Parameters:
-            search = ZoneSearch(asked)
-            found = {}
-            for name, start in starts.items():
-                found[name] = constrained_optimum(reduced, start, asked, search)
-                reached[name] = float(np.sqrt(found[name].loss))
-                tick(found[name].loss)
-            kept = [one for one in found.values() if one.converged]
+            run = joblib.Parallel(n_jobs=jobs, prefer="threads")
+            results = run(
+                joblib.delayed(constrained_optimum)(
+                    grids, start, asked, two_functions=two_functions, moduli=moduli
+                )
+                for start in starts.values()
+            )
+            for name, one in zip(starts, results):
+                reached[name] = float(np.sqrt(one.loss))
+                tick(one.loss)
+            kept = [one for one in results if one.converged]
             if not kept:
                 raise RuntimeError(
                     "stage 3: no start ended with the conditions kept; smallest "
-                    f"margin {max(one.margin for one in found.values()):.1e} TPa"
+                    f"margin {max(one.margin for one in results):.1e} TPa"
                 )
             lowest = min(one.loss for one in kept)
             # Equal losses are one optimum: the first start is kept, whatever the rounding.
@@ -155,45 +185,48 @@ def fit(
 
         final = stage("3 constrained", best)
     oracle.check(final)
-    bare = Model(final.lam, final.mu, final.alpha, final.D, horizon)
-    certificate = certify(bare, spacing=points.spacing, points=points)
-    certified = certificate.holds and (conditions != "paper" or bool(certificate.schwarz))
-    model = Model(
-        final.lam,
-        final.mu,
-        final.alpha,
-        final.D,
-        horizon,
-        trained_on=(points.spacing,),
-        certified_on=(points.spacing,) if certified else (),
-        certificate={f"{points.spacing:g}": certificate.figures()},
+    bare = Model(
+        final.lam, final.mu, final.alpha, final.D, horizon, D_dilatation=final.D_dilatation
+    )
+    certificates = [certify(bare, spacing=one.spacing, points=one) for one in sets]
+    certified = tuple(
+        one.spacing
+        for one in certificates
+        if one.holds and (conditions != "paper" or bool(one.schwarz))
+    )
+    model = dataclasses.replace(
+        bare,
+        trained_on=tuple(one.spacing for one in sets),
+        certified_on=certified,
+        certificate={f"{one.spacing:g}": one.figures() for one in certificates},
         versions=_versions(),
     )
-    return Fit(model, certificate, moduli(model, reduced.classes), history, reached)
+    return Fit(model, certificates, [moduli_of(model, g.classes) for g in grids], history, reached)
+
+
+def _numbers(at: Parameters) -> tuple[Any, ...]:
+    """What lps_force takes after u."""
+    own = () if at.D_dilatation is None else (at.D_dilatation,)
+    return (at.lam, at.mu, at.alpha, at.D, *own)
 
 
 class _Oracle:
     """Holds the reduced loss to the full one and to the gradients of Warp's tape."""
 
-    def __init__(self, reduced: ReducedLoss, full: FullLoss) -> None:
-        self.reduced, self.full = reduced, full
+    def __init__(self, grids: Sequence[ReducedLoss], full: Sequence[FullLoss]) -> None:
+        self.grids, self.full = grids, full
         self.gradient_size: float | None = None
 
     def check(self, at: Parameters) -> None:
         """Compare at one point; the first one sets the size of the gradient."""
+        variables = Variables(at, positive=False)
         results = []
-        for path in ("reduced", "full"):
-            numbers = [
-                torch.tensor(value, dtype=torch.float64, requires_grad=True)
-                for value in (at.lam, at.mu, at.alpha, at.D)
-            ]
-            lam, mu, alpha, D = numbers
-            if path == "full":
-                loss = self.full.loss(lam, mu, alpha, D)
-            else:
-                loss = self.reduced.loss(lam, mu, self.reduced.class_weights(alpha, D))
-            gradient = torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, numbers)])
-            results.append((loss.item(), gradient))
+        for loss in (
+            variables.loss(self.grids)[0],
+            torch.stack([one.loss(*variables.leaves) for one in self.full]).sum(),
+        ):
+            parts = torch.autograd.grad(loss, variables.leaves)
+            results.append((loss.item(), torch.cat([part.reshape(-1) for part in parts])))
         (found, gradient), (expected, reference) = results
         self.gradient_size = self.gradient_size or float(reference.norm())
         if abs(found - expected) > AGREEMENT * expected:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,35 +28,22 @@ SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 
 @dataclass(frozen=True)
 class Parameters:
-    """λ, μ [TPa], α and D of one stage, inside their bounds, and the loss on the way there."""
+    """λ, μ [TPa], α, D of one stage, inside their bounds, and the loss on the way there.
+
+    D_dilatation holds the coefficients of the dilatation's own influence function, if it has one.
+    """
 
     lam: float
     mu: float
     alpha: float
     D: np.ndarray
     losses: list[float] = field(default_factory=list, repr=False)
+    D_dilatation: np.ndarray | None = None
 
-
-class _Zone(torch.autograd.Function):
-    """Smallest margin over sampled wave vectors; its gradient is that of the worst one."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, conditions: Conditions, at: Symbol, v: torch.Tensor, kappa: torch.Tensor
-    ) -> torch.Tensor:
-        numbers = v.detach().numpy(), float(kappa)
-        margins = conditions.margins(at, *numbers)
-        gradient = []
-        for form, k in enumerate(margins.argmin(axis=1)):
-            one = Symbol(at.gamma[[k]], at.phi[[k]], at.laplacian[[k]])
-            gradient.append(conditions.gradients(one, *numbers)[form, 0])
-        ctx.gradient = torch.from_numpy(np.array(gradient))
-        return torch.from_numpy(margins.min(axis=1))
-
-    @staticmethod
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        total = upstream[0] @ ctx.gradient
-        return None, None, total[1:], total[0].reshape(())
+    @property
+    def dilatation(self) -> np.ndarray:
+        """Coefficients of the dilatation's influence function, shape [M + 1]."""
+        return self.D if self.D_dilatation is None else self.D_dilatation
 
 
 class Variables:
@@ -67,12 +54,15 @@ class Variables:
     drives to zero early in stage 1, would stay there for good.
     """
 
-    def __init__(
-        self, lam: float, mu: float, alpha: float, D: np.ndarray, *, positive: bool
-    ) -> None:
-        values = (lam, mu, alpha, D)
+    def __init__(self, start: Parameters, *, positive: bool) -> None:
+        values = [start.lam, start.mu, start.alpha, start.D]
+        if start.D_dilatation is not None:
+            values.append(start.D_dilatation)
         self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
-        self.lam, self.mu, self.alpha, self.D = (leaf.requires_grad_() for leaf in self.leaves)
+        for leaf in self.leaves:
+            leaf.requires_grad_()
+        self.lam, self.mu, self.alpha, self.D = self.leaves[:4]
+        self.kernels = self.leaves[3:]
         self.positive = positive
 
     def project(self) -> None:
@@ -82,12 +72,53 @@ class Variables:
             self.lam.clamp_(min=SMALLEST_MODULUS - self.mu)
             self.alpha.clamp_(max=LARGEST_ALPHA)
             if self.positive:
-                self.D.clamp_(min=0.0)
+                for D in self.kernels:
+                    D.clamp_(min=0.0)
+
+    def loss(self, grids: Sequence[ReducedLoss]) -> tuple[torch.Tensor, list[torch.Tensor]]:
+        """The loss over all lattices, and their stiffnesses (v, z) one after the other."""
+        total, stiffness = torch.zeros((), dtype=torch.float64), []
+        for grid in grids:
+            w = grid.class_weights(self.alpha, self.D)
+            p = grid.class_weights(self.alpha, self.kernels[-1]) if len(self.kernels) > 1 else w
+            total = total + grid.loss(self.lam, self.mu, w, p)
+            stiffness += [self.mu * w, self.mu * p]
+        return total, stiffness
 
     def parameters(self, losses: list[float]) -> Parameters:
         """Their values, with the loss on the way."""
-        numbers = (self.lam.item(), self.mu.item(), self.alpha.item())
-        return Parameters(*numbers, self.D.detach().numpy().copy(), losses)
+        lam, mu, alpha, *kernels = (leaf.detach().numpy().copy() for leaf in self.leaves)
+        own = kernels[1] if len(kernels) > 1 else None
+        return Parameters(float(lam), float(mu), float(alpha), kernels[0], losses, own)
+
+
+class _Zone(torch.autograd.Function):
+    """Smallest margin over sampled wave vectors; its gradient is that of the worst one."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        conditions: Conditions,
+        at: Symbol,
+        v: torch.Tensor,
+        z: torch.Tensor,
+        kappa: torch.Tensor,
+    ) -> torch.Tensor:
+        numbers = v.detach().numpy(), z.detach().numpy(), float(kappa)
+        margins = conditions.margins(at, *numbers)
+        gradient = []
+        for form, k in enumerate(margins.argmin(axis=1)):
+            one = Symbol(at.gamma[[k]], at.phi[[k]], at.laplacian[[k]])
+            gradient.append(conditions.gradients(one, *numbers)[form, 0])
+        ctx.gradient = torch.from_numpy(np.array(gradient))
+        return torch.from_numpy(margins.min(axis=1))
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        by_kappa, by_v, by_z = (upstream[0] @ ctx.gradient).tensor_split(
+            (1, 1 + (ctx.gradient.shape[1] - 1) // 2)
+        )
+        return None, None, by_v, by_z, by_kappa.reshape(())
 
 
 def _adam(
@@ -123,31 +154,28 @@ def _stagnant(losses: list[float], window: int) -> bool:
 
 
 def positive_stage(
-    reduced: ReducedLoss, degree: int, *, seed: int, tick: Callable[[float], None]
+    grids: Sequence[ReducedLoss], start: Parameters, *, tick: Callable[[float], None]
 ) -> Parameters:
-    """Stage 1: Adam with D ≥ 0, from D ~ U(0, 1), λ = 0, μ = 1 TPa, α = 1.
+    """Stage 1: Adam with D ≥ 0.
 
     Args:
-        reduced: the loss.
-        degree: M.
-        seed: of the initial D.
+        grids: the reduced loss of each lattice.
+        start: λ, μ, α and D to start from.
         tick: called with the loss after every epoch.
     """
-    D = np.random.default_rng(seed).uniform(size=degree + 1)
-    variables = Variables(0.0, 1.0, 1.0, D, positive=True)
+    variables = Variables(start, positive=True)
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
-        w = reduced.class_weights(variables.alpha, variables.D)
-        loss = reduced.loss(variables.lam, variables.mu, w)
+        loss, _ = variables.loss(grids)
         return loss, loss
 
     return variables.parameters(_adam(variables, [], objective, EPOCHS, tick))
 
 
 def sign_changing_stage(
-    reduced: ReducedLoss,
+    grids: Sequence[ReducedLoss],
     start: Parameters,
-    conditions: Conditions,
+    conditions: Sequence[Conditions],
     *,
     tick: Callable[[float], None],
 ) -> Parameters:
@@ -158,21 +186,25 @@ def sign_changing_stage(
     φ_p H_p + (ψ/2) H_p², so that φ_p ← φ_p + ψ H_p is the ascent of the dual.
 
     Args:
-        reduced: the loss.
+        grids: the reduced loss of each lattice.
         start: result of stage 1.
-        conditions: what must hold on the lattice.
+        conditions: what must hold on each lattice.
         tick: called with the loss after every epoch.
     """
-    at = symbol(reduced.classes, zone_wedge(reduced.classes.spacing, ZONE_INTERVALS))
-    variables = Variables(start.lam, start.mu, start.alpha, start.D, positive=False)
-    slack = torch.ones(len(conditions.names), dtype=torch.float64, requires_grad=True)
+    tables = [symbol(g.classes, zone_wedge(g.classes.spacing, ZONE_INTERVALS)) for g in grids]
+    variables = Variables(start, positive=False)
+    count = sum(len(one.names) for one in conditions)
+    slack = torch.ones(count, dtype=torch.float64, requires_grad=True)
     multiplier, penalty = torch.zeros_like(slack, requires_grad=False), 1.0
 
     def loss_and_violation() -> tuple[torch.Tensor, torch.Tensor]:
-        lam, mu = variables.lam, variables.mu
-        w = reduced.class_weights(variables.alpha, variables.D)
-        margin = _Zone.apply(conditions, at, mu * w, (lam - mu) / mu**2)
-        return reduced.loss(lam, mu, w), margin - slack**2
+        loss, stiffness = variables.loss(grids)
+        kappa = (variables.lam - variables.mu) / variables.mu**2
+        margins = [
+            _Zone.apply(one, table, stiffness[2 * g], stiffness[2 * g + 1], kappa)
+            for g, (one, table) in enumerate(zip(conditions, tables))
+        ]
+        return loss, torch.cat(margins) - slack**2
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
         loss, H = loss_and_violation()
@@ -187,7 +219,7 @@ def sign_changing_stage(
         H = signed.abs()
         if (H <= TOLERANCE).all() and _stagnant(losses, INNER_EPOCHS):
             break
-        if ((REQUIRED_DECREASE * previous <= H) & (H > TOLERANCE)).any():
+        if ((H >= REQUIRED_DECREASE * previous) & (H > TOLERANCE)).any():
             penalty *= PENALTY_GROWTH
         else:
             multiplier = multiplier + penalty * signed

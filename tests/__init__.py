@@ -1,0 +1,1 @@
+"""Tests; what they share stands in problems.py, reference.py and conftest.py."""

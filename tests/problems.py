@@ -1,0 +1,105 @@
+"""Problems defined once: lattices, kernels, fields, and the tolerances they are held to."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from warp_peri import Model, PointSet
+
+ROUNDING = 1e-12
+"""Two ways of computing the same number; relative to its size."""
+QUADRATURE = 1e-10
+"""Exactness that quadrature weights are accepted with."""
+GRADIENT = 1e-7
+"""Gradients against differences, relative to the largest component."""
+REDUCED = 1e-10
+"""Reduced against full loss, and their gradients."""
+ORDER = 1.9
+"""Least fitted order of what converges with the square of the spacing."""
+
+LAM, MU = 0.3, 0.8
+
+KERNELS = {
+    "1/r": {"alpha": 1.0, "D": [1.0]},
+    "steep": {"alpha": 2.9, "D": [1.0]},
+    "positive": {"alpha": 0.7, "D": [0.2, 1.0, 0.4, 0.1]},
+    "sign-changing": {"alpha": 1.6, "D": [1.0, 0.4, -0.35, 0.15, -0.1]},
+    "growing": {"alpha": -0.5, "D": [1.0, 0.3, 0.6]},
+    "two functions": {"alpha": 1.3, "D": [1.0, 0.5, -0.2], "D_dilatation": [0.6, -0.3, 0.9]},
+}
+"""Influence functions of several kinds."""
+
+
+def kernel(name, horizon, spacing=1.0, lam=LAM, mu=MU):
+    """The model of a named kernel, taken as certified on the spacing."""
+    spacings = {"trained_on": (spacing,), "certified_on": (spacing,)}
+    return Model(lam=lam, mu=mu, horizon=horizon, **KERNELS[name], **spacings)
+
+
+def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=(0.0, 0.0)):
+    """A square lattice around interior nodes (a number or a mask), and the 2δ collar they need."""
+    mask = np.ones((interior, interior), bool) if np.ndim(interior) == 0 else np.array(interior)
+    pad = int(np.ceil(2 * horizon / spacing))
+    mask = np.pad(mask, pad)
+    steps = np.argwhere(np.ones_like(mask)) - pad
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return PointSet(spacing * steps @ turn.T + origin, mask.ravel(), spacing)
+
+
+def ell():
+    """An interior that is no square: an L with a hole."""
+    mask = np.ones((5, 4), bool)
+    mask[3:, 2:] = False
+    mask[1, 1] = False
+    return mask
+
+
+def periodic(shape, spacing=1.0):
+    """A periodic square lattice, all of it interior, and its box."""
+    steps = np.argwhere(np.ones(shape))
+    points = PointSet(spacing * steps, np.ones(len(steps), bool), spacing)
+    return points, (spacing * shape[0], spacing * shape[1])
+
+
+def noise(points, samples=None, seed=0):
+    """Random displacements, the harshest field there is; shape [N, 2] without `samples`."""
+    shape = (len(points.x), 2) if samples is None else (samples, len(points.x), 2)
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def smooth(x, samples, seed=0, wave_number=1.2):
+    """Random sums of plane waves of at most the given wave number; shape [S, N, 2]."""
+    random = np.random.default_rng(seed)
+    k = random.uniform(-1, 1, size=(samples, 4, 2)) * wave_number
+    amplitude = random.normal(size=(samples, 4, 2))
+    phase = random.uniform(0, 2 * np.pi, size=(samples, 4, 1))
+    waves = np.cos(np.einsum("swa,na->swn", k, x) + phase)
+    return np.einsum("swn,swa->sna", waves, amplitude)
+
+
+def manufactured(model, points, samples, seed=0, wave_number=1.2):
+    """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
+    from warp_peri import LPSOperator
+
+    u = smooth(points.x, samples, seed, wave_number)
+    b = np.zeros_like(u)
+    b[:, points.interior] = LPSOperator(model, points)(u)
+    return replace(points, u=u, b=b)
+
+
+STENCILS = {2: (1 / 2,), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
+
+
+def difference(function, at, step, order=8):
+    """Derivatives of a function of a vector by central differences; shape [vector, …]."""
+    at = np.asarray(at, dtype=float)
+    out = []
+    for e in np.eye(len(at)) * step:
+        pairs = enumerate(STENCILS[order], start=1)
+        out.append(sum(c * (function(at + n * e) - function(at - n * e)) for n, c in pairs) / step)
+    return np.array(out)
+
+
+def fitted_order(spacings, errors):
+    """Slope of the error over the spacing on logarithmic axes."""
+    return np.polyfit(np.log(spacings), np.log(errors), 1)[0]

@@ -1,0 +1,117 @@
+"""A slow reference of the linear peridynamic solid: NumPy, one node and one bond at a time.
+
+It shares nothing with the library but the equations of docs/theory.md.
+"""
+
+from math import comb
+
+import numpy as np
+
+
+def influence(r, horizon, alpha, D):
+    """K(r), (4)."""
+    M, t = len(D) - 1, min(r / horizon, 1.0)
+    return r**-alpha * sum(D[k] * comb(M, k) * t**k * (1 - t) ** (M - k) for k in range(M + 1))
+
+
+def monomials(degree=5, singularity=3):
+    """Exponents (a, b) of the reproducing space, (8)."""
+    return [(p - b, b) for p in range(singularity - 1, degree + 1) for b in range(p + 1)]
+
+
+def ball_integral(a, b, horizon):
+    """∫ ξ₁ᵃ ξ₂ᵇ / r³ over the ball: the angle by the trapezoid rule, exact for so few waves."""
+    angle = 2 * np.pi * np.arange(32) / 32
+    around = 2 * np.pi * np.mean(np.cos(angle) ** a * np.sin(angle) ** b)
+    return around * horizon ** (a + b - 1) / (a + b - 1)
+
+
+def quadrature(xi, horizon):
+    """Weights of smallest norm among those exact on the reproducing space, (7)."""
+    r = np.hypot(*xi.T)
+    rows = np.array([xi[:, 0] ** a * xi[:, 1] ** b / r**3 for a, b in monomials()])
+    exact = np.array([ball_integral(a, b, horizon) for a, b in monomials()])
+    size = np.abs(rows).max(axis=1)
+    return np.linalg.pinv(rows / size[:, None], rcond=1e-10) @ (exact / size)
+
+
+def family(x, i, horizon, box=None):
+    """Neighbours of node i and the bonds to them, through the nearest periodic image."""
+    bonds = x - x[i]
+    if box is not None:
+        bonds = bonds - np.round(bonds / box) * box
+    r = np.hypot(*bonds.T)
+    near = np.flatnonzero((r > 0) & (r <= horizon * (1 + 1e-6)))
+    return near, bonds[near]
+
+
+def weights(x, i, model, box=None):
+    """Neighbours and bonds of node i, and K W / m of the deviatoric part and of the dilatation."""
+    near, bonds = family(x, i, model.horizon, box)
+    W = quadrature(bonds, model.horizon)
+    normalised = []
+    for D in (model.D, model.dilatation):
+        K = [influence(np.hypot(*xi), model.horizon, model.alpha, D) for xi in bonds]
+        m = sum(k * (xi @ xi) * w for k, xi, w in zip(K, bonds, W))  # (5)
+        normalised.append([k * w / m for k, w in zip(K, W)])
+    return near, bonds, *normalised
+
+
+def dilatation(x, i, model, u, box=None):
+    """θ of node i, (6)."""
+    near, bonds, _, p = weights(x, i, model, box)
+    return 2 * sum(p_j * (xi @ (u[j] - u[i])) for j, xi, p_j in zip(near, bonds, p))
+
+
+def operator(x, interior, model, u, box=None):
+    """L u on the interior nodes, (9)."""
+    theta = {}
+    out = []
+    for i in np.flatnonzero(interior):
+        near, bonds, w, p = weights(x, i, model, box)
+        for j in (i, *near):
+            if j not in theta:
+                theta[j] = dilatation(x, j, model, u, box)
+        force = np.zeros(2)
+        for j, xi, w_j, p_j in zip(near, bonds, w, p):
+            force -= 2 * (model.lam - model.mu) * p_j * xi * (theta[i] + theta[j])
+            force -= 16 * model.mu * w_j * xi * (xi @ (u[j] - u[i])) / (xi @ xi)
+        out.append(force)
+    return np.array(out)
+
+
+def symbol(k, bonds, w, p, lam, mu):
+    """D(k), (18–20)."""
+    D, phi = np.zeros((2, 2)), np.zeros(2)
+    for xi, w_j, p_j in zip(bonds, w, p):
+        D += 16 * mu * w_j * (1 - np.cos(k @ xi)) * np.outer(xi, xi) / (xi @ xi)
+        phi += 2 * p_j * np.sin(k @ xi) * xi
+    return D + (lam - mu) * np.outer(phi, phi)
+
+
+def smoothing(atoms, nodes, radius, shape, box=None, spacing=None):
+    """ω, (1), by a triple loop over nodes, atoms and images."""
+
+    def tau(x, X):
+        r = np.hypot(*(x - X))
+        return max(0.0, radius - r if shape == "cone" else radius**2 - r**2)
+
+    images = [(0, 0)]
+    if box is not None:
+        images = [(a * box[0], b * box[1]) for a in range(-4, 5) for b in range(-4, 5)]
+    omega = np.zeros((len(nodes), len(atoms)))
+    for number, atom in enumerate(atoms):
+        if spacing is None:
+            total = sum(tau(x, atom + image) for x in nodes for image in images)
+        for image in images:
+            X = atom + image
+            reached = [tau(x, X) for x in nodes]
+            if not any(reached):
+                continue
+            if spacing is not None:
+                reach = int(radius / spacing) + 2
+                near = nodes[0] + spacing * np.round((X - nodes[0]) / spacing)
+                steps = range(-reach, reach + 1)
+                total = sum(tau(near + spacing * np.array([p, q]), X) for p in steps for q in steps)
+            omega[:, number] += np.array(reached) / total
+    return omega
