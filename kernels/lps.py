@@ -1,7 +1,8 @@
 """The linear peridynamic solid, top to bottom: influence → weighted volume → dilatation → force.
 
 Equation numbers are those of docs/theory.md. The deviatoric part reads the table kw and its
-weighted volume m, the dilatation kd and md; with one influence function they are the same arrays. Bond e of
+weighted volume m, the dilatation kd and md; with one influence function they are the same arrays.
+Bond e of
 node i runs from row[i] to row[i + 1]; bond[e] is its number in the family pattern, which gives its
 vector ξ and its class.
 

@@ -82,10 +82,16 @@ class Sweeps:
             kd, md = self.influence(alpha, D_dilatation, gradient=gradient)
         theta = self.zeros(samples, len(self.row) - 1, gradient=gradient)
         Lu = self.zeros(samples, len(self.rows), dtype=wp.vec2d, gradient=gradient)
-        inputs = (self.full, *self.links, kd, md, u)
-        _launch(lps.dilatation, (samples, len(self.full)), inputs, theta)
-        inputs = (self.rows, *self.links, kw, m, kd, md, lam, mu, u, theta)
-        _launch(lps.force, (samples, len(self.rows)), inputs, Lu)
+        tables = (kw, m, kd, md)
+        _launch(
+            lps.dilatation, (samples, len(self.full)), (self.full, *self.links, kd, md, u), theta
+        )
+        _launch(
+            lps.force,
+            (samples, len(self.rows)),
+            (self.rows, *self.links, *tables, lam, mu, u, theta),
+            Lu,
+        )
         return Lu
 
     @staticmethod

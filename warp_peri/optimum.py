@@ -21,11 +21,14 @@ from warp_peri.two_stage import LARGEST_ALPHA, Parameters
 FIRST_CUTS = 12
 """Intervals of the zone grid that the first fit keeps the conditions on."""
 ROUNDS = 40
+RESTARTS, RESTART_GAIN = 10, 1e-6
+"""SLSQP is begun again at most so often, while its loss falls by more than this, relative."""
 HEADROOM = 1.01
 """A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
 SEARCH_TOLERANCE = 1e-9
 """Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
 SMALLEST_ALPHA = -6.0
+ISOTROPIC = "isotropic"
 SMOOTHNESS = 3e-9
 """Weight of the second differences of D beside the relative residual. It costs an ordinary fit
 nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
@@ -56,7 +59,7 @@ def constrained_optimum(
     conditions: Sequence[Conditions],
     *,
     two_functions: bool = False,
-    moduli: tuple[float, float] | None = None,
+    moduli: tuple[float, float] | str | None = None,
 ) -> Optimum:
     """Minimise the reduced loss under the conditions over the whole zone, from one start.
 
@@ -65,7 +68,8 @@ def constrained_optimum(
         start: where to begin.
         conditions: what must hold on each of the lattices.
         two_functions: give the dilatation coefficients of its own.
-        moduli: (λ, μ) [TPa] to hold, with C44 = μ on every lattice; None to learn them.
+        moduli: (λ, μ) [TPa] to hold, with C44 = μ on every lattice; ISOTROPIC for C44 = μ alone;
+            None to learn all of them.
     """
     classes = [grid.classes for grid in grids]
     coordinates = Coordinates(classes, start.alpha, len(start.D) - 1, two_functions=two_functions)
@@ -75,7 +79,7 @@ def constrained_optimum(
     y = coordinates.start(start)
     losses: list[float] = []
     for _ in range(ROUNDS):
-        y, loss = problem.solve(y, [symbol(one, k) for one, k in zip(classes, cuts)])
+        y, loss = problem.settle(y, [symbol(one, k) for one, k in zip(classes, cuts)])
         losses.append(loss)
         point = coordinates.point(y)
         margin, kept = np.inf, True
@@ -98,10 +102,23 @@ class _Problem:
         grids: Sequence[ReducedLoss],
         conditions: Sequence[Conditions],
         coordinates: Coordinates,
-        moduli: tuple[float, float] | None,
+        moduli: tuple[float, float] | str | None,
     ) -> None:
         self.grids, self.coordinates, self.moduli = grids, coordinates, moduli
         self.asked = [Conditions(one.classes, one.kind, HEADROOM * one.zeta) for one in conditions]
+
+    def settle(self, y: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
+        """SLSQP, begun again where it stopped until that gains nothing.
+
+        It can call success far from an optimum, where the scaling of its start no longer fits.
+        """
+        y, loss = self.solve(y, tables)
+        for _ in range(RESTARTS):
+            again, lower = self.solve(y, tables)
+            if not lower < loss * (1 - RESTART_GAIN):
+                break
+            y, loss = again, lower
+        return y, loss
 
     def solve(self, y0: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
         """SLSQP from y0 with the conditions at given wave vectors; returns y and the loss there.
@@ -192,13 +209,14 @@ class _Problem:
         return np.concatenate(values), np.concatenate(slopes)
 
     def _departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """μ, κ and C44 of every lattice less what was asked for, and its derivative to y."""
-        assert self.moduli is not None
-        lam, mu = self.moduli
-        values, slopes = [point.mu - mu, point.kappa - (lam - mu) / mu**2], [point.dmu]
-        slopes.append(np.eye(len(point.dmu))[0])
+        """C44 − μ of every lattice, and μ and κ less what was asked for; derivative to y."""
+        values, slopes = [], []
+        if not isinstance(self.moduli, str) and self.moduli is not None:
+            lam, mu = self.moduli
+            values += [point.mu - mu, point.kappa - (lam - mu) / mu**2]
+            slopes += [point.dmu, np.eye(len(point.dmu))[0]]
         for grid, v, dv in zip(self.grids, point.v, point.dv):
             by_v = [long_wave_moduli(grid.classes, one, 0.0)[2] for one in np.eye(len(v))]
-            values.append(np.dot(by_v, v) - mu)
-            slopes.append(by_v @ dv)
+            values.append(np.dot(by_v, v) - point.mu)
+            slopes.append(by_v @ dv - point.dmu)
         return np.array(values), np.array(slopes)
