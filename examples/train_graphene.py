@@ -20,12 +20,15 @@ sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
 
 import warp_peri
 from examples import graphene_report as report
+from examples import sweep_report
 from warp_peri.dataset import Dataset, PointSet
 from warp_peri.errors import InputError
 from warp_peri.files import write_json
+from warp_peri.sweep import sweep
 from warp_peri.training import METHODS, fit
 
 DATA = ROOT / "data" / "graphene_0K.h5"
+SMOOTHING_RADIUS = 10.0
 OUT = ROOT / "runs" / "graphene_0K"
 
 
@@ -34,7 +37,7 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     seconds: dict[str, float] = {}
     begin = time.perf_counter()
     with phase("data", seconds):
-        path = given.data or make_data(given.jobs)
+        path = given.data or make_data(given.jobs, given.smoothing_radius)
         data = warp_peri.load_dataset(path)
         sets = sets_at(data, given.spacing)
     with phase("learning", seconds):
@@ -79,14 +82,45 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     return numbers
 
 
-def make_data(jobs: int) -> Path:
-    """The data set beside the checkout, made if it is not there."""
-    if not DATA.exists():
+def make_data(jobs: int, smoothing_radius: float) -> Path:
+    """The data set in the checkout, made if it is not there."""
+    path = DATA
+    if smoothing_radius != SMOOTHING_RADIUS:
+        path = DATA.with_name(f"{DATA.stem}_R{smoothing_radius:g}.h5")
+    if not path.exists():
         from tools.make_graphene import make_graphene
 
         print("making graphene data with LAMMPS (once; finished samples are kept)")
-        make_graphene(DATA, jobs=jobs)
-    return DATA
+        cache = DATA.with_suffix(".cache")  # atoms do not depend on the smoothing
+        make_graphene(path, jobs=jobs, cache=cache, smoothing_radius=smoothing_radius)
+    return path
+
+
+def run_sweep(given: argparse.Namespace) -> None:
+    """Algorithm 2: every horizon and degree, and the choice."""
+    path = given.data or make_data(given.jobs, given.smoothing_radius)
+    data = warp_peri.load_dataset(path)
+    sets = sets_at(data, given.spacing)
+    if "val" not in sets:
+        raise InputError("the sweep needs a validation set beside the training set")
+    begin = time.perf_counter()
+    found = sweep(
+        sets["train"],
+        sets["val"],
+        given.out,
+        test=sets.get("test"),
+        conditions=given.conditions,
+        jobs=given.jobs,
+        progress=True,
+    )
+    print(f"{len(found.trials)} fits in {time.perf_counter() - begin:.1f} s")
+    sweep_report.write_sweep(
+        given.out,
+        found,
+        spacing=given.spacing,
+        truth=data.provenance.get("truth"),
+        command=given.command,
+    )
 
 
 def sets_at(data: Dataset, spacing: float) -> dict[str, PointSet]:
@@ -137,12 +171,30 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--conditions", choices=("direct", "paper"), default="direct")
     parser.add_argument("--seed", type=int, default=0, help="of the initial influence function")
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
+    parser.add_argument(
+        "--sweep",
+        action="store_true",
+        help="choose horizon and degree (Algorithm 2); --horizon, --degree, --method do not apply",
+    )
+    parser.add_argument(
+        "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R of made data [Å]"
+    )
     parser.add_argument("--data", type=Path, help="use this HDF5 file instead of making data")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder for the results (default: runs/graphene_0K, or runs/graphene_0K_sweep)",
+    )
     given = parser.parse_args(arguments)
+    given.out = given.out or (OUT.with_name(OUT.name + "_sweep") if given.sweep else OUT)
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/train_graphene.py", *words])
     try:
+        if given.sweep:
+            run_sweep(given)
+            print((given.out / "sweep.md").read_text(encoding="utf-8").split("## All")[0])
+            print(f"everything is in {given.out}/ (start with sweep.md)")
+            return 0
         numbers = run(given)
     except KeyboardInterrupt:
         print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)

@@ -7,7 +7,7 @@ import stat
 import numpy as np
 import pytest
 
-from warp_peri.files import write_json, write_text, whole_file
+from warp_peri.files import whole_file, write_json, write_text
 
 
 def test_a_file_appears_under_its_name_with_common_rights(tmp_path):

@@ -46,6 +46,7 @@ def make_graphene(
     *,
     jobs: int = -1,
     cache: str | os.PathLike[str] | None = None,
+    smoothing_radius: float = SMOOTHING_RADIUS,
     progress: bool = True,
 ) -> Path:
     """Make the data set: training and validation loads on a sheet, test loads on a disk.
@@ -59,6 +60,7 @@ def make_graphene(
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
             chooses another backend.
         cache: folder of finished samples; by default beside `path`, with the suffix .cache.
+        smoothing_radius: R of the coarse graining [Å].
         progress: show a bar on stderr.
 
     Returns:
@@ -88,7 +90,9 @@ def make_graphene(
             ("val", sheet, VALIDATION, validation),
             ("test", disk, TEST, samples[disk]),
         ):
-            sets[name + suffix] = point_set(body, loads, group, spacing=spacing)
+            sets[name + suffix] = point_set(
+                body, loads, group, spacing=spacing, radius=smoothing_radius
+            )
     provenance = {
         "source": "tools/make_graphene.py",
         "temperature": 0.0,
@@ -102,10 +106,12 @@ def make_graphene(
         "truth": elastic_constants(bond, potential=potential),
         "smoothing": {
             "shape": "cone",
-            "radius": SMOOTHING_RADIUS,
+            "radius": smoothing_radius,
             "normalisation": "infinite lattice",
         },
-        "u_change_cone_to_paraboloid": shape_change(sets["train"], sheet, training),
+        "u_change_cone_to_paraboloid": shape_change(
+            sets["train"], sheet, training, smoothing_radius
+        ),
     }
     density = CARBON_MASS * AMU_IN_KG / (area_per_atom(bond) * THICKNESS * 1e-30)
     save_dataset(path, Dataset(sets, THICKNESS, density, provenance))
@@ -162,6 +168,7 @@ def point_set(
     *,
     spacing: float,
     shape: str = "cone",
+    radius: float = SMOOTHING_RADIUS,
     shift: tuple[float, float] = (0.0, 0.0),
 ) -> PointSet:
     """Samples of one body, smoothed to a lattice of nodes.
@@ -172,20 +179,21 @@ def point_set(
         samples: at least one.
         spacing: of the nodes [Å].
         shape: of the smoothing function, "cone" or "paraboloid".
+        radius: of the smoothing function [Å].
         shift: where the middle node lies, seen from the body's origin [Å].
     """
     count = int(REACH / spacing)
     line = spacing * np.arange(-count, count + 1)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     if body.box is None:
-        radius = np.linalg.norm(x, axis=1)
-        x, interior = x[radius <= REACH], radius[radius <= REACH] < INTERIOR
+        distance = np.linalg.norm(x, axis=1)
+        x, interior = x[distance <= REACH], distance[distance <= REACH] < INTERIOR
     else:
         interior = (np.abs(x) <= INTERIOR).all(axis=1)
     omega = smoothing_matrix(
         samples[0].reference,
         x + shift,
-        radius=SMOOTHING_RADIUS,
+        radius=radius,
         shape=shape,
         box=body.box,
         spacing=spacing,
@@ -207,13 +215,17 @@ def point_set(
     return PointSet(x=x + shift, u=u, b=b, interior=interior, spacing=spacing, samples=record)
 
 
-def shape_change(cone: PointSet, body: Body, samples: Sequence[Sample]) -> dict[str, float]:
+def shape_change(
+    cone: PointSet, body: Body, samples: Sequence[Sample], radius: float
+) -> dict[str, float]:
     """Relative ℓ2 change of u on the interior when a paraboloid takes the place of the cone.
 
     The paraboloid is a little wider, so that the change grows as |k|²: the paper's 0.3 % is that
     of the longest waves.
     """
-    other = point_set(body, TRAINING, samples, spacing=cone.spacing, shape="paraboloid")
+    other = point_set(
+        body, TRAINING, samples, spacing=cone.spacing, shape="paraboloid", radius=radius
+    )
     inside = cone.interior
     change = np.linalg.norm((other.u - cone.u)[:, inside], axis=(1, 2))
     change /= np.linalg.norm(cone.u[:, inside], axis=(1, 2))
@@ -261,6 +273,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--cache", type=Path, metavar="FOLDER", help="finished samples (default: beside FILE)"
     )
+    parser.add_argument(
+        "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R [Å] (default: 10)"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     if given.jobs == 0 or given.jobs < -1:
@@ -268,7 +283,11 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = _short_warning
     try:
         path = make_graphene(
-            given.out, jobs=given.jobs, cache=given.cache, progress=not given.quiet
+            given.out,
+            jobs=given.jobs,
+            cache=given.cache,
+            smoothing_radius=given.smoothing_radius,
+            progress=not given.quiet,
         )
     except KeyboardInterrupt:
         print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)

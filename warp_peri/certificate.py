@@ -10,6 +10,7 @@ from scipy.linalg import eigh, eigvalsh
 
 from warp_peri.conditions import Conditions, ZoneSearch
 from warp_peri.dataset import PointSet
+from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
@@ -85,8 +86,13 @@ def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> 
         points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
             interior nodes, Φ with the dilatation of interior nodes only.
 
-    Raises InputError when the horizon is below one spacing or the points do not carry it.
+    Raises InputError when the horizon is below one spacing, or the points have another spacing or
+    do not carry the horizon.
     """
+    if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
+        raise InputError(
+            f"spacing: expected that of the points, {points.spacing:g} Å, got {spacing:g}"
+        )
     classes = bond_classes(spacing, model.horizon)
     v, z, kappa = stiffnesses(model, classes)
     zeta = 1.0  # any level; the search is for the smallest ratio

@@ -15,7 +15,7 @@ import numpy as np
 
 from warp_peri.families import BondClasses
 from warp_peri.influence import bernstein_basis
-from warp_peri.two_stage import Parameters
+from warp_peri.parameters import Parameters
 
 RANK_TOLERANCE = 1e-11
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,11 @@ def matrices(model: Model, points: PointSet) -> Matrices:
         for D in (model.D, model.dilatation)
         for table in sweeps.influence(alpha, as_float(D), gradient=False)
     ]
+    return assemble(sweeps, points, tables)
+
+
+def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array]) -> Matrices:
+    """Assemble from given tables: K W by class and m by node, deviatoric, then dilatational."""
     edges = len(sweeps.families.neighbour)
     gamma = sweeps.zeros(edges, dtype=wp.mat22d)
     phi = sweeps.zeros(edges, dtype=wp.vec2d)

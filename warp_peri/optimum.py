@@ -14,9 +14,9 @@ from scipy.optimize import minimize
 
 from warp_peri.conditions import Conditions, ZoneSearch
 from warp_peri.coordinates import Coordinates, Point
+from warp_peri.parameters import LARGEST_ALPHA, Parameters
 from warp_peri.reduced import ReducedLoss
 from warp_peri.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
-from warp_peri.two_stage import LARGEST_ALPHA, Parameters
 
 FIRST_CUTS = 12
 """Intervals of the zone grid that the first fit keeps the conditions on."""
@@ -29,7 +29,7 @@ SEARCH_TOLERANCE = 1e-9
 """Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
 SMALLEST_ALPHA = -6.0
 ISOTROPIC = "isotropic"
-SMOOTHNESS = 3e-9
+SMOOTHNESS = 1e-10
 """Weight of the second differences of D beside the relative residual. It costs an ordinary fit
 nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
 

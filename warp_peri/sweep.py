@@ -27,6 +27,7 @@ HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""
+TIE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,8 @@ def choose(trials: list[Trial]) -> Sweep:
     ]
     base = by_degree[0]
     average = [_average(trial, base) for trial in by_degree]
-    printed = by_degree[int(np.argmin(average))]
+    # Averages equal to three digits are one optimum: the lowest degree is kept.
+    printed = by_degree[next(i for i, a in enumerate(average) if a <= min(average) * (1 + TIE))]
     bound = (1 + COST_TOLERANCE) * min(_average(trial, base) for trial in trials)
     good = [trial for trial in trials if _average(trial, base) <= bound]
     cheapest = min(good, key=lambda trial: (trial.bonds, trial.degree))

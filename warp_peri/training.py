@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import os
 import platform
 import time
 from collections.abc import Callable, Sequence
@@ -16,17 +18,21 @@ import torch
 from tqdm import tqdm
 
 from warp_peri.certificate import Certificate, certify
+from warp_peri.checkpoint import Checkpoint
 from warp_peri.conditions import Conditions
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.full_loss import FullLoss, sample_weights
+from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
 from warp_peri.optimum import ISOTROPIC, constrained_optimum
+from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
 from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.symbol import moduli as moduli_of
-from warp_peri.two_stage import Parameters, Variables, positive_stage, sign_changing_stage
+from warp_peri.two_stage import positive_stage, sign_changing_stage
 
 METHODS = ("constrained", "two-stage", "optimum")
+CONSTRAINTS = ("symbol", "dense")
 AGREEMENT = 1e-10
 """Reduced and full loss must agree to this, relative; their gradients to this times the
 gradient's norm at the start."""
@@ -85,6 +91,9 @@ def fit(
     normalise: bool = False,
     two_functions: bool = False,
     moduli: tuple[float, float] | str | None = None,
+    parametrisation: str = "projected",
+    constraints: str = "symbol",
+    checkpoint: str | os.PathLike[str] | None = None,
     seed: int = 0,
     jobs: int = 1,
     progress: bool = False,
@@ -105,17 +114,32 @@ def fit(
         moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
             the moduli of the discrete operator); "isotropic" holds that condition and learns λ
             and μ; None learns them freely. Not with "two-stage".
+        parametrisation: of stages 1 and 2, "projected" or, as printed, "relu"; see Variables.
+        constraints: of stage 2, "symbol" (over the zone) or, as printed and far slower, "dense"
+            (eigenvalues on the training domain).
+        checkpoint: file that stage 2 keeps its state in and goes on from.
         seed: of the initial D of stage 1.
         jobs: threads for the starts of stage 3.
         progress: show a progress bar for each stage.
 
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
-    from the full one.
+    from the full one or no start of stage 3 ends with the conditions kept.
     """
     if method not in METHODS:
         raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     if not (isinstance(degree, (int, np.integer)) and degree >= 0):
         raise InputError(f"degree: expected a whole number ≥ 0, got {degree!r}")
+    if not (isinstance(seed, (int, np.integer)) and seed >= 0):
+        raise InputError(f"seed: expected a whole number ≥ 0, got {seed!r}")
+    if parametrisation not in PARAMETRISATIONS:
+        raise InputError(
+            f"parametrisation: expected one of {', '.join(PARAMETRISATIONS)}, "
+            f"got {parametrisation!r}"
+        )
+    if constraints not in CONSTRAINTS:
+        raise InputError(
+            f"constraints: expected one of {', '.join(CONSTRAINTS)}, got {constraints!r}"
+        )
     if moduli is not None:
         if method == "two-stage":
             raise InputError("moduli: the two-stage method cannot hold them")
@@ -157,9 +181,26 @@ def fit(
     oracle.check(rough)
     starts: dict[str, Parameters] = {}
     if method != "optimum":
-        first = stage("1 positive", lambda tick: positive_stage(grids, rough, tick=tick))
+        margins = DenseMargins(sets, horizon) if constraints == "dense" else SymbolMargins(asked)
+        kept_in = None
+        if checkpoint is not None:
+            settings = (horizon, degree, conditions, zeta, normalise, two_functions, seed)
+            key = _key(sets, *settings, parametrisation, constraints)
+            kept_in = Checkpoint(checkpoint, key)
+        first = stage(
+            "1 positive",
+            lambda tick: positive_stage(grids, rough, parametrisation=parametrisation, tick=tick),
+        )
         final = second = stage(
-            "2 sign-changing", lambda tick: sign_changing_stage(grids, first, asked, tick=tick)
+            "2 sign-changing",
+            lambda tick: sign_changing_stage(
+                grids,
+                first,
+                margins,
+                parametrisation=parametrisation,
+                checkpoint=kept_in,
+                tick=tick,
+            ),
         )
         starts = {"stage 2": second, "stage 1": first}
     reached: dict[str, float] = {}
@@ -209,6 +250,15 @@ def fit(
     return Fit(model, certificates, [moduli_of(model, g.classes) for g in grids], history, reached)
 
 
+def _key(sets: Sequence[PointSet], *settings: object) -> str:
+    """Hash of the training data and settings."""
+    digest = hashlib.sha256(repr(settings).encode())
+    for points in sets:
+        for values in (points.x, points.interior, points.u, points.b):
+            digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
 def _numbers(at: Parameters) -> tuple[Any, ...]:
     """What lps_force takes after u."""
     own = () if at.D_dilatation is None else (at.D_dilatation,)
@@ -224,7 +274,7 @@ class _Oracle:
 
     def check(self, at: Parameters) -> None:
         """Compare at one point; the first one sets the size of the gradient."""
-        variables = Variables(at, positive=False)
+        variables = Variables(at, positive=False, parametrisation="projected")
         results = []
         for loss in (
             variables.loss(self.grids)[0],
