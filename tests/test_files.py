@@ -37,12 +37,9 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, error, exists):
     if exists:
         path.write_text("old")
 
-    def write():
-        with whole_file(path) as temporary:
-            temporary.write_text("half of it")
-            raise error
-
-    pytest.raises(type(error), write)
+    with pytest.raises(type(error)), whole_file(path) as temporary:
+        temporary.write_text("half of it")
+        raise error
     assert [file.read_text() for file in tmp_path.iterdir()] == ["old"] * exists
 
 

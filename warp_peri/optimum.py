@@ -21,6 +21,8 @@ from warp_peri.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 FIRST_CUTS = 12
 """Intervals of the zone grid that the first fit keeps the conditions on."""
 ROUNDS = 40
+LOSS_TOLERANCE = 1e-14
+"""Changes of the loss that SLSQP takes for none; losses are relative to the loads."""
 RESTARTS, RESTART_GAIN = 10, 1e-6
 """SLSQP is begun again at most so often, while its loss falls by more than this, relative."""
 HEADROOM = 1.01
@@ -115,7 +117,7 @@ class _Problem:
         y, loss = self.solve(y, tables)
         for _ in range(RESTARTS):
             again, lower = self.solve(y, tables)
-            if not lower < loss * (1 - RESTART_GAIN):
+            if not lower < loss * (1 - RESTART_GAIN) - LOSS_TOLERANCE:
                 break
             y, loss = again, lower
         return y, loss
@@ -158,7 +160,7 @@ class _Problem:
             jac=True,
             method="SLSQP",
             constraints=constraints,
-            options={"maxiter": 500, "ftol": 1e-14},
+            options={"maxiter": 500, "ftol": LOSS_TOLERANCE},
         )
         y = y0 + scaling @ result.x
         e, _ = self._residual(y)
