@@ -37,9 +37,13 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, error, exists):
     if exists:
         path.write_text("old")
 
-    with pytest.raises(type(error)), whole_file(path) as temporary:
-        temporary.write_text("half of it")
-        raise error
+    def write():
+        with whole_file(path) as temporary:
+            temporary.write_text("half of it")
+            raise error
+
+    with pytest.raises(type(error)):
+        write()
     assert [file.read_text() for file in tmp_path.iterdir()] == ["old"] * exists
 
 

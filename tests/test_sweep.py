@@ -1,83 +1,82 @@
-"""Algorithm 2: a sweep over horizon and degree."""
+"""Algorithm 2: choices among trials, and a sweep that resumes."""
 
-import json
-from dataclasses import replace
+import dataclasses
 
-import numpy as np
 import pytest
 
 from tests.problems import kernel, lattice, manufactured
-from warp_peri import InputError, evaluate, load_model
-from warp_peri.sweep import Trial, choose, sweep
-
-TRUE = kernel("positive", 2.5)
+from warp_peri import InputError, sweep
+from warp_peri.sweep import Trial, choose
 
 
-def trial(horizon, degree, bonds, *errors):
-    names = ("E_res_train", "E_u_train", "E_res_val", "E_u_val")
-    rest = {"E_u_test": None, "lam": 0.0, "mu": 1.0, "alpha": 1.0, "symbol_bound": 0.1}
-    return Trial(horizon, degree, bonds, **dict(zip(names, errors)), **rest, model="m.json")
+def trial(horizon, degree, *errors, bonds=20):
+    return Trial(horizon, degree, bonds, *errors, None, -0.2, 0.7, 1.0, 0.01, "m.json")
 
 
-def test_choices_are_those_of_the_algorithm():
+def test_horizons_are_chosen_by_training_residual_and_degrees_by_the_average():
+    base = trial(10, 0, 0.4, 0.4, 0.4, 0.4)
     trials = [
-        trial(2.0, 0, 12, 0.4, 0.4, 0.4, 0.4),
-        trial(3.0, 0, 28, 0.2, 0.2, 0.2, 0.2),  # base: smallest E_res_train of degree 0
-        trial(2.0, 5, 12, 0.11, 0.11, 0.10, 0.10),
-        trial(3.0, 5, 28, 0.10, 0.10, 0.12, 0.08),  # AvgE 0.5
-        trial(2.0, 9, 12, 0.30, 0.30, 0.30, 0.30),
-        trial(3.0, 9, 28, 0.09, 0.13, 0.12, 0.12),
+        base,
+        trial(20, 0, 0.5, 0.1, 0.1, 0.1),  # better but for E_res_train
+        trial(10, 5, 0.1, 0.2, 0.2, 0.2),
+        trial(20, 5, 0.2, 0.1, 0.1, 0.1),
+        trial(10, 9, 0.1, 0.3, 0.3, 0.3),
     ]
     found = choose(trials)
-    assert [(t.horizon, t.degree) for t in found.by_degree] == [(3.0, 0), (3.0, 5), (3.0, 9)]
-    assert found.average == pytest.approx([1.0, 0.5, 0.575])
-    assert found.printed == trials[3]
-    assert found.cheapest == trials[2]  # 12 bonds, AvgE 0.525
+    assert [t.horizon for t in found.by_degree] == [10, 10, 10]
+    assert found.average == pytest.approx([1.0, (0.25 + 3 * 0.5) / 4, (0.25 + 3 * 0.75) / 4])
+    assert (found.printed.horizon, found.printed.degree) == (10, 5)
 
 
-@pytest.fixture(scope="module")
+def test_equal_averages_choose_the_lower_degree():
+    trials = [trial(10, M, *4 * [error]) for M, error in ((0, 1.0), (5, 0.20001), (9, 0.2))]
+    assert choose(trials).printed.degree == 5
+
+
+def test_the_cheapest_good_one_has_the_fewest_bonds():
+    trials = [
+        trial(10, 0, *4 * [1.0], bonds=12),
+        trial(20, 5, *4 * [0.109], bonds=48),
+        trial(25, 5, *4 * [0.100], bonds=80),
+        trial(15, 5, *4 * [0.120], bonds=28),
+    ]
+    assert choose(trials).cheapest.bonds == 48
+
+
+@pytest.fixture
 def sets():
-    """Training and validation samples."""
-    points = manufactured(TRUE, lattice(5, 2.5), 6, wave_number=2.0)
-    return [replace(points, u=points.u[some], b=points.b[some]) for some in (slice(4), slice(4, 6))]
+    model = kernel("positive", 2.5, lam=-0.2)
+    return [manufactured(model, lattice(5, 3.0), 5, seed=seed) for seed in (0, 1)]
 
 
-def test_a_sweep_goes_on_where_it_was(sets, tmp_path, monkeypatch):
-    choice = {"horizons": (2.0, 2.5), "degrees": (0, 3), "jobs": 1}
-    first = sweep(*sets, tmp_path, test=sets[1], **choice)
-    assert len(first.trials) == 4
-    best = min(first.trials, key=lambda one: one.E_res_train)
-    assert (best.horizon, best.degree) == (2.5, 3)
-    model = load_model(tmp_path / best.model)
-    assert best.E_res_val == pytest.approx(evaluate(model, sets[1])["E_res"])
-    assert best.E_u_test == best.E_u_val
-    files = {file: file.read_bytes() for file in tmp_path.iterdir()}
-    assert len(files) == 8
+def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path, monkeypatch):
+    train, val = sets
+    options = {"horizons": (2.0, 2.5), "degrees": (0, 3), "jobs": 1}
+    found = sweep(train, val, tmp_path, test=val, **options)
+    assert len(found.trials) == 4
+    assert (found.printed.horizon, found.printed.degree) == (2.5, 3)
+    assert found.printed.E_u_test == pytest.approx(found.printed.E_u_val)
+    files = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
 
-    fits = []
-    original = sweep.__globals__["fit"]
-    monkeypatch.setitem(
-        sweep.__globals__, "fit", lambda *a, **k: fits.append(k["degree"]) or original(*a, **k)
+    broken = next(
+        file for file in files if file.name.startswith("d2_M3") and "model" not in file.name
     )
-    assert sweep(*sets, tmp_path, test=sets[1], **choice) == first
-    assert fits == []
-    next(iter(tmp_path.glob("d2_M3_*.model.json"))).unlink()
-    again = sweep(*sets, tmp_path, test=sets[1], **choice)
-    assert fits == [3]
-    assert again == first
-    other = replace(sets[1], b=2 * sets[1].b)
-    sweep(sets[0], other, tmp_path, horizons=(2.0,), degrees=(0,), jobs=1)
-    assert fits == [3, 0]
+    broken.write_text("{")
+    again = sweep(train, val, tmp_path, test=val, **options)
+    assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in found.trials]
+    made = {file for file in files if file.stat().st_mtime_ns != files[file]}
+    assert {file.name.split("_")[0] + file.name.split("_")[1] for file in made} == {"d2M3"}
 
 
-def test_records_are_plain_json(sets, tmp_path):
-    sweep(*sets, tmp_path, horizons=(2.0,), degrees=(0,), jobs=1)
-    (record,) = (file for file in tmp_path.iterdir() if "model" not in file.name)
-    content = json.loads(record.read_text())
-    assert content["bonds"] == 12
-    assert np.isfinite([content[key] for key in ("lam", "mu", "E_u_val")]).all()
+def test_other_data_are_not_taken_for_finished(sets, tmp_path):
+    train, val = sets
+    options = {"horizons": (2.0,), "degrees": (0,), "jobs": 1}
+    first = sweep(train, val, tmp_path, **options)
+    louder = dataclasses.replace(train, b=1.1 * train.b)
+    second = sweep(louder, val, tmp_path, **options)
+    assert second.trials[0].mu == pytest.approx(1.1 * first.trials[0].mu, rel=1e-6)
 
 
-def test_nothing_to_sweep_is_refused(sets, tmp_path):
-    with pytest.raises(InputError, match="at least one horizon and one degree"):
-        sweep(*sets, tmp_path, degrees=())
+def test_an_empty_sweep_is_refused(sets, tmp_path):
+    with pytest.raises(InputError, match="at least one horizon"):
+        sweep(*sets, tmp_path, horizons=())

@@ -7,6 +7,7 @@ from warp_peri.errors import InputError
 from warp_peri.model import Model, load_model
 from warp_peri.operator import LPSOperator
 from warp_peri.solve import solve, solve_periodic
+from warp_peri.sweep import Sweep, sweep
 from warp_peri.training import Fit, fit
 from warp_peri.validation import evaluate
 
@@ -20,6 +21,7 @@ __all__ = [
     "LPSOperator",
     "Model",
     "PointSet",
+    "Sweep",
     "certify",
     "coarse_grain",
     "evaluate",
@@ -30,4 +32,5 @@ __all__ = [
     "smoothing_matrix",
     "solve",
     "solve_periodic",
+    "sweep",
 ]
