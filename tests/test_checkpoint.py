@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
 from tests.problems import kernel, lattice, manufactured
 from warp_peri import InputError, fit, two_stage
 from warp_peri.checkpoint import Checkpoint
+from warp_peri.full_loss import sample_weights
+from warp_peri.parameters import Parameters
+from warp_peri.reduced import reduce
 
 
 @pytest.fixture
@@ -69,3 +73,27 @@ def test_a_broken_checkpoint_is_named(points, tmp_path):
     path.write_bytes(b"PK\x03\x04 half of it")
     with pytest.raises(InputError, match="state.npz: not a readable checkpoint"):
         run(points, path)
+
+
+class _Fixed:
+    """One condition with a margin that nothing changes."""
+
+    count = 1
+
+    def __call__(self, lam, mu, weights):
+        return torch.tensor([0.5], dtype=torch.float64)
+
+
+def test_the_multiplier_climbs_with_the_violation(points, tmp_path, monkeypatch):
+    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 0)
+    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 1)
+    weight = sample_weights([points], normalise=False)[0]
+    kept = Checkpoint(tmp_path / "state.npz", "key")
+    start = Parameters(-0.1, 0.7, 1.0, np.ones(2))
+    two_stage.sign_changing_stage(
+        [reduce(points, 2.5, weight)], start, _Fixed(), checkpoint=kept, tick=lambda loss: None
+    )
+    *_, slack, multiplier, previous = kept.load().tensors
+    assert slack == 1.0
+    assert multiplier == 1.0 * (0.5 - slack**2)  # φ ← φ + ψ H, H = margin − ϖ²
+    assert previous == 0.5

@@ -39,6 +39,7 @@ def test_the_cheapest_good_one_has_the_fewest_bonds():
         trial(20, 5, *4 * [0.109], bonds=48),
         trial(25, 5, *4 * [0.100], bonds=80),
         trial(15, 5, *4 * [0.120], bonds=28),
+        trial(30, 3, *4 * [0.104], bonds=112),
     ]
     assert choose(trials).cheapest.bonds == 48
 

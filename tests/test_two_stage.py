@@ -1,11 +1,11 @@
-"""The margins that stage 2 sees, and the checkpoint it goes on from."""
+"""The margins that stage 2 sees, and where it goes."""
 
 import numpy as np
 import pytest
 import torch
 
 from tests.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
-from warp_peri import InputError, certify, fit, two_stage
+from warp_peri import certify, fit, two_stage
 from warp_peri.conditions import Conditions, ZoneSearch
 from warp_peri.families import bond_classes
 from warp_peri.margins import DENSE_ZETA, DenseMargins, SymbolMargins
@@ -66,41 +66,6 @@ def test_symbol_margins_are_the_smallest_of_the_zone():
     smallest, _ = ZoneSearch(conditions).worst(*stiffnesses(model, CLASSES))
     np.testing.assert_allclose(found, smallest, atol=2e-3)
     assert (found >= smallest - 1e-12).all()
-
-
-@pytest.fixture
-def learn(monkeypatch, tmp_path):
-    """A short two-stage fit with a checkpoint."""
-    monkeypatch.setattr(two_stage, "EPOCHS", 100)
-    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 30)
-    points = manufactured(kernel("sign-changing", HORIZON), lattice(5, HORIZON), 4)
-    given = {"horizon": HORIZON, "degree": 3, "method": "two-stage", "conditions": "paper"}
-
-    def run(iterations, **change):
-        monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", iterations)
-        return fit(points, **{**given, "checkpoint": tmp_path / "stage2.npz", **change})
-
-    return run
-
-
-def test_a_run_that_goes_on_gives_the_same_bits(learn, tmp_path):
-    whole = learn(4, checkpoint=None)
-    assert list(tmp_path.iterdir()) == []
-    learn(2)
-    resumed = learn(4)
-    assert resumed.history[1].loss == whole.history[1].loss
-    assert np.array_equal(resumed.model.D, whole.model.D)
-    assert [file.name for file in tmp_path.iterdir()] == ["stage2.npz"]
-
-
-def test_a_checkpoint_of_another_run_is_refused(learn, tmp_path):
-    learn(1)
-    with pytest.raises(InputError, match="stage2.npz: .* other data or settings"):
-        learn(1, seed=5)
-    whole = (tmp_path / "stage2.npz").read_bytes()
-    (tmp_path / "stage2.npz").write_bytes(whole[:200])
-    with pytest.raises(InputError, match="stage2.npz: not a readable checkpoint"):
-        learn(1)
 
 
 def test_stage_two_moves_a_violating_start_towards_the_conditions(monkeypatch):
