@@ -2,15 +2,22 @@
 
 import warp as wp
 
+from warp_peri.kernels.bonds import bonds
+
+_of = bonds(wp.float64)
+bond_class_of, bond_vector, box_type = _of.bond_class_of, _of.bond_vector, _of.box
+
 
 @wp.kernel
 def class_dilatation(
     nodes: wp.array(dtype=wp.int32),
+    lattice: wp.int32,
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
-    bond: wp.array(dtype=wp.int32),
     bond_class: wp.array(dtype=wp.int32),
-    xi: wp.array(dtype=wp.vec2d),
+    pattern: wp.array(dtype=wp.vec2d),
+    x: wp.array(dtype=wp.vec2d),
+    box: box_type,
     u: wp.array2d(dtype=wp.vec2d),
     theta: wp.array3d(dtype=wp.float64),
 ):
@@ -18,20 +25,24 @@ def class_dilatation(
     s, t = wp.tid()
     i = nodes[t]
     for e in range(row[i], row[i + 1]):
-        p = bond[e]
-        c = bond_class[p]
-        part = wp.float64(2.0) * wp.dot(xi[p], u[s, neighbour[e]] - u[s, i])
+        j = neighbour[e]
+        p = e - lattice * row[i]
+        c = bond_class_of(lattice, bond_class, p)
+        xi = bond_vector(lattice, pattern, p, x, i, j, box)
+        part = wp.float64(2.0) * wp.dot(xi, u[s, j] - u[s, i])
         theta[s, i, c] = theta[s, i, c] + part
 
 
 @wp.kernel
 def class_force(
     nodes: wp.array(dtype=wp.int32),
+    lattice: wp.int32,
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
-    bond: wp.array(dtype=wp.int32),
     bond_class: wp.array(dtype=wp.int32),
-    xi: wp.array(dtype=wp.vec2d),
+    pattern: wp.array(dtype=wp.vec2d),
+    x: wp.array(dtype=wp.vec2d),
+    box: box_type,
     column: wp.array2d(dtype=wp.int32),
     u: wp.array2d(dtype=wp.vec2d),
     theta: wp.array3d(dtype=wp.float64),
@@ -44,12 +55,13 @@ def class_force(
     s, t = wp.tid()
     i = nodes[t]
     for e in range(row[i], row[i + 1]):
-        p = bond[e]
-        c = bond_class[p]
         j = neighbour[e]
-        stretch = wp.dot(xi[p], u[s, j] - u[s, i]) / wp.dot(xi[p], xi[p])
-        features[s, t, c] = features[s, t, c] - wp.float64(16.0) * stretch * xi[p]
+        p = e - lattice * row[i]
+        c = bond_class_of(lattice, bond_class, p)
+        xi = bond_vector(lattice, pattern, p, x, i, j, box)
+        stretch = wp.dot(xi, u[s, j] - u[s, i]) / wp.dot(xi, xi)
+        features[s, t, c] = features[s, t, c] - wp.float64(16.0) * stretch * xi
         for d in range(theta.shape[2]):
             f = column[c, d]
             both = theta[s, i, d] + theta[s, j, d]
-            features[s, t, f] = features[s, t, f] - wp.float64(2.0) * both * xi[p]
+            features[s, t, f] = features[s, t, f] - wp.float64(2.0) * both * xi

@@ -1,108 +1,207 @@
-"""The linear peridynamic solid, top to bottom: influence → weighted volume → dilatation → force.
+"""The linear peridynamic solid, top to bottom: weighted volume → dilatation → force.
 
-Equation numbers are those of docs/theory.md. The deviatoric part reads the table kw and its
-weighted volume m, the dilatation kd and md; with one influence function they are the same arrays.
-Bond e of
-node i runs from row[i] to row[i + 1]; bond[e] is its number in the family pattern, which gives its
-vector ξ and its class.
+Equation numbers are those of docs/theory.md; bonds.py says what a bond is. The deviatoric part
+reads the table kw of K W by class and its weighted volume m, the dilatation kd and md; with one
+influence function they are the same arrays.
 
 Warp's adjoint loses derivatives to factors applied to a sum after a dynamic loop, so factors are
 hoisted into the loop.
 """
 
+from functools import cache
+from types import SimpleNamespace
+
 import warp as wp
 
-
-@wp.kernel
-def influence(
-    r: wp.array(dtype=wp.float64),
-    weight: wp.array(dtype=wp.float64),
-    bernstein: wp.array2d(dtype=wp.float64),
-    alpha: wp.array(dtype=wp.float64),
-    D: wp.array(dtype=wp.float64),
-    kw: wp.array(dtype=wp.float64),
-):
-    """K(r) W of each bond class, (4): K = r^(−α) Σ_k D_k B_k,M(r/δ)."""
-    c = wp.tid()
-    scale = weight[c] * wp.pow(r[c], -alpha[0])
-    total = wp.float64(0.0)
-    for k in range(D.shape[0]):
-        total += scale * D[k] * bernstein[c, k]
-    kw[c] = total
+from warp_peri.kernels.bonds import bonds
 
 
-@wp.kernel
-def weighted_volume(
-    nodes: wp.array(dtype=wp.int32),
-    row: wp.array(dtype=wp.int32),
-    bond: wp.array(dtype=wp.int32),
-    bond_class: wp.array(dtype=wp.int32),
-    r: wp.array(dtype=wp.float64),
-    kw: wp.array(dtype=wp.float64),
-    m: wp.array(dtype=wp.float64),
-):
-    """m_i = Σ_j K r² W, (5)."""
-    i = nodes[wp.tid()]
-    total = wp.float64(0.0)
-    for e in range(row[i], row[i + 1]):
-        c = bond_class[bond[e]]
-        total += kw[c] * r[c] * r[c]
-    m[i] = total
+@cache
+def sweeps(scalar):
+    """The kernels in one precision."""
+    of = bonds(scalar)
+    vec, mat, box_type = of.vec, of.mat, of.box
+    bond_class_of, bond_vector = of.bond_class_of, of.bond_vector
 
+    @wp.kernel
+    def weighted_volume(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
+        row: wp.array(dtype=wp.int32),
+        bond_class: wp.array(dtype=wp.int32),
+        r: wp.array(dtype=scalar),
+        kw: wp.array(dtype=scalar),
+        m: wp.array(dtype=scalar),
+    ):
+        """m_i = Σ_j K r² W over the whole ball, broken bonds included, (5)."""
+        i = nodes[first + wp.tid()]
+        total = scalar(0.0)
+        for e in range(row[i], row[i + 1]):
+            c = bond_class_of(lattice, bond_class, e - lattice * row[i])
+            total += kw[c] * r[c] * r[c]
+        m[i] = total
 
-@wp.kernel
-def dilatation(
-    nodes: wp.array(dtype=wp.int32),
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    bond: wp.array(dtype=wp.int32),
-    bond_class: wp.array(dtype=wp.int32),
-    xi: wp.array(dtype=wp.vec2d),
-    kd: wp.array(dtype=wp.float64),
-    md: wp.array(dtype=wp.float64),
-    u: wp.array2d(dtype=wp.vec2d),
-    theta: wp.array2d(dtype=wp.float64),
-):
-    """θ_i = (2/m_i) Σ_j K ξ·(u_j − u_i) W, (6)."""
-    s, t = wp.tid()
-    i = nodes[t]
-    factor = wp.float64(2.0) / md[i]
-    total = wp.float64(0.0)
-    for e in range(row[i], row[i + 1]):
-        p = bond[e]
-        total += factor * kd[bond_class[p]] * wp.dot(xi[p], u[s, neighbour[e]] - u[s, i])
-    theta[s, i] = total
+    @wp.kernel
+    def dilatation(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        bond_class: wp.array(dtype=wp.int32),
+        pattern: wp.array(dtype=vec),
+        x: wp.array(dtype=vec),
+        box: box_type,
+        kd: wp.array(dtype=scalar),
+        md: wp.array(dtype=scalar),
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+    ):
+        """θ_i = (2/m_i) Σ_j K ξ·(u_j − u_i) W, (6), where no bond is broken."""
+        s, t = wp.tid()
+        i = nodes[first + t]
+        factor = scalar(2.0) / md[i]
+        total = scalar(0.0)
+        for e in range(row[i], row[i + 1]):
+            j = neighbour[e]
+            p = e - lattice * row[i]
+            xi = bond_vector(lattice, pattern, p, x, i, j, box)
+            k = kd[bond_class_of(lattice, bond_class, p)]
+            total += factor * k * wp.dot(xi, u[s, j] - u[s, i])
+        theta[s, i] = total
 
+    @wp.kernel
+    def surface_shape(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        bond_class: wp.array(dtype=wp.int32),
+        pattern: wp.array(dtype=vec),
+        x: wp.array(dtype=vec),
+        box: box_type,
+        kd: wp.array(dtype=scalar),
+        shape: wp.array(dtype=mat),
+    ):
+        """S_i = Σ_j K ξ⊗ξ W over the unbroken bonds, (40)."""
+        i = nodes[first + wp.tid()]
+        total = mat()
+        for e in range(row[i], row[i + 1]):
+            j = neighbour[e]
+            if j >= 0:
+                p = e - lattice * row[i]
+                xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                k = kd[bond_class_of(lattice, bond_class, p)]
+                total += k * wp.outer(xi, xi)
+        shape[i] = total
 
-@wp.kernel
-def force(
-    nodes: wp.array(dtype=wp.int32),
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    bond: wp.array(dtype=wp.int32),
-    bond_class: wp.array(dtype=wp.int32),
-    xi: wp.array(dtype=wp.vec2d),
-    kw: wp.array(dtype=wp.float64),
-    m: wp.array(dtype=wp.float64),
-    kd: wp.array(dtype=wp.float64),
-    md: wp.array(dtype=wp.float64),
-    lam: wp.array(dtype=wp.float64),
-    mu: wp.array(dtype=wp.float64),
-    u: wp.array2d(dtype=wp.vec2d),
-    theta: wp.array2d(dtype=wp.float64),
-    Lu: wp.array2d(dtype=wp.vec2d),
-):
-    """(L u)_i = −(2/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
-    s, t = wp.tid()
-    i = nodes[t]
-    dilatational = wp.float64(-2.0) * (lam[0] - mu[0]) / md[i]
-    deviatoric = wp.float64(-16.0) * mu[0] / m[i]
-    total = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
-    for e in range(row[i], row[i + 1]):
-        p = bond[e]
-        j = neighbour[e]
-        stretch = wp.dot(xi[p], u[s, j] - u[s, i]) / wp.dot(xi[p], xi[p])
-        c = bond_class[p]
-        density = kd[c] * dilatational * (theta[s, i] + theta[s, j]) + kw[c] * deviatoric * stretch
-        total += density * xi[p]
-    Lu[s, t] = total
+    @wp.kernel
+    def surface_dilatation(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        bond_class: wp.array(dtype=wp.int32),
+        pattern: wp.array(dtype=vec),
+        x: wp.array(dtype=vec),
+        box: box_type,
+        kd: wp.array(dtype=scalar),
+        shape: wp.array(dtype=mat),
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+    ):
+        """θ_i = Σ_j K ξ·S_i⁻¹ (u_j − u_i) W over the unbroken bonds, (41)."""
+        s, t = wp.tid()
+        i = nodes[first + t]
+        correction = wp.inverse(shape[i])
+        total = scalar(0.0)
+        for e in range(row[i], row[i + 1]):
+            j = neighbour[e]
+            if j >= 0:
+                p = e - lattice * row[i]
+                xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                k = kd[bond_class_of(lattice, bond_class, p)]
+                total += k * wp.dot(xi, correction * (u[s, j] - u[s, i]))
+        theta[s, i] = total
+
+    @wp.kernel
+    def force(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        bond_class: wp.array(dtype=wp.int32),
+        pattern: wp.array(dtype=vec),
+        x: wp.array(dtype=vec),
+        box: box_type,
+        kw: wp.array(dtype=scalar),
+        m: wp.array(dtype=scalar),
+        kd: wp.array(dtype=scalar),
+        md: wp.array(dtype=scalar),
+        lam: wp.array(dtype=scalar),
+        mu: wp.array(dtype=scalar),
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+        Lu: wp.array2d(dtype=vec),
+    ):
+        """(L u)_i = −(2/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
+        s, t = wp.tid()
+        i = nodes[first + t]
+        dilatational = scalar(-2.0) * (lam[0] - mu[0]) / md[i]
+        deviatoric = scalar(-16.0) * mu[0] / m[i]
+        total = vec()
+        for e in range(row[i], row[i + 1]):
+            j = neighbour[e]
+            if j >= 0:
+                p = e - lattice * row[i]
+                xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                c = bond_class_of(lattice, bond_class, p)
+                stretch = wp.dot(xi, u[s, j] - u[s, i]) / wp.dot(xi, xi)
+                density = kd[c] * dilatational * (theta[s, i] + theta[s, j])
+                density += kw[c] * deviatoric * stretch
+                total += density * xi
+        Lu[s, first + t] = total
+
+    @wp.kernel
+    def bond_force(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        bond_class: wp.array(dtype=wp.int32),
+        pattern: wp.array(dtype=vec),
+        x: wp.array(dtype=vec),
+        box: box_type,
+        kw: wp.array(dtype=scalar),
+        m: wp.array(dtype=scalar),
+        mu: wp.array(dtype=scalar),
+        u: wp.array2d(dtype=vec),
+        Lu: wp.array2d(dtype=vec),
+    ):
+        """(L u)_i = −(16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (42): λ = μ, no dilatation."""
+        s, t = wp.tid()
+        i = nodes[first + t]
+        deviatoric = scalar(-16.0) * mu[0] / m[i]
+        total = vec()
+        for e in range(row[i], row[i + 1]):
+            j = neighbour[e]
+            if j >= 0:
+                p = e - lattice * row[i]
+                xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                k = kw[bond_class_of(lattice, bond_class, p)] * deviatoric
+                total += k * wp.dot(xi, u[s, j] - u[s, i]) / wp.dot(xi, xi) * xi
+        Lu[s, first + t] = total
+
+    return SimpleNamespace(
+        weighted_volume=weighted_volume,
+        dilatation=dilatation,
+        surface_shape=surface_shape,
+        surface_dilatation=surface_dilatation,
+        force=force,
+        bond_force=bond_force,
+    )

@@ -4,6 +4,7 @@ from warp_peri.certificate import Certificate, certify
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
 from warp_peri.errors import InputError
+from warp_peri.launch import set_threads
 from warp_peri.model import Model, load_model
 from warp_peri.operator import LPSOperator
 from warp_peri.solve import solve, solve_periodic
@@ -29,6 +30,7 @@ __all__ = [
     "load_dataset",
     "load_model",
     "save_dataset",
+    "set_threads",
     "smoothing_matrix",
     "solve",
     "solve_periodic",

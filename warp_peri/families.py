@@ -1,21 +1,26 @@
-"""Families on a square lattice: bonds, bond classes and quadrature weights.
+"""Families of lattices and of scattered points: bonds, bond classes and quadrature weights.
 
 Bonds are stored row by row (CSR). Every bond belongs to a class; the influence function is
-evaluated once per class. On a lattice a class is one symmetry orbit of bonds.
+evaluated once per class. On a lattice a class is one symmetry orbit of bonds; on scattered points
+every bond is its own class.
 """
 
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
-from scipy.spatial import cKDTree
 
+from warp_peri import scattered
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
-from warp_peri.quadrature import quadrature_weights
+from warp_peri.kernels import neighbours as kernels
+from warp_peri.launch import ints, launch_slices, zeros
+from warp_peri.quadrature import DEGREE, quadrature_weights
 
 HORIZON_TOLERANCE = 1e-6
 """The ball is closed: a bond belongs to the family when r ≤ δ (1 + this)."""
@@ -24,6 +29,7 @@ LATTICE_TOLERANCE = 1e-6
 """Largest distance of a node from its lattice position, in spacings."""
 
 COLLAR = "interior nodes need complete families out to twice the horizon"
+BOND_COLLAR = "interior nodes need complete families"
 
 
 @dataclass(frozen=True)
@@ -59,36 +65,57 @@ class BondClasses:
 
 @dataclass(frozen=True)
 class Families:
-    """Families of the nodes of one point set.
+    """Families of the nodes of one point set; see kernels/bonds.py for how bonds are stored.
 
     Attributes:
-        classes: the bond classes.
-        xi: bond vectors ξ of the full family [Å], shape [B, 2].
-        row: first bond of each node, shape [N + 1]; a node without a full family has no bonds.
-        neighbour: node at the far end of each bond, shape [E].
-        bond: which bond of the full family it is, shape [E]; its class and vector follow.
-        inner: nodes whose whole family have full families (where a force is defined), shape [I].
+        row: first bond of each node, shape [N + 1].
+        neighbour: node j at the far end of each bond, shape [E]. Broken bonds hold −1 − j; on a
+            lattice −1 also stands for a node that is not there.
+        reverse: number of the bond from j to i, for each bond of the pattern on a lattice (by
+            number in the pattern, shape [B]), for each bond of scattered points (shape [E]).
+        r: length of each bond class [Å], shape [C] on a lattice; on scattered points every bond is
+            its own class, shape [E].
+        weight: quadrature weight W of each bond class [Å²], same shape; on scattered points zero
+            for bonds of nodes that need none.
+        rows: interior nodes, where forces are evaluated, shape [I].
+        whole: nodes where dilatations are needed and no bond is broken.
+        cut: nodes where dilatations are needed and bonds are broken.
+        pattern: bond vectors ξ of a lattice family [Å], shape [B, 2]; empty for scattered points.
+        lattice: bond classes of the lattice; None for scattered points.
     """
 
-    classes: BondClasses
-    xi: np.ndarray
     row: np.ndarray
     neighbour: np.ndarray
-    bond: np.ndarray
-    inner: np.ndarray
+    reverse: np.ndarray
+    r: np.ndarray
+    weight: np.ndarray
+    rows: np.ndarray
+    whole: np.ndarray
+    cut: np.ndarray
+    pattern: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    lattice: BondClasses | None = None
 
     @property
-    def full(self) -> np.ndarray:
-        """Nodes with a full family (where a dilatation is defined)."""
-        return np.flatnonzero(np.diff(self.row))
+    def classes(self) -> BondClasses:
+        """Bond classes of a lattice; InputError for scattered points, which have none."""
+        if self.lattice is None:
+            raise InputError("points: expected a lattice (spacing > 0), got scattered points")
+        return self.lattice
+
+    @property
+    def bytes_per_bond(self) -> float:
+        """Memory of these arrays [bytes] over the number of bonds."""
+        held = (self.row, self.neighbour, self.reverse, self.r, self.weight, self.pattern)
+        return sum(array.nbytes for array in held) / len(self.neighbour)
 
 
-def bond_classes(spacing: float, horizon: float) -> BondClasses:
+def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> BondClasses:
     """Bonds, orbits and weights of the full family on a square lattice.
 
     Args:
         spacing: lattice spacing h [Å].
         horizon: δ [Å], at least the spacing.
+        degree: of the quadrature.
 
     Raises InputError when the horizon is below one spacing or the weights do not exist.
     """
@@ -108,78 +135,161 @@ def bond_classes(spacing: float, horizon: float) -> BondClasses:
     new = np.ones(len(orbit), bool)
     new[1:] = (orbit[1:] != orbit[:-1]).any(axis=1)
     bond_class = np.cumsum(new) - 1
-    weights = quadrature_weights(spacing * steps, horizon)
+    weights = quadrature_weights(spacing * steps, horizon, degree=degree)
     weight = np.bincount(bond_class, weights) / np.bincount(bond_class)
     r = spacing * np.hypot(*orbit[new].T)
     return BondClasses(float(spacing), float(horizon), steps, bond_class, r, weight)
 
 
-def lattice_families(
-    points: PointSet, horizon: float, *, box: tuple[float, float] | None = None
+def families_of(
+    points: PointSet,
+    horizon: float,
+    *,
+    box: tuple[float, float] | None = None,
+    outside: ArrayLike | None = None,
+    bond_based: bool = False,
+    degree: int = DEGREE,
 ) -> Families:
-    """Families of every node of a square lattice that has a complete one.
+    """Families and quadrature weights of the nodes that a force on the interior needs.
 
     Args:
-        points: a point set with spacing > 0; its lattice may be rotated.
+        points: a lattice (spacing > 0, maybe rotated) or scattered points (spacing 0).
         horizon: δ [Å].
-        box: periods (Lx, Ly) along the axes [Å], whole multiples of the spacing and more than 2δ;
-            None when the set is not periodic.
+        box: periods (Lx, Ly) along the axes [Å], more than 2δ and on a lattice whole multiples of
+            the spacing; None when the set is not periodic.
+        outside: nodes that are not part of the body, shape [N] bool: they complete the balls that
+            the quadrature integrates over, and bonds to them are broken (theory.md, 40–42).
+        bond_based: force on the interior needs no dilatation, so a collar of δ is enough.
+        degree: of the quadrature.
 
-    Raises InputError for scattered points, points off the lattice, duplicate points, a horizon
-    below the spacing, and interior nodes that lack the 2δ collar (with the largest horizon that
-    would fit).
+    Raises InputError for points given twice, isolated points, points off their lattice, a horizon
+    below the spacing, a family without exact weights, and interior nodes that lack the collar;
+    nodes are named by number.
     """
-    h = points.spacing
-    if h == 0:
-        raise InputError("points: expected a lattice (spacing > 0), got scattered points")
-    classes = bond_classes(h, horizon)
+    x, interior = points.x, points.interior
+    grid = None
+    if points.spacing > 0:
+        classes = bond_classes(points.spacing, horizon, degree=degree)
+        grid, axes, table, lacking = _lattice_table(points, classes, box)
+        bonds = len(classes.steps)
+        row = np.arange(len(x) + 1, dtype=np.int64) * bonds
+        neighbour = table.reshape(-1)
+    else:
+        row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), box)
+        scattered.check_points(x, row, neighbour, r)
+        reverse = scattered.reverse_bonds(row, neighbour)
+        lacking = np.zeros(len(x), bool)
+        if box is None:
+            lacking[scattered.cut_balls(x, row, neighbour)] = True
+    if row[-1] >= 2**31:
+        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
+    row = row.astype(np.int32)
+    has_broken = np.zeros(len(x), bool)
+    if outside is not None:
+        outside = np.asarray(outside)
+        if outside.shape != (len(x),) or outside.dtype != bool or (outside & interior).any():
+            raise InputError(
+                f"outside: expected shape [{len(x)}] of bool, true for no interior node, got "
+                f"{outside.dtype} of shape {list(outside.shape)}"
+            )
+        has_broken = _any_neighbour(row, neighbour, outside) & ~outside
+        _break(row, neighbour, outside)
+    needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
+    if (lacking & needed).any():
+        short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
+        short &= interior
+        fits = ""
+        if grid is not None and not bond_based:
+            fits = f"; {_largest_horizon(grid, interior, points.spacing)}"
+        raise InputError(
+            f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short)} of "
+            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} Å{fits} "
+            f"(nodes {scattered.listed(np.flatnonzero(short))})"
+        )
+    nodes = (
+        np.flatnonzero(interior),
+        np.flatnonzero(needed & ~has_broken),
+        np.flatnonzero(needed & has_broken),
+    )
+    if grid is not None:
+        order = np.lexsort(classes.steps.T)
+        opposite = np.empty(len(order), dtype=np.int32)
+        opposite[order] = order[::-1]
+        pattern = classes.xi @ axes.T
+        tables = (classes.r, classes.weight, *nodes, pattern, classes)
+        return Families(row, neighbour, opposite, *tables)
+    ends = np.where(neighbour < 0, -1 - neighbour, neighbour) if outside is not None else neighbour
+    weight = scattered.weights(x, np.flatnonzero(needed), row, ends, box, horizon, degree)
+    return Families(row, neighbour, reverse, r, weight, *nodes)
+
+
+def _lattice_table(
+    points: PointSet, classes: BondClasses, box: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
+    h = classes.spacing
     axes = _axes(points.x, h)
     x = points.x @ axes  # coordinates along the lattice
-    grid = np.rint((x - x[0]) / h).astype(np.int64)
-    if np.abs(x - x[0] - h * grid).max() > LATTICE_TOLERANCE * h:
-        raise InputError(f"points: expected a square lattice of spacing {h} Å")
+    grid = np.rint((x - x[0]) / h).astype(np.int32)
+    off = np.abs(x - x[0] - h * grid).max(axis=1) > LATTICE_TOLERANCE * h
+    if off.any():
+        raise InputError(
+            f"points: expected a square lattice of spacing {h} Å; off it: "
+            f"{scattered.listed(np.flatnonzero(off))}"
+        )
     grid -= grid.min(0)
     reach = int(np.abs(classes.steps).max())
     if box is None:
         size = grid.max(0) + 1 + 2 * reach
-        grid = grid + reach
+        grid += reach
     else:
         if not np.array_equal(axes, np.eye(2)):
             raise InputError("box: expected a lattice along the axes, got a rotated one")
         fits = np.shape(box) == (2,) and np.isfinite(box).all()
-        size = np.rint(np.divide(box, h)).astype(np.int64) if fits else np.zeros(2, np.int64)
+        size = np.rint(np.divide(box, h)).astype(np.int32) if fits else np.zeros(2, np.int32)
         if not fits or np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
             raise InputError(
                 f"box: expected two whole multiples of {h} Å above {2 * reach * h} Å, got {box}"
             )
-        grid = grid % size
-    number = np.full(size, -1, dtype=np.int64)
+        grid %= size
+    number = np.full(size, -1, dtype=np.int32)
     number[tuple(grid.T)] = np.arange(len(x))
-    if np.count_nonzero(number >= 0) != len(x):
-        raise InputError(f"points: {len(x) - np.count_nonzero(number >= 0)} duplicates")
+    twice = np.flatnonzero(number[tuple(grid.T)] != np.arange(len(x)))
+    if len(twice):
+        raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
+    table = zeros(len(x), len(classes.steps), dtype=wp.int32)
+    lacking = zeros(len(x), dtype=wp.int32)
+    launch_slices(
+        kernels.lattice_neighbours,
+        len(x),
+        (ints(grid), ints(classes.steps), ints(number)),
+        (table, lacking),
+    )
+    return grid, axes, table.numpy(), lacking.numpy() > 0
 
-    table = np.empty((len(x), len(classes.steps)), dtype=np.int64)
-    for column, step in enumerate(classes.steps):
-        table[:, column] = number[tuple(((grid + step) % size).T)]
-    full = np.all(table >= 0, axis=1)
-    inner = full.copy()
-    inner[full] = full[table[full]].all(axis=1)
-    lacking = points.interior & ~inner
-    if lacking.any():
-        raise InputError(
-            f"{COLLAR}: {np.count_nonzero(lacking)} of {np.count_nonzero(points.interior)} have "
-            f"not at horizon {horizon:g} Å; {_largest_horizon(grid, points.interior, h)}"
-        )
-    row = np.concatenate([[0], np.cumsum(np.where(full, table.shape[1], 0))])
-    bond = np.tile(np.arange(table.shape[1]), np.count_nonzero(full))
-    xi = classes.xi @ axes.T
-    return Families(classes, xi, row, table[full].ravel(), bond, np.flatnonzero(inner))
+
+def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
+    """Nodes with an unbroken bond to a flagged node."""
+    found = zeros(len(flag), dtype=wp.int32)
+    launch_slices(
+        kernels.any_neighbour, len(flag), (ints(row), ints(neighbour), ints(flag)), (found,)
+    )
+    return found.numpy() > 0
+
+
+def _break(row: np.ndarray, neighbour: np.ndarray, outside: np.ndarray) -> None:
+    """Break the bonds across the surface, in place."""
+    links = (ints(row), ints(outside))
+    broken = ints(neighbour)
+    launch_slices(kernels.break_bonds, len(outside), links, (broken,))
+    neighbour[:] = broken.numpy()
 
 
 def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
     """Directions of the lattice as columns, from the mean angle of nearest-neighbour bonds."""
-    i, j = cKDTree(x).query_pairs(spacing * (1 + LATTICE_TOLERANCE), output_type="ndarray").T
-    step = (x[j] - x[i]) @ (1, 1j)
+    row, neighbour, _ = scattered.neighbours(x, spacing * (1 + LATTICE_TOLERANCE))
+    step = (x[neighbour] - np.repeat(x, np.diff(row), axis=0)) @ (1, 1j)
+    step = step[step != 0]  # a point given twice says nothing
     if len(step) == 0:
         raise InputError(
             f"points: expected a square lattice of spacing {spacing} Å, but no two "

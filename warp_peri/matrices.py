@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy.typing import ArrayLike
 
 from warp_peri.dataset import PointSet
-from warp_peri.kernels.matrix import bond_entries
+from warp_peri.kernels.matrix import bond_entries, surface_entries
+from warp_peri.launch import floats, launch, zeros
 from warp_peri.model import Model
-from warp_peri.operator import DEVICE, Sweeps, as_float
+from warp_peri.quadrature import DEGREE
+from warp_peri.sweeps import Sweeps
 
 
 @dataclass(frozen=True)
@@ -35,17 +38,31 @@ class Matrices:
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
 
 
-def matrices(model: Model, points: PointSet) -> Matrices:
-    """Assemble Γ, Φ and Ψ of a model on a lattice point set.
+def matrices(
+    model: Model,
+    points: PointSet,
+    *,
+    box: tuple[float, float] | None = None,
+    outside: ArrayLike | None = None,
+    quadrature_degree: int = DEGREE,
+) -> Matrices:
+    """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
 
     Raises InputError for a point set that does not carry the horizon.
     """
-    sweeps = Sweeps(points, model.horizon)
-    alpha = as_float(np.array([model.alpha]))
+    sweeps = Sweeps(
+        points,
+        model.horizon,
+        box=box,
+        outside=outside,
+        bond_based=model.lam == model.mu,
+        quadrature_degree=quadrature_degree,
+    )
+    alpha = floats(np.array([model.alpha]))
     tables = [
         table
         for D in (model.D, model.dilatation)
-        for table in sweeps.influence(alpha, as_float(D), gradient=False)
+        for table in sweeps.influence(alpha, floats(D), gradient=False)
     ]
     return assemble(sweeps, points, tables)
 
@@ -53,36 +70,37 @@ def matrices(model: Model, points: PointSet) -> Matrices:
 def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array]) -> Matrices:
     """Assemble from given tables: K W by class and m by node, deviatoric, then dilatational."""
     edges = len(sweeps.families.neighbour)
-    gamma = sweeps.zeros(edges, dtype=wp.mat22d)
-    phi = sweeps.zeros(edges, dtype=wp.vec2d)
-    row, _, bond, bond_class, xi = sweeps.links
-    wp.launch(
-        bond_entries,
-        dim=len(sweeps.full),
-        inputs=[sweeps.full, row, bond, bond_class, xi, *tables],
-        outputs=[gamma, phi],
-        device=DEVICE,
-    )
+    gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)
+    kernel_inputs = (sweeps.full, *sweeps.links, *tables)
+    launch(bond_entries, len(sweeps.full), kernel_inputs, (gamma, psi))
+    phi = zeros(edges, dtype=wp.vec2d)
+    wp.copy(phi, psi)
+    if len(sweeps.cut):
+        shape = sweeps.shape(tables[2])
+        surface = (sweeps.cut, *sweeps.links, tables[2], shape)
+        launch(surface_entries, len(sweeps.cut), surface, (phi,))
     nodes = len(points.x)
-    at = np.repeat(np.arange(nodes), np.diff(sweeps.families.row))
-    to = sweeps.families.neighbour
+    intact = np.flatnonzero(sweeps.families.neighbour >= 0)
+    at = np.repeat(np.arange(nodes), np.diff(sweeps.families.row))[intact]
+    to = sweeps.families.neighbour[intact]
     a = np.arange(2)
 
     def blocks(values: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]):
         return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
-    value = gamma.numpy()
+    value = gamma.numpy()[intact]
     out_row = np.broadcast_to((2 * at[:, None] + a)[:, :, None], value.shape)
     far = np.broadcast_to((2 * to[:, None] + a)[:, None, :], value.shape)
     near = np.broadcast_to((2 * at[:, None] + a)[:, None, :], value.shape)
     size = (2 * nodes, 2 * nodes)
     G = blocks(value, out_row, near, size) - blocks(value, out_row, far, size)
 
-    value = phi.numpy()
+    value = phi.numpy()[intact]
     vector = 2 * at[:, None] + a
     one = np.broadcast_to(at[:, None], value.shape)
     size = (nodes, 2 * nodes)
     P = blocks(value, one, 2 * to[:, None] + a, size) - blocks(value, one, vector, size)
+    value = psi.numpy()[intact]
     other = np.broadcast_to(to[:, None], value.shape)
     size = (2 * nodes, nodes)
     Q = blocks(value, vector, other, size) + blocks(value, vector, one, size)

@@ -1,4 +1,4 @@
-"""Quadrature weights of one family, exact on a singular reproducing space (theory.md, 7–8)."""
+"""Quadrature weights of families, exact on a singular reproducing space (theory.md, 7–8)."""
 
 from __future__ import annotations
 
@@ -12,36 +12,65 @@ DEGREE = 5
 SINGULARITY = 3
 RESIDUAL = 1e-10
 """Largest relative residual of the exactness conditions that is accepted."""
+DEPENDENT = 1e-12
+"""Singular values below this fraction of the largest count as zero."""
 
 
-def quadrature_weights(xi: ArrayLike, horizon: float) -> np.ndarray:
+def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
     """Minimum-norm weights W with Σ_j W_j q(ξ_j) = ∫ q over the ball.
 
-    q = ξ₁ᵃ ξ₂ᵇ / r³ with 2 ≤ a + b ≤ 5: the quintic polynomials whose quotient is integrable in
-    two dimensions (Trask et al. 2019; You et al. 2021, section 3.2).
+    q = ξ₁ᵃ ξ₂ᵇ / r³ with 2 ≤ a + b ≤ degree: the polynomials whose quotient is integrable in two
+    dimensions (Trask et al. 2019; You et al. 2021, section 3.2).
 
     Args:
         xi: bond vectors of the family [Å], shape [B, 2], none of them zero.
         horizon: δ [Å].
+        degree: of the polynomials, at least 2.
 
     Returns:
         W [Å²], shape [B].
 
     Raises InputError when no weights meet the conditions (the family is too poor).
     """
-    xi = np.asarray(xi, dtype=float) / horizon
-    r = np.hypot(*xi.T)
-    powers = [(p - b, b) for p in range(SINGULARITY - 1, DEGREE + 1) for b in range(p + 1)]
-    rows = np.array([xi[:, 0] ** a * xi[:, 1] ** b / r**SINGULARITY for a, b in powers])
-    exact = np.array([_ball_integral(a, b) for a, b in powers])
-    weights = np.linalg.lstsq(rows, exact, rcond=1e-12)[0]
-    residual = np.abs(rows @ weights - exact).max() / np.abs(exact).max()
-    if residual > RESIDUAL:
+    xi = np.asarray(xi, dtype=float)
+    weights, residual = family_weights(xi[None], horizon, degree=degree)
+    if residual[0] > RESIDUAL:
         raise InputError(
             f"quadrature: no weights are exact for a family of {len(xi)} bonds (relative residual "
-            f"{residual:.1e}, allowed {RESIDUAL:.0e}); a larger horizon has more bonds"
+            f"{residual[0]:.1e}, allowed {RESIDUAL:.0e}); a larger horizon has more bonds"
         )
-    return weights * horizon**2
+    return weights[0]
+
+
+def family_weights(
+    xi: np.ndarray, horizon: float, *, degree: int = DEGREE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of many families at once, whatever their residual.
+
+    Args:
+        xi: bond vectors [Å], shape [F, B, 2]; zero vectors fill up families of fewer bonds.
+        horizon: δ [Å].
+        degree: of the polynomials, at least 2.
+
+    Returns:
+        W [Å²], shape [F, B], and the largest relative residual of each family's conditions, [F].
+    """
+    if not (isinstance(degree, (int, np.integer)) and degree >= SINGULARITY - 1):
+        raise InputError(f"quadrature degree: expected a whole number ≥ 2, got {degree!r}")
+    powers = [(p - b, b) for p in range(SINGULARITY - 1, degree + 1) for b in range(p + 1)]
+    exact = np.array([_ball_integral(a, b) for a, b in powers])
+    xi = xi / horizon
+    r = np.hypot(xi[..., 0], xi[..., 1])
+    inverse = np.divide(1, r, out=np.zeros_like(r), where=r > 0)
+    ladder = [np.stack([xi[..., a] ** p for p in range(degree + 1)]) for a in range(2)]
+    rows = np.stack([ladder[0][a] * ladder[1][b] for a, b in powers], axis=1)
+    rows *= (inverse**SINGULARITY)[:, None]
+    left, size, right = np.linalg.svd(rows, full_matrices=False)
+    kept = size > DEPENDENT * size[:, :1]
+    components = np.divide(exact @ left, size, out=np.zeros_like(size), where=kept)
+    weights = np.einsum("fk,fkb->fb", components, right)
+    residual = np.abs(np.einsum("fqb,fb->fq", rows, weights) - exact).max(axis=1)
+    return weights * horizon**2, residual / np.abs(exact).max()
 
 
 def _ball_integral(a: int, b: int) -> float:

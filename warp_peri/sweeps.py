@@ -1,0 +1,206 @@
+"""The Warp launches of the operator on one point set: influence → volume → dilatation → force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+from scipy.special import comb
+
+from warp_peri.dataset import PointSet
+from warp_peri.errors import InputError
+from warp_peri.families import families_of
+from warp_peri.kernels import influence as influence_kernels
+from warp_peri.kernels import lps
+from warp_peri.kernels.bonds import bonds
+from warp_peri.launch import floats, ints, launch, launch_slices, zeros
+from warp_peri.quadrature import DEGREE
+
+PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
+
+
+@dataclass(frozen=True)
+class State:
+    """Arrays of one evaluation, in the precision of the sweeps.
+
+    Attributes:
+        kw, m: K W of each bond class [C] and weighted volume of each node [N], deviatoric.
+        kd, md: those of the dilatation; the same arrays with one influence function.
+        theta: dilatation of each sample and node, shape [S, N].
+        Lu: L u on the interior nodes, shape [S, I] of vectors.
+    """
+
+    kw: wp.array
+    m: wp.array
+    kd: wp.array
+    md: wp.array
+    theta: wp.array
+    Lu: wp.array
+
+
+class Sweeps:
+    """The Warp launches of (4)–(9) over the interior nodes of a point set.
+
+    Args:
+        points: the point set: a lattice, or scattered points (spacing 0).
+        horizon: δ [Å].
+        box: periods (Lx, Ly) [Å] when the points are periodic.
+        outside: nodes that are not part of the body, shape [N] bool; bonds to them are broken, and
+            the dilatation of nodes that had such bonds is corrected (theory.md, 40–41).
+        bond_based: λ = μ without a dilatation (theory.md, 42).
+        quadrature_degree: of the polynomials that the weights are exact for.
+        precision: "float64" or "float32".
+
+    Attributes:
+        families: families of all nodes.
+        rows: interior nodes, where forces are evaluated.
+        full: nodes within δ of them, where dilatations are needed.
+        links: the arrays that lead every kernel from a node to its bonds.
+
+    Raises InputError for what families_of refuses, and for another precision.
+    """
+
+    def __init__(
+        self,
+        points: PointSet,
+        horizon: float,
+        *,
+        box: tuple[float, float] | None = None,
+        outside: ArrayLike | None = None,
+        bond_based: bool = False,
+        quadrature_degree: int = DEGREE,
+        precision: str = "float64",
+    ) -> None:
+        if precision not in PRECISIONS:
+            raise InputError(f"precision: expected one of {list(PRECISIONS)}, got {precision!r}")
+        self.scalar = PRECISIONS[precision]
+        types = bonds(self.scalar)
+        self.vec, self.mat = types.vec, types.mat
+        self.kernels = lps.sweeps(self.scalar)
+        self.families = families_of(
+            points,
+            horizon,
+            box=box,
+            outside=outside,
+            bond_based=bond_based,
+            degree=quadrature_degree,
+        )
+        families = self.families
+        self.horizon, self.bond_based = float(horizon), bond_based
+        self.rows, self.whole, self.cut = map(ints, (families.rows, families.whole, families.cut))
+        self.full = ints(np.sort(np.concatenate([families.whole, families.cut])))
+        self.row, self.reverse = ints(families.row), ints(families.reverse)
+        self.r, self.weight = self.floats(families.r), self.floats(families.weight)
+        lattice = families.lattice
+        bond_class = np.zeros(1) if lattice is None else lattice.bond_class
+        pattern = np.zeros((1, 2)) if lattice is None else families.pattern
+        x = points.x if lattice is None else np.zeros((1, 2))
+        inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
+        self.lattice = int(lattice is not None)
+        self.links = (
+            self.lattice,
+            self.row,
+            ints(families.neighbour),
+            ints(bond_class),
+            floats(pattern, self.vec),
+            floats(x, self.vec),
+            types.box(*(self.scalar(value) for value in (*(box or (0.0, 0.0)), *inverse))),
+        )
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes N."""
+        return len(self.row) - 1
+
+    def floats(self, values: np.ndarray) -> wp.array:
+        """A Warp array in the precision of the sweeps."""
+        return floats(values, self.scalar)
+
+    def influence_inputs(self, degree: int) -> tuple[Any, ...]:
+        """What the influence kernels of a degree read before α and D."""
+        binomial = self.floats(comb(degree, np.arange(degree + 1)))
+        return (self.scalar(self.horizon), binomial, self.r, self.weight)
+
+    def influence(self, alpha: wp.array, D: wp.array, *, gradient: bool) -> tuple[wp.array, ...]:
+        """K W of each class, shape [C], and weighted volumes m, shape [N] (0 where not needed)."""
+        degree = len(D) - 1
+        kw = self.zeros(len(self.r), gradient=gradient)
+        m = self.zeros(self.nodes, gradient=gradient)
+        kernel = influence_kernels.influence(degree, self.scalar)
+        table = (*self.influence_inputs(degree), alpha, D)
+        lattice, row, _, bond_class, *_ = self.links
+        volumes = (self.full, lattice, row, bond_class, self.r, kw)
+        self._launch(gradient, kernel, len(self.r), table, kw)
+        self._launch(gradient, self.kernels.weighted_volume, len(self.full), volumes, m)
+        return kw, m
+
+    def shape(self, kd: wp.array, *, gradient: bool = False) -> wp.array:
+        """S of the nodes with broken bonds, (40), shape [N]."""
+        shape = self.zeros(self.nodes, dtype=self.mat, gradient=gradient)
+        inputs = (self.cut, *self.links, kd)
+        self._launch(gradient, self.kernels.surface_shape, len(self.cut), inputs, shape)
+        return shape
+
+    def evaluate(
+        self,
+        u: wp.array,
+        lam: wp.array,
+        mu: wp.array,
+        alpha: wp.array,
+        D: wp.array,
+        D_dilatation: wp.array | None = None,
+        *,
+        gradient: bool = False,
+    ) -> State:
+        """L u and all that led to it; with `gradient` for a tape, in one thread."""
+        samples, nodes, kernels = u.shape[0], self.nodes, self.kernels
+        inputs: tuple[Any, ...]
+        kw, m = self.influence(alpha, D, gradient=gradient)
+        kd, md = kw, m
+        Lu = self.zeros(samples, len(self.rows), dtype=self.vec, gradient=gradient)
+        if self.bond_based:
+            inputs = (self.rows, *self.links, kw, m, mu, u)
+            self._launch(gradient, kernels.bond_force, len(self.rows), inputs, Lu, samples)
+            return State(kw, m, kd, md, self.zeros(samples, nodes), Lu)
+        if D_dilatation is not None:
+            kd, md = self.influence(alpha, D_dilatation, gradient=gradient)
+        theta = self.zeros(samples, nodes, gradient=gradient)
+        inputs = (self.whole, *self.links, kd, md, u)
+        self._launch(gradient, kernels.dilatation, len(self.whole), inputs, theta, samples)
+        if len(self.cut):
+            shape = self.shape(kd, gradient=gradient)
+            inputs = (self.cut, *self.links, kd, shape, u)
+            self._launch(
+                gradient, kernels.surface_dilatation, len(self.cut), inputs, theta, samples
+            )
+        inputs = (self.rows, *self.links, kw, m, kd, md, lam, mu, u, theta)
+        self._launch(gradient, kernels.force, len(self.rows), inputs, Lu, samples)
+        return State(kw, m, kd, md, theta, Lu)
+
+    def force(self, *arrays: wp.array, gradient: bool = False) -> wp.array:
+        """L u [TPa/Å] on the interior nodes, shape [S, I]; on the active tape, with `gradient`.
+
+        The arguments are those of `evaluate`.
+        """
+        return self.evaluate(*arrays, gradient=gradient).Lu
+
+    def zeros(self, *shape: int, dtype: Any = None, gradient: bool = False) -> wp.array:
+        """A Warp array of zeros."""
+        return zeros(*shape, dtype=dtype or self.scalar, gradient=gradient)
+
+    @staticmethod
+    def _launch(
+        tape: bool,
+        kernel: Any,
+        count: int,
+        inputs: tuple[Any, ...],
+        output: wp.array,
+        samples: int = 0,
+    ) -> None:
+        if tape:
+            launch(kernel, (samples, count) if samples else count, (0, *inputs), (output,))
+        else:
+            launch_slices(kernel, count, inputs, (output,), samples=samples)
