@@ -35,7 +35,7 @@ from warp_peri.dataset import PointSet
 from warp_peri.files import write_json
 from warp_peri.full_loss import sample_weights
 from warp_peri.influence import bernstein_basis
-from warp_peri.reduced import ReducedLoss, reduce
+from warp_peri.reduced import ReducedLoss, class_weights, reduce
 
 LAM, MU = 0.1010, 0.4545
 HORIZON = 12.5
@@ -102,7 +102,8 @@ def relative_residual(reduced: ReducedLoss, alpha: float, D: np.ndarray) -> floa
 
 
 def _residual(reduced: ReducedLoss, alpha: float, D: np.ndarray) -> np.ndarray:
-    w = reduced.class_weights(torch.tensor(alpha, dtype=torch.float64), torch.from_numpy(D)).numpy()
+    exponent = torch.tensor(alpha, dtype=torch.float64)
+    w = class_weights(reduced.classes, exponent, torch.from_numpy(D)).numpy()
     i, j = reduced.pairs
     return reduced.R @ np.concatenate([MU * w, (LAM - MU) * w[i] * w[j], [1.0]])
 

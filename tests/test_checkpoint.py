@@ -79,6 +79,7 @@ class _Fixed:
     """One condition with a margin that nothing changes."""
 
     count = 1
+    lattices = ()
 
     def __call__(self, lam, mu, weights):
         return torch.tensor([0.5], dtype=torch.float64)

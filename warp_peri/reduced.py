@@ -38,26 +38,27 @@ class ReducedLoss:
     pairs: np.ndarray
 
     def loss(
-        self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor, p: torch.Tensor
+        self,
+        lam: torch.Tensor,
+        mu: torch.Tensor,
+        alpha: torch.Tensor,
+        D: torch.Tensor,
+        D_dilatation: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable.
-
-        Args:
-            lam, mu: Lamé parameters [TPa].
-            w: class weights of the deviatoric part [Å⁻²], shape [C].
-            p: class weights of the dilatation [Å⁻²], shape [C]; those of w for one K.
-        """
+        """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable."""
+        w = class_weights(self.classes, alpha, D)
+        p = w if D_dilatation is None else class_weights(self.classes, alpha, D_dilatation)
         products = torch.cat([mu * w, (lam - mu) * p[self.pairs[0]] * p[self.pairs[1]], _ONE])
         residual = torch.from_numpy(self.R) @ products
         return residual @ residual
 
-    def class_weights(self, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
-        """w_c = K(r_c) W_c / m [Å⁻²] of the influence function, differentiable in α and D."""
-        classes = self.classes
-        r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
-        basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
-        kw = weight * r**-alpha * (basis @ D)
-        return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
+
+def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+    """w_c = K(r_c) W_c / m [Å⁻²] of an influence function, shape [C]; differentiable."""
+    r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
+    basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
+    kw = weight * r**-alpha * (basis @ D)
+    return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
 
 
 _ONE = torch.ones(1, dtype=torch.float64)
