@@ -18,6 +18,7 @@ from warp_peri.families import BondClasses
 from warp_peri.influence import bernstein_basis
 from warp_peri.kernels import features as kernels
 from warp_peri.operator import DEVICE, Sweeps
+from warp_peri.quadrature import DEGREE
 
 _BLOCK_BYTES = 2**27
 """Rows are factorised in blocks of about this size, so memory does not grow with the data."""
@@ -64,18 +65,21 @@ def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) ->
 _ONE = torch.ones(1, dtype=torch.float64)
 
 
-def reduce(points: PointSet, horizon: float, weight: np.ndarray) -> ReducedLoss:
+def reduce(
+    points: PointSet, horizon: float, weight: np.ndarray, *, quadrature_degree: int = DEGREE
+) -> ReducedLoss:
     """Sweep a lattice data set once and factorise its features.
 
     Args:
         points: samples on a lattice.
         horizon: δ [Å].
         weight: of each sample in the loss, shape [S]; see sample_weights.
+        quadrature_degree: of the polynomials that the weights are exact for.
 
     Raises InputError for a set that does not carry the horizon.
     """
     factor = np.sqrt(weight)
-    sweeps = Sweeps(points, horizon)
+    sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree)
     classes = sweeps.families.classes
     number = len(classes.r)
     pairs = np.array(np.triu_indices(number))
