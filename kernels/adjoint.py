@@ -10,15 +10,18 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from warp_peri.kernels.bonds import bonds
+from warp_peri.kernels.bonds import add_to, bonds
 
 
 @cache
 def adjoints(scalar):
     """The kernels in one precision."""
     of = bonds(scalar)
-    vec, box_type = of.vec, of.box
-    bond_class_of, bond_vector = of.bond_class_of, of.bond_vector
+    vec, bond_type, box_type = of.vec, of.bond, of.box
+    bond_class_of, bond_of = of.bond_class_of, of.bond_of
+    volume_of, int_at, scalar_at = of.volume_of, of.int_at, of.scalar_at
+    add_at = add_to(scalar)
+    scalars_at, vecs_at = of.scalars_at, of.vecs_at
 
     @wp.func
     def reverse_class(
@@ -26,12 +29,13 @@ def adjoints(scalar):
     ):
         if lattice == 1:
             return c
-        return reverse[e]
+        return int_at(reverse, e)
 
     @wp.kernel(enable_backward=False)
     def scaled(
         first: wp.int32,
         rows: wp.array(dtype=wp.int32),
+        lattice: wp.int32,
         m: wp.array(dtype=scalar),
         g: wp.array2d(dtype=vec),
         h: wp.array2d(dtype=vec),
@@ -39,7 +43,7 @@ def adjoints(scalar):
         """h = g/m on all nodes."""
         s, t = wp.tid()
         i = rows[first + t]
-        h[s, i] = g[s, first + t] / m[i]
+        h[s, i] = g[s, first + t] / m[volume_of(lattice, i)]
 
     @wp.kernel(enable_backward=False)
     def dilatation_adjoint(
@@ -49,7 +53,7 @@ def adjoints(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         reverse: wp.array(dtype=wp.int32),
@@ -66,13 +70,14 @@ def adjoints(scalar):
         own = hd[s, i]
         total = scalar(0.0)
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             p = e - lattice * row[i]
-            xi = bond_vector(lattice, pattern, p, x, i, j, box)
+            bond = bond_of(lattice, pattern, p, x, i, j, box)
+            xi = vec(bond[0], bond[1])
             c = bond_class_of(lattice, bond_class, p)
             back = reverse_class(lattice, reverse, e, c)
-            total += wp.dot(xi, kd[c] * own - kd[back] * hd[s, j])
-        tau[s, i] = scalar(-4.0) * (lam[0] - mu[0]) / md[i] * total
+            total += wp.dot(xi, scalar_at(kd, c) * own - scalar_at(kd, back) * vecs_at(hd, s, j))
+        tau[s, i] = scalar(-4.0) * (lam[0] - mu[0]) / md[volume_of(lattice, i)] * total
 
     @wp.kernel(enable_backward=False)
     def displacement_adjoint(
@@ -81,7 +86,7 @@ def adjoints(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         reverse: wp.array(dtype=wp.int32),
@@ -96,17 +101,26 @@ def adjoints(scalar):
         s, t = wp.tid()
         i = first + t
         own = h[s, i]
+        own_tau = tau[s, i]
         factor = scalar(16.0) * mu[0]
         total = vec()
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             if j >= 0:
                 p = e - lattice * row[i]
-                xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                xi = vec(bond[0], bond[1])
                 c = bond_class_of(lattice, bond_class, p)
                 back = reverse_class(lattice, reverse, e, c)
-                stretch = wp.dot(xi, kw[c] * own - kw[back] * h[s, j]) / wp.dot(xi, xi)
-                total += (factor * stretch - kd[c] * tau[s, i] - kd[back] * tau[s, j]) * xi
+                stretch = (
+                    wp.dot(xi, scalar_at(kw, c) * own - scalar_at(kw, back) * vecs_at(h, s, j))
+                    * bond[2]
+                )
+                total += (
+                    factor * stretch
+                    - scalar_at(kd, c) * own_tau
+                    - scalar_at(kd, back) * scalars_at(tau, s, j)
+                ) * xi
         u_bar[s, i] = total
 
     @wp.kernel(enable_backward=False)
@@ -119,9 +133,10 @@ def adjoints(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
+        r: wp.array(dtype=scalar),
         kw: wp.array(dtype=scalar),
         m: wp.array(dtype=scalar),
         kd: wp.array(dtype=scalar),
@@ -145,6 +160,8 @@ def adjoints(scalar):
         """
         factor = scalar(-16.0) * mu[0]
         dilatational = scalar(-2.0) * (lam[0] - mu[0])
+        volumes = scalar(0.0)
+        volumes_d = scalar(0.0)
         for t in range(begin, end):
             i = nodes[t]
             shear = scalar(0.0)
@@ -157,36 +174,45 @@ def adjoints(scalar):
                 theta_i = theta[s, i]
                 tau_i = tau[s, i]
                 for e in range(row[i], row[i + 1]):
-                    j = neighbour[e]
+                    j = int_at(neighbour, e)
                     p = e - lattice * row[i]
-                    xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                    bond = bond_of(lattice, pattern, p, x, i, j, box)
+                    xi = vec(bond[0], bond[1])
                     c = bond_class_of(lattice, bond_class, p)
-                    stretch = wp.dot(xi, u[s, j] - ui)
-                    by_shear = wp.dot(xi, hi) * stretch / wp.dot(xi, xi)
-                    by_bulk = wp.dot(xi, hdi) * (theta_i + theta[s, j])
-                    shear += kw[c] * by_shear
-                    bulk += kd[c] * by_bulk
+                    stretch = wp.dot(xi, vecs_at(u, s, j) - ui)
+                    by_shear = wp.dot(xi, hi) * stretch * bond[2]
+                    by_bulk = wp.dot(xi, hdi) * (theta_i + scalars_at(theta, s, j))
+                    shear += scalar_at(kw, c) * by_shear
+                    bulk += scalar_at(kd, c) * by_bulk
                     by_w = factor * by_shear
                     by_d = dilatational * by_bulk + tau_i * stretch
                     if one_table == 1:
-                        kw_bar[p - base] = kw_bar[p - base] + by_w + by_d
+                        add_at(kw_bar, p - base, by_w + by_d)
                     else:
-                        kw_bar[p - base] = kw_bar[p - base] + by_w
-                        kd_bar[p - base] = kd_bar[p - base] + by_d
+                        add_at(kw_bar, p - base, by_w)
+                        add_at(kd_bar, p - base, by_d)
                 volume += tau_i * theta_i
             parts[i, 0] = shear
             parts[i, 1] = bulk
-            m_bar = -factor * shear / m[i]
-            md_bar = -dilatational * bulk / md[i] - volume / scalar(2.0)
+            m_bar = -factor * shear / m[volume_of(lattice, i)]
+            md_bar = -dilatational * bulk / md[volume_of(lattice, i)] - volume / scalar(2.0)
             if one_table == 1:
                 m_bar += md_bar
-            for e in range(row[i], row[i + 1]):
-                p = e - lattice * row[i]
-                xi = bond_vector(lattice, pattern, p, x, i, neighbour[e], box)
-                square = wp.dot(xi, xi)
-                kw_bar[p - base] = kw_bar[p - base] + m_bar * square
+            if lattice == 1:  # one volume for all: its bonds are done once, below
+                volumes += m_bar
+                volumes_d += md_bar
+            else:
+                for e in range(row[i], row[i + 1]):
+                    square = scalar_at(r, e) * scalar_at(r, e)
+                    add_at(kw_bar, e - base, m_bar * square)
+                    if one_table == 0:
+                        add_at(kd_bar, e - base, md_bar * square)
+        if lattice == 1:
+            for p in range(pattern.shape[0]):
+                square = scalar(1.0) / pattern[p][2]
+                add_at(kw_bar, p, volumes * square)
                 if one_table == 0:
-                    kd_bar[p - base] = kd_bar[p - base] + md_bar * square
+                    add_at(kd_bar, p, volumes_d * square)
 
     return SimpleNamespace(
         scaled=scaled,

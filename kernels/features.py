@@ -5,7 +5,8 @@ import warp as wp
 from warp_peri.kernels.bonds import bonds
 
 _of = bonds(wp.float64)
-bond_class_of, bond_vector, box_type = _of.bond_class_of, _of.bond_vector, _of.box
+bond_class_of, bond_of, box_type = _of.bond_class_of, _of.bond_of, _of.box
+vec, bond_type = _of.vec, _of.bond
 
 
 @wp.kernel
@@ -15,7 +16,7 @@ def class_dilatation(
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
     bond_class: wp.array(dtype=wp.int32),
-    pattern: wp.array(dtype=wp.vec2d),
+    pattern: wp.array(dtype=bond_type),
     x: wp.array(dtype=wp.vec2d),
     box: box_type,
     u: wp.array2d(dtype=wp.vec2d),
@@ -28,7 +29,8 @@ def class_dilatation(
         j = neighbour[e]
         p = e - lattice * row[i]
         c = bond_class_of(lattice, bond_class, p)
-        xi = bond_vector(lattice, pattern, p, x, i, j, box)
+        bond = bond_of(lattice, pattern, p, x, i, j, box)
+        xi = vec(bond[0], bond[1])
         part = wp.float64(2.0) * wp.dot(xi, u[s, j] - u[s, i])
         theta[s, i, c] = theta[s, i, c] + part
 
@@ -40,7 +42,7 @@ def class_force(
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
     bond_class: wp.array(dtype=wp.int32),
-    pattern: wp.array(dtype=wp.vec2d),
+    pattern: wp.array(dtype=bond_type),
     x: wp.array(dtype=wp.vec2d),
     box: box_type,
     column: wp.array2d(dtype=wp.int32),
@@ -58,8 +60,9 @@ def class_force(
         j = neighbour[e]
         p = e - lattice * row[i]
         c = bond_class_of(lattice, bond_class, p)
-        xi = bond_vector(lattice, pattern, p, x, i, j, box)
-        stretch = wp.dot(xi, u[s, j] - u[s, i]) / wp.dot(xi, xi)
+        bond = bond_of(lattice, pattern, p, x, i, j, box)
+        xi = vec(bond[0], bond[1])
+        stretch = wp.dot(xi, u[s, j] - u[s, i]) * bond[2]
         features[s, t, c] = features[s, t, c] - wp.float64(16.0) * stretch * xi
         for d in range(theta.shape[2]):
             f = column[c, d]

@@ -31,7 +31,7 @@ def influence(degree, scalar):
         for k in range(terms):
             total = total * (scalar(1.0) - t) + D[k] * binomial[k] * power
             power = power * t
-        kw[c] = weight[c] * wp.pow(r[c], -alpha[0]) * total
+        kw[c] = weight[c] * wp.exp(-alpha[0] * wp.log(r[c])) * total
 
     return influence
 
@@ -60,7 +60,7 @@ def influence_adjoint(degree, scalar):
         by_alpha = scalar(0.0)
         for c in range(first, last):
             t = wp.min(r[c] / horizon, scalar(1.0))
-            scale = kw_bar[c - first] * weight[c] * wp.pow(r[c], -alpha[0])
+            scale = kw_bar[c - first] * weight[c] * wp.exp(-alpha[0] * wp.log(r[c]))
             basis = coefficients()
             power = scale
             for k in range(terms):

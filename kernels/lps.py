@@ -20,8 +20,10 @@ from warp_peri.kernels.bonds import bonds
 def sweeps(scalar):
     """The kernels in one precision."""
     of = bonds(scalar)
-    vec, mat, box_type = of.vec, of.mat, of.box
-    bond_class_of, bond_vector = of.bond_class_of, of.bond_vector
+    vec, mat, bond_type, box_type = of.vec, of.mat, of.bond, of.box
+    bond_class_of, bond_of = of.bond_class_of, of.bond_of
+    volume_of, int_at, scalar_at = of.volume_of, of.int_at, of.scalar_at
+    scalars_at, vecs_at = of.scalars_at, of.vecs_at
 
     @wp.kernel
     def weighted_volume(
@@ -39,8 +41,8 @@ def sweeps(scalar):
         total = scalar(0.0)
         for e in range(row[i], row[i + 1]):
             c = bond_class_of(lattice, bond_class, e - lattice * row[i])
-            total += kw[c] * r[c] * r[c]
-        m[i] = total
+            total += scalar_at(kw, c) * scalar_at(r, c) * scalar_at(r, c)
+        m[volume_of(lattice, i)] = total
 
     @wp.kernel
     def dilatation(
@@ -50,7 +52,7 @@ def sweeps(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         kd: wp.array(dtype=scalar),
@@ -61,14 +63,15 @@ def sweeps(scalar):
         """θ_i = (2/m_i) Σ_j K ξ·(u_j − u_i) W, (6), where no bond is broken."""
         s, t = wp.tid()
         i = nodes[first + t]
-        factor = scalar(2.0) / md[i]
+        factor = scalar(2.0) / md[volume_of(lattice, i)]
         total = scalar(0.0)
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             p = e - lattice * row[i]
-            xi = bond_vector(lattice, pattern, p, x, i, j, box)
-            k = kd[bond_class_of(lattice, bond_class, p)]
-            total += factor * k * wp.dot(xi, u[s, j] - u[s, i])
+            bond = bond_of(lattice, pattern, p, x, i, j, box)
+            xi = vec(bond[0], bond[1])
+            k = scalar_at(kd, bond_class_of(lattice, bond_class, p))
+            total += factor * k * wp.dot(xi, vecs_at(u, s, j) - u[s, i])
         theta[s, i] = total
 
     @wp.kernel
@@ -79,7 +82,7 @@ def sweeps(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         kd: wp.array(dtype=scalar),
@@ -89,11 +92,12 @@ def sweeps(scalar):
         i = nodes[first + wp.tid()]
         total = mat()
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             if j >= 0:
                 p = e - lattice * row[i]
-                xi = bond_vector(lattice, pattern, p, x, i, j, box)
-                k = kd[bond_class_of(lattice, bond_class, p)]
+                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                xi = vec(bond[0], bond[1])
+                k = scalar_at(kd, bond_class_of(lattice, bond_class, p))
                 total += k * wp.outer(xi, xi)
         shape[i] = total
 
@@ -105,7 +109,7 @@ def sweeps(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         kd: wp.array(dtype=scalar),
@@ -119,12 +123,13 @@ def sweeps(scalar):
         correction = wp.inverse(shape[i])
         total = scalar(0.0)
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             if j >= 0:
                 p = e - lattice * row[i]
-                xi = bond_vector(lattice, pattern, p, x, i, j, box)
-                k = kd[bond_class_of(lattice, bond_class, p)]
-                total += k * wp.dot(xi, correction * (u[s, j] - u[s, i]))
+                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                xi = vec(bond[0], bond[1])
+                k = scalar_at(kd, bond_class_of(lattice, bond_class, p))
+                total += k * wp.dot(xi, correction * (vecs_at(u, s, j) - u[s, i]))
         theta[s, i] = total
 
     @wp.kernel
@@ -135,7 +140,7 @@ def sweeps(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         kw: wp.array(dtype=scalar),
@@ -151,18 +156,19 @@ def sweeps(scalar):
         """(L u)_i = −(2/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
         s, t = wp.tid()
         i = nodes[first + t]
-        dilatational = scalar(-2.0) * (lam[0] - mu[0]) / md[i]
-        deviatoric = scalar(-16.0) * mu[0] / m[i]
+        dilatational = scalar(-2.0) * (lam[0] - mu[0]) / md[volume_of(lattice, i)]
+        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(lattice, i)]
         total = vec()
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             if j >= 0:
                 p = e - lattice * row[i]
-                xi = bond_vector(lattice, pattern, p, x, i, j, box)
+                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                xi = vec(bond[0], bond[1])
                 c = bond_class_of(lattice, bond_class, p)
-                stretch = wp.dot(xi, u[s, j] - u[s, i]) / wp.dot(xi, xi)
-                density = kd[c] * dilatational * (theta[s, i] + theta[s, j])
-                density += kw[c] * deviatoric * stretch
+                stretch = wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[2]
+                density = scalar_at(kd, c) * dilatational * (theta[s, i] + scalars_at(theta, s, j))
+                density += scalar_at(kw, c) * deviatoric * stretch
                 total += density * xi
         Lu[s, first + t] = total
 
@@ -174,7 +180,7 @@ def sweeps(scalar):
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
         bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=vec),
+        pattern: wp.array(dtype=bond_type),
         x: wp.array(dtype=vec),
         box: box_type,
         kw: wp.array(dtype=scalar),
@@ -186,15 +192,16 @@ def sweeps(scalar):
         """(L u)_i = −(16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (42): λ = μ, no dilatation."""
         s, t = wp.tid()
         i = nodes[first + t]
-        deviatoric = scalar(-16.0) * mu[0] / m[i]
+        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(lattice, i)]
         total = vec()
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
+            j = int_at(neighbour, e)
             if j >= 0:
                 p = e - lattice * row[i]
-                xi = bond_vector(lattice, pattern, p, x, i, j, box)
-                k = kw[bond_class_of(lattice, bond_class, p)] * deviatoric
-                total += k * wp.dot(xi, u[s, j] - u[s, i]) / wp.dot(xi, xi) * xi
+                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                xi = vec(bond[0], bond[1])
+                k = scalar_at(kw, bond_class_of(lattice, bond_class, p)) * deviatoric
+                total += k * wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[2] * xi
         Lu[s, first + t] = total
 
     return SimpleNamespace(

@@ -65,11 +65,15 @@ def gradient(
     samples, nodes = u.shape
     h = sweeps.zeros(samples, nodes, dtype=sweeps.vec)
     rows = len(sweeps.rows)
-    launch_slices(kernels.scaled, rows, (sweeps.rows, state.m, g), (h,), samples=samples)
+    launch_slices(
+        kernels.scaled, rows, (sweeps.rows, sweeps.lattice, state.m, g), (h,), samples=samples
+    )
     hd = h
     if state.md is not state.m:
         hd = sweeps.zeros(samples, nodes, dtype=sweeps.vec)
-        launch_slices(kernels.scaled, rows, (sweeps.rows, state.md, g), (hd,), samples=samples)
+        launch_slices(
+            kernels.scaled, rows, (sweeps.rows, sweeps.lattice, state.md, g), (hd,), samples=samples
+        )
     tau = sweeps.zeros(samples, nodes)
     inputs: tuple[Any, ...]
     if not sweeps.bond_based:
@@ -131,7 +135,7 @@ class _Tables:
             sweeps, state = self.sweeps, self.state
             bars = [sweeps.zeros(last - first) for _ in self.coefficients]
             one = int(len(bars) == 1)
-            tables = (state.kw, state.m, state.kd, state.md)
+            tables = (sweeps.r, state.kw, state.m, state.kd, state.md)
             inputs = (first, sweeps.full, begin, end, *sweeps.links, *tables, *fields, one)
             launch(self.kernel, 1, inputs, (bars[0], bars[-1], self.parts))
             for n, bar in enumerate(bars):

@@ -68,7 +68,7 @@ def matrices(
 
 
 def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array]) -> Matrices:
-    """Assemble from given tables: K W by class and m by node, deviatoric, then dilatational."""
+    """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
     edges = len(sweeps.families.neighbour)
     gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)
     kernel_inputs = (sweeps.full, *sweeps.links, *tables)

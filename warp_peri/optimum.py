@@ -126,18 +126,20 @@ class _Problem:
         """SLSQP from y0 with the conditions at given wave vectors; returns y and the loss there.
 
         Variables are scaled by the Gauss–Newton Hessian at y0, which makes SLSQP's first
-        quadratic model nearly exact.
+        quadratic model nearly exact, and the loss by its value there, since SLSQP stops at an
+        absolute change.
         """
-        _, slope = self._residual(y0)
+        e, slope = self._residual(y0)
+        unit = max(float(e @ e), np.finfo(float).tiny)
         curvature, axes = np.linalg.eigh(slope.T @ slope)
-        scaling = axes / np.sqrt(2 * np.maximum(curvature, 1e-14 * curvature[-1]))
+        scaling = axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
 
         def at(t: np.ndarray) -> Point:
             return self.coordinates.point(y0 + scaling @ t)
 
         def objective(t: np.ndarray) -> tuple[float, np.ndarray]:
             e, slope = self._residual(y0 + scaling @ t)
-            return float(e @ e), 2 * scaling.T @ (slope.T @ e)
+            return float(e @ e) / unit, 2 / unit * scaling.T @ (slope.T @ e)
 
         constraints = [
             {

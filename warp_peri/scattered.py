@@ -120,8 +120,8 @@ def cut_balls(x: np.ndarray, row: np.ndarray, neighbour: np.ndarray) -> np.ndarr
     taken = (sectors.numpy()[:, None] >> np.arange(SECTORS)) & 1
     third = SECTORS // 3
     empty = np.concatenate([taken, taken[:, : third - 1]], axis=1) == 0
-    runs: np.ndarray = np.lib.stride_tricks.sliding_window_view(empty, third, axis=1)
-    return np.flatnonzero(np.any(np.all(runs, axis=2), axis=1))
+    runs = np.lib.stride_tricks.sliding_window_view(empty, third, axis=1)
+    return np.unique(np.nonzero(runs.all(axis=2))[0])
 
 
 def weights(

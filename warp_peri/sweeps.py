@@ -27,7 +27,8 @@ class State:
     """Arrays of one evaluation, in the precision of the sweeps.
 
     Attributes:
-        kw, m: K W of each bond class [C] and weighted volume of each node [N], deviatoric.
+        kw, m: K W of each bond class [C] and weighted volume of each node [N], or of all nodes of a
+            lattice [1], deviatoric.
         kd, md: those of the dilatation; the same arrays with one influence function.
         theta: dilatation of each sample and node, shape [S, N].
         Lu: L u on the interior nodes, shape [S, I] of vectors.
@@ -96,7 +97,8 @@ class Sweeps:
         self.r, self.weight = self.floats(families.r), self.floats(families.weight)
         lattice = families.lattice
         bond_class = np.zeros(1) if lattice is None else lattice.bond_class
-        pattern = np.zeros((1, 2)) if lattice is None else families.pattern
+        pattern = np.ones((1, 2)) if lattice is None else families.pattern
+        inverse_square = 1 / (pattern**2).sum(axis=1, keepdims=True)
         x = points.x if lattice is None else np.zeros((1, 2))
         inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
         self.lattice = int(lattice is not None)
@@ -105,7 +107,7 @@ class Sweeps:
             self.row,
             ints(families.neighbour),
             ints(bond_class),
-            floats(pattern, self.vec),
+            floats(np.hstack([pattern, inverse_square]), types.bond),
             floats(x, self.vec),
             types.box(*(self.scalar(value) for value in (*(box or (0.0, 0.0)), *inverse))),
         )
@@ -125,16 +127,21 @@ class Sweeps:
         return (self.scalar(self.horizon), binomial, self.r, self.weight)
 
     def influence(self, alpha: wp.array, D: wp.array, *, gradient: bool) -> tuple[wp.array, ...]:
-        """K W of each class, shape [C], and weighted volumes m, shape [N] (0 where not needed)."""
+        """K W of each class, shape [C], and weighted volumes m.
+
+        m has shape [N], 0 where not needed; on a lattice shape [1], the same for all nodes.
+        """
         degree = len(D) - 1
         kw = self.zeros(len(self.r), gradient=gradient)
-        m = self.zeros(self.nodes, gradient=gradient)
+        volumes = 1 if self.lattice else self.nodes
+        m = self.zeros(volumes, gradient=gradient)
         kernel = influence_kernels.influence(degree, self.scalar)
         table = (*self.influence_inputs(degree), alpha, D)
         lattice, row, _, bond_class, *_ = self.links
-        volumes = (self.full, lattice, row, bond_class, self.r, kw)
+        inputs = (self.full, lattice, row, bond_class, self.r, kw)
+        count = 1 if self.lattice else len(self.full)
         self._launch(gradient, kernel, len(self.r), table, kw)
-        self._launch(gradient, self.kernels.weighted_volume, len(self.full), volumes, m)
+        self._launch(gradient, self.kernels.weighted_volume, count, inputs, m)
         return kw, m
 
     def shape(self, kd: wp.array, *, gradient: bool = False) -> wp.array:
