@@ -125,6 +125,7 @@ def adjoints(scalar):
 
     @wp.kernel(enable_backward=False)
     def table_adjoint(
+        block: wp.int32,
         base: wp.int32,
         nodes: wp.array(dtype=wp.int32),
         begin: wp.int32,
@@ -156,10 +157,12 @@ def adjoints(scalar):
         """∂/∂(K W) of the bonds of nodes begin ≤ t < end, one after another, (45–47).
 
         kw_bar and kd_bar hold the numbers p − base of the pattern; with one table both sums go to
-        kw_bar. parts[i] takes the node's shares of ∂/∂μ and ∂/∂λ at fixed sums, see (47).
+        kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of, (47).
         """
         factor = scalar(-16.0) * mu[0]
         dilatational = scalar(-2.0) * (lam[0] - mu[0])
+        shears = scalar(0.0)
+        bulks = scalar(0.0)
         volumes = scalar(0.0)
         volumes_d = scalar(0.0)
         for t in range(begin, end):
@@ -192,8 +195,8 @@ def adjoints(scalar):
                         add_at(kw_bar, p - base, by_w)
                         add_at(kd_bar, p - base, by_d)
                 volume += tau_i * theta_i
-            parts[i, 0] = shear
-            parts[i, 1] = bulk
+            shears += shear
+            bulks += bulk
             m_bar = -factor * shear / m[volume_of(lattice, i)]
             md_bar = -dilatational * bulk / md[volume_of(lattice, i)] - volume / scalar(2.0)
             if one_table == 1:
@@ -207,6 +210,8 @@ def adjoints(scalar):
                     add_at(kw_bar, e - base, m_bar * square)
                     if one_table == 0:
                         add_at(kd_bar, e - base, md_bar * square)
+        parts[block, 0] = shears
+        parts[block, 1] = bulks
         if lattice == 1:
             for p in range(pattern.shape[0]):
                 square = scalar(1.0) / pattern[p][2]

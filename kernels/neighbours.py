@@ -74,24 +74,6 @@ def reverse_bonds(
 
 
 @wp.kernel(enable_backward=False)
-def sectors_with_bonds(
-    x: wp.array(dtype=wp.vec2d),
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    sectors: wp.int32,
-    taken: wp.array(dtype=wp.int32),
-):
-    """One bit for each of the sectors around a node that has a bond in it."""
-    i = wp.tid()
-    bits = wp.int32(0)
-    for e in range(row[i], row[i + 1]):
-        xi = x[neighbour[e]] - x[i]
-        turn = wp.atan2(xi[1], xi[0]) / wp.float64(2.0 * wp.pi) + wp.float64(0.5)
-        bits = bits | (1 << (wp.int32(turn * wp.float64(sectors)) % sectors))
-    taken[i] = bits
-
-
-@wp.kernel(enable_backward=False)
 def any_neighbour(
     first: wp.int32,
     row: wp.array(dtype=wp.int32),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -156,7 +157,7 @@ def scipy_csr(t: Tables) -> Callable:
     return forward
 
 
-def numba_parallel(t: Tables, dtype: type, *, fastmath: bool) -> tuple[Callable, Callable]:
+def numba_parallel(t: Tables, dtype: Any, *, fastmath: bool) -> tuple[Callable, Callable]:
     """Forward, and forward and hand-written adjoint to (u, D, α), in parallel Numba loops."""
     import numba
 
@@ -168,7 +169,7 @@ def numba_parallel(t: Tables, dtype: type, *, fastmath: bool) -> tuple[Callable,
 
     @jit
     def volume(row, bond_class, r, kw, m):
-        for i in prange(1 if pattern else len(m)):
+        for i in prange(volumes):
             total = dtype(0)
             for e in range(row[i], row[i + 1]):
                 c = bond_class[e - row[i]] if pattern else e
@@ -297,10 +298,12 @@ def numba_parallel(t: Tables, dtype: type, *, fastmath: bool) -> tuple[Callable,
     pattern = len(t.r) < len(t.neighbour)
     xi = np.ascontiguousarray(t.xi[:bonds] if pattern else t.xi, dtype)
     bond_class = t.bond_class[:bonds] if pattern else t.bond_class
+    volumes = 1 if pattern else size
     r, weight, D, u, g = (np.asarray(v, dtype) for v in (t.r, t.weight, t.D, t.u, t.g))
     alpha, binomial = dtype(t.alpha), comb(degree, np.arange(degree + 1)).astype(dtype)
-    kw, m, theta, tau = np.empty(len(r), dtype), *np.empty((3, size), dtype)
-    out, u_bar = np.empty((2, size, 2), dtype)
+    kw, m = np.empty(len(r), dtype), np.empty(size, dtype)
+    theta, tau = np.empty_like(m), np.empty_like(m)
+    out, u_bar = np.empty_like(u), np.empty_like(u)
     links = (t.row, t.neighbour, bond_class)
 
     def forward():

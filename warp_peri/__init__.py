@@ -7,6 +7,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
 from warp_peri.model import Model, load_model
 from warp_peri.operator import LPSOperator
+from warp_peri.solvability import Solvability, solvability
 from warp_peri.solve import solve, solve_periodic
 from warp_peri.sweep import Sweep, sweep
 from warp_peri.training import Fit, fit
@@ -22,6 +23,7 @@ __all__ = [
     "LPSOperator",
     "Model",
     "PointSet",
+    "Solvability",
     "Sweep",
     "certify",
     "coarse_grain",
@@ -32,6 +34,7 @@ __all__ = [
     "save_dataset",
     "set_threads",
     "smoothing_matrix",
+    "solvability",
     "solve",
     "solve_periodic",
     "sweep",

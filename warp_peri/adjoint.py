@@ -16,10 +16,10 @@ import warp as wp
 
 from warp_peri.kernels import influence as influence_kernels
 from warp_peri.kernels.adjoint import adjoints
-from warp_peri.launch import DEVICE, at_once, launch, launch_slices
+from warp_peri.launch import DEVICE, at_once, empty, launch, launch_slices
 from warp_peri.sweeps import State, Sweeps
 
-BLOCKS = 16
+BLOCKS = 8
 """Parts in which the nodes are summed over."""
 
 
@@ -81,12 +81,12 @@ def gradient(
         launch_slices(kernels.dilatation_adjoint, len(sweeps.full), inputs, (tau,), samples=samples)
     u_bar = None
     if displacement:
-        u_bar = sweeps.zeros(samples, nodes, dtype=sweeps.vec)
+        u_bar = empty(samples, nodes, dtype=sweeps.vec)
         inputs = (*links, sweeps.reverse, state.kw, state.kd, mu, h, tau)
         launch_slices(kernels.displacement_adjoint, nodes, inputs, (u_bar,), samples=samples)
     if not parameters:
         return Gradient(u_bar)
-    tables = _Tables(sweeps, state, alpha, coefficients, parts=sweeps.zeros(nodes, 2))
+    tables = _Tables(sweeps, state, alpha, coefficients, parts=sweeps.zeros(BLOCKS, 2))
     fields = (lam, mu, u, state.theta, h, hd, tau)
     at_once([tables.job(block, fields) for block in range(BLOCKS)])
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
@@ -136,7 +136,7 @@ class _Tables:
             bars = [sweeps.zeros(last - first) for _ in self.coefficients]
             one = int(len(bars) == 1)
             tables = (sweeps.r, state.kw, state.m, state.kd, state.md)
-            inputs = (first, sweeps.full, begin, end, *sweeps.links, *tables, *fields, one)
+            inputs = (block, first, sweeps.full, begin, end, *sweeps.links, *tables, *fields, one)
             launch(self.kernel, 1, inputs, (bars[0], bars[-1], self.parts))
             for n, bar in enumerate(bars):
                 if sweeps.lattice:

@@ -180,7 +180,7 @@ def families_of(
         reverse = scattered.reverse_bonds(row, neighbour)
         lacking = np.zeros(len(x), bool)
         if box is None:
-            lacking[scattered.cut_balls(x, row, neighbour)] = True
+            lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
     if row[-1] >= 2**31:
         raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
     row = row.astype(np.int32)

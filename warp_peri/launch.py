@@ -83,6 +83,11 @@ def zeros(*shape: int, dtype: Any = wp.float64, gradient: bool = False) -> wp.ar
     return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=DEVICE)
 
 
+def empty(*shape: int, dtype: Any) -> wp.array:
+    """A Warp array that a kernel is about to fill."""
+    return wp.empty(shape, dtype=dtype, device=DEVICE)
+
+
 def ints(values: np.ndarray) -> wp.array:
     """An int32 Warp array; shares memory with an int32 NumPy array where the device can."""
     values = np.ascontiguousarray(values, dtype=np.int32)
@@ -90,5 +95,5 @@ def ints(values: np.ndarray) -> wp.array:
 
 
 def floats(values: np.ndarray, dtype: Any = wp.float64) -> wp.array:
-    """A Warp array of scalars or vectors of floating point numbers."""
-    return wp.array(values, dtype=dtype, device=DEVICE)
+    """A Warp array of scalars or vectors; shares memory with `values` where it can."""
+    return wp.array(values, dtype=dtype, device=DEVICE, copy=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
+from scipy.spatial import ConvexHull, QhullError
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
@@ -12,8 +13,6 @@ from warp_peri.quadrature import RESIDUAL, family_weights
 
 COINCIDENT = 1e-6
 """Points closer than this fraction of the horizon are one point given twice."""
-SECTORS = 12
-"""The ball leaves the points when a third of these sectors in a row has no bond."""
 BATCH_BONDS = 40_000
 """Bonds whose weights are solved for at once."""
 
@@ -108,20 +107,21 @@ def bonds_of(
     return xi, bond, size
 
 
-def cut_balls(x: np.ndarray, row: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
-    """Nodes with no bond in some third of their ball: the points end inside it."""
-    sectors = zeros(len(x), dtype=wp.int32)
-    launch(
-        kernels.sectors_with_bonds,
-        len(x),
-        (floats(x, wp.vec2d), ints(row), ints(neighbour), SECTORS),
-        (sectors,),
-    )
-    taken = (sectors.numpy()[:, None] >> np.arange(SECTORS)) & 1
-    third = SECTORS // 3
-    empty = np.concatenate([taken, taken[:, : third - 1]], axis=1) == 0
-    runs = np.lib.stride_tricks.sliding_window_view(empty, third, axis=1)
-    return np.unique(np.nonzero(runs.all(axis=2))[0])
+def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
+    """Nodes whose ball leaves the convex hull of the points by more than one spacing.
+
+    The spacing is that of as many points in a square lattice. Balls that reach into a hole or a
+    bay cannot be told from balls of a coarser cloud, and pass.
+    """
+    try:
+        hull = ConvexHull(x).equations
+    except QhullError:  # all points on one line
+        return np.arange(len(x))
+    spacing = horizon * np.sqrt(np.pi / (bonds / len(x) + 1))
+    depth = np.full(len(x), np.inf)
+    for normal, offset in zip(hull[:, :2], hull[:, 2]):
+        depth = np.minimum(depth, -(x @ normal) - offset)
+    return np.flatnonzero(depth < horizon - spacing)
 
 
 def weights(

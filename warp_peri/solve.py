@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, gmres, spilu, splu
 
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
+from warp_peri.quadrature import DEGREE
 from warp_peri.symbol import stiffnesses, symbol
 
 RESIDUAL = 1e-9
@@ -26,23 +27,34 @@ def solve(
     b: ArrayLike,
     u_collar: ArrayLike,
     *,
+    box: tuple[float, float] | None = None,
+    outside: ArrayLike | None = None,
+    quadrature_degree: int = DEGREE,
+    method: str = "lu",
     allow_uncertified: bool = False,
 ) -> np.ndarray:
     """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
 
     Args:
         model: the model, certified for the spacing of the points.
-        points: lattice point set; its u and b are not looked at.
+        points: a lattice or scattered points; its u and b are not looked at.
         b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
+        box, outside, quadrature_degree: as for LPSOperator; displacement outside the body is
+            handed through.
+        method: "lu", or "gmres" preconditioned by an incomplete LU, for more nodes than LU has
+            memory for. (On scattered points the operator is not symmetric, so that conjugate
+            gradients do not apply.)
         allow_uncertified: warn about an uncertified spacing instead of raising.
 
     Returns:
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
-    Raises InputError for arrays that do not fit, an uncertified spacing, or an operator that is
-    singular to working precision.
+    Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
+    operator that is singular to working precision.
     """
+    if method not in METHODS:
+        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
     b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
     if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
@@ -53,7 +65,8 @@ def solve(
     fixed, free = ~points.interior, points.interior
     if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
         raise InputError("b, u_collar: expected finite values")
-    L = matrices(model, points).operator(model.lam, model.mu)
+    parts = matrices(model, points, box=box, outside=outside, quadrature_degree=quadrature_degree)
+    L = parts.operator(model.lam, model.mu)
     unknown = np.repeat(free, 2)
     stiffness = sp.csc_array(L[:, unknown])
     nodes = np.count_nonzero(free)
@@ -61,7 +74,7 @@ def solve(
     collar = u[..., fixed, :].reshape(flat[0] if u.ndim == 3 else 1, 2 * np.count_nonzero(fixed))
     right = b[..., free, :].reshape(flat).T - L[:, ~unknown] @ collar.T
     try:
-        solution = splu(stiffness).solve(right)
+        solution = METHODS[method](stiffness, right)
     except RuntimeError as error:
         raise InputError(
             f"the operator on these {len(right) // 2} nodes is singular: the model is "
@@ -78,6 +91,27 @@ def solve(
         )
     u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
     return u
+
+
+def _lu(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
+    return splu(stiffness).solve(right)
+
+
+def _gmres(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
+    rough = spilu(stiffness, drop_tol=1e-4, fill_factor=10)
+    preconditioner = LinearOperator(stiffness.shape, rough.solve)
+    columns = []
+    for column in right.T:
+        found, failed = gmres(
+            stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
+        )
+        if failed:
+            raise InputError("GMRES did not converge on these nodes; try the method lu")
+        columns.append(found)
+    return np.stack(columns, axis=1)
+
+
+METHODS = {"lu": _lu, "gmres": _gmres}
 
 
 def solve_periodic(

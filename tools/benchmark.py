@@ -1,0 +1,308 @@
+"""Speed and memory of the LPS operator beside other ways of computing it, all in one run.
+
+    python tools/benchmark.py operator [--quick]
+
+Every candidate computes the same force (and the same gradients to u, D and α), checked against the
+first; rounds are interleaved and medians are given. Bonds are counted once from each end. What to
+read are the ratios: the times belong to the machine. Needs the extra `bench` for Numba.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import numpy as np
+import torch
+import warp as wp
+
+from tools import rivals
+from tools.lammps_session import LammpsError, _lammps_class
+from warp_peri import PointSet, set_threads
+from warp_peri.adjoint import BLOCKS
+from warp_peri.families import families_of
+from warp_peri.kernels.influence import influence
+from warp_peri.launch import launch_slices
+from warp_peri.operator import lps_force
+from warp_peri.sweeps import Sweeps
+
+HORIZON = 4.0
+"""In spacings; 48 bonds a node on a lattice."""
+MODEL: dict[str, Any] = {
+    "alpha": 1.6,
+    "D": np.array([1.0, 0.4, -0.35, 0.15, -0.1, 0.2, 0.1, 0.3, 0.1, 0.2, 0.05]),
+    "lam": -0.2,
+    "mu": 0.72,
+}
+Candidates = dict[str, Callable[[], Any]]
+
+
+def problem(kind: str, side: int) -> tuple[PointSet, tuple[float, float]]:
+    """side × side periodic points: a lattice, or one perturbed by 0.3 spacings."""
+    x = np.argwhere(np.ones((side, side))).astype(float)
+    if kind == "scattered":
+        x += np.random.default_rng(0).uniform(-0.3, 0.3, x.shape)
+    points = PointSet(x, np.ones(len(x), bool), 0.0 if kind == "scattered" else 1.0)
+    return points, (float(side), float(side))
+
+
+def ours(sweeps: Sweeps, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable, Callable]:
+    """The library: forward, and forward and backward to (u, D, α)."""
+    u, g = (torch.as_tensor(field, dtype=dtype) for field in fields)
+    lam, mu = MODEL["lam"], MODEL["mu"]
+    alpha, D = (torch.as_tensor(MODEL[key], dtype=dtype) for key in ("alpha", "D"))
+
+    def forward() -> np.ndarray:
+        return lps_force(sweeps, u, lam, mu, alpha, D).numpy()
+
+    def both() -> list[np.ndarray]:
+        leaves = [value.clone().requires_grad_() for value in (u, D, alpha)]
+        lps_force(sweeps, leaves[0], lam, mu, leaves[2], leaves[1]).backward(g)
+        return [leaf.grad.numpy() for leaf in leaves if leaf.grad is not None]
+
+    return forward, both
+
+
+def on_threads(count: int, function: Callable[[], Any]) -> Callable[[], Any]:
+    """The function on another number of the library's threads."""
+
+    def call() -> Any:
+        set_threads(count)
+        try:
+            return function()
+        finally:
+            set_threads(THREADS)
+
+    return call
+
+
+def interleaved(candidates: Candidates, rounds: int, tolerance: float) -> dict[str, float]:
+    """Median seconds of each candidate, after a round that checks what it returns."""
+    reference = None
+    for name, function in candidates.items():
+        found = function()
+        found = found if isinstance(found, (list, tuple)) else [found]
+        reference = found if reference is None else reference
+        for one, other in zip(found, reference):
+            error = np.abs(one - other).max() / np.abs(other).max()
+            if not error <= tolerance:
+                raise RuntimeError(f"{name} is wrong by {error:.1e}")
+    times: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(rounds):
+        for name, function in candidates.items():
+            start = time.perf_counter()
+            function()
+            times[name].append(time.perf_counter() - start)
+    return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def copy_bandwidth() -> float:
+    """Bytes a second, read and written, of NumPy copying 256 MiB on one thread."""
+    source = np.ones(2**25)
+    target = np.empty_like(source)
+    best = np.inf
+    for _ in range(7):
+        start = time.perf_counter()
+        np.copyto(target, source)
+        best = min(best, time.perf_counter() - start)
+    return 2 * source.nbytes / best
+
+
+def traffic(sweeps: Sweeps, nodes: int, bonds: int, size: int) -> int:
+    """Bytes a forward pass must move if every array is read or written once a sweep."""
+    fields = nodes * (2 * (2 * size + size) + 2 * size)  # u and θ in both sweeps, L u out
+    if sweeps.lattice:
+        return 2 * 4 * bonds + fields
+    return bonds * (2 * (4 + size) + 4 * size) + fields  # K: r, W in, K W out; volume: r, K W
+
+
+def report(title: str, seconds: dict[str, float], bonds: int) -> None:
+    first = next(iter(seconds.values()))
+    print(f"  {title}")
+    for name, value in seconds.items():
+        speed = f"{bonds / value / 1e6:8.1f} Mbond/s {1e3 * value:9.1f} ms"
+        print(f"    {name:24}{speed}   {value / first:6.2f} × the time of the first")
+
+
+def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float) -> float:
+    """One table; returns the seconds of our forward pass."""
+    points, box = problem(kind, side)
+    start = time.perf_counter()
+    sweeps = Sweeps(points, HORIZON, box=box, precision=precision)
+    built = time.perf_counter() - start
+    bonds, nodes = len(sweeps.families.neighbour), len(points.x)
+    fields = np.random.default_rng(1).normal(size=(2, nodes, 2))
+    dtype, size = getattr(torch, precision), np.dtype(precision).itemsize
+    force, gradient = ours(sweeps, fields, dtype)
+    print(f"\n{kind}, {nodes} nodes, {bonds / nodes:.1f} bonds a node, {precision}")
+    print(
+        f"  families and weights {built:.2f} s; {memory(sweeps, size) / bonds:.1f} bytes a bond"
+        " all told"
+    )
+    forward: Candidates = {"warp_peri": force, "warp_peri, 1 thread": on_threads(1, force)}
+    both: Candidates = {"warp_peri": gradient, "warp_peri, 1 thread": on_threads(1, gradient)}
+    if bonds < 5_000_000:
+        t = rivals.tables(sweeps, points.x, np.array(box), *fields, **MODEL)
+        forward["torch scatter"], both["torch scatter"] = rivals.torch_scatter(t, dtype)
+        if precision == "float64":
+            forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
+        add_numba(forward, both, t, precision)
+    else:
+        print("  rivals left out: their tables bond by bond do not fit into memory")
+    tolerance = 1e-9 if precision == "float64" else 5e-2  # sums of a million in single precision
+    seconds = interleaved(forward, rounds, tolerance)
+    report("forward", seconds, bonds)
+    share = traffic(sweeps, nodes, bonds, size) / seconds["warp_peri"] / bandwidth
+    print(f"    of copy bandwidth: {100 * share:.0f} %")
+    report("forward and backward to u, D, α", interleaved(both, rounds, tolerance), bonds)
+    return seconds["warp_peri"]
+
+
+def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision: str) -> None:
+    try:
+        import numba
+    except ImportError:
+        print("  Numba is not installed: pip install 'warp_peri[bench]'")
+        return
+    numba.set_num_threads(min(THREADS, os.cpu_count() or 1))
+    for name, fast in (("Numba parallel", False), ("Numba parallel, fastmath", True)):
+        dtype = getattr(np, precision)
+        forward[name], both[name] = rivals.numba_parallel(t, dtype, fastmath=fast)
+
+
+def memory(sweeps: Sweeps, size: int) -> int:
+    """Bytes of all arrays of the operator, of one evaluation and of its gradient."""
+    held = [
+        value for value in (*vars(sweeps).values(), *sweeps.links) if isinstance(value, wp.array)
+    ]
+    total = sum({array.ptr: array.capacity for array in held}.values())
+    bonds, classes, nodes = len(sweeps.families.neighbour), len(sweeps.r), sweeps.nodes
+    volumes = 1 if sweeps.lattice else nodes
+    state = classes + volumes + nodes * (2 + 1 + 2)  # K W, m; u, θ, L u
+    bars = len(sweeps.families.pattern) or bonds / BLOCKS  # ∂/∂(K W), one block a thread
+    gradient = THREADS * bars + nodes * (2 + 2 + 1 + 2)  # g, h, τ, ∂/∂u
+    return total + round(size * (state + gradient))
+
+
+def setting_up(side: int, forward: float) -> None:
+    """Families and weights of a large lattice against one forward sweep with K inside."""
+    points, box = problem("lattice", side)
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        families = families_of(points, HORIZON, box=box)
+        seconds.append(time.perf_counter() - start)
+    bonds = len(families.neighbour)
+    small = Sweeps(*problem_of_sweeps())
+    part = 2_000_000  # K of so many bonds, each by itself
+    r = np.resize(families.r[families.classes.bond_class], part)
+    degree = len(MODEL["D"]) - 1
+    inputs = (*small.influence_inputs(degree)[:2], small.floats(r), small.floats(np.ones(part)))
+    alpha, D = small.floats(np.array([MODEL["alpha"]])), small.floats(MODEL["D"])
+    kernel, out = influence(degree, small.scalar), small.zeros(part)
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        launch_slices(kernel, part, (*inputs, alpha, D), (out,))
+        times.append(time.perf_counter() - start)
+    inside = forward + float(np.median(times)) * bonds / part
+    setup = float(np.median(seconds))
+    print(f"\nfamilies and weights of {side}² lattice nodes: {setup:.2f} s, {setup / inside:.2f} ×")
+    print("  one forward sweep that evaluates K once for every bond (5 × asked)")
+
+
+def problem_of_sweeps() -> tuple[PointSet, float]:
+    """A small point set, for the kernels of its sweeps."""
+    points, _ = problem("lattice", 20)
+    middle = np.abs(points.x - 9.5).max(axis=1) < 1
+    return PointSet(points.x, middle, 1.0), HORIZON
+
+
+def lammps(side: int, ours: float) -> None:
+    """`peri/lps` of LAMMPS: three dimensions, with contact forces, one rank, forward only."""
+    lines = f"""units si
+        boundary p p p
+        atom_style peri
+        atom_modify map array
+        neighbor 0.0001 bin
+        lattice sc 0.0005
+        region cell block 0 {side} 0 {side} 0 {side} units lattice
+        create_box 1 cell
+        create_atoms 1 box
+        pair_style peri/lps
+        pair_coeff * * 14.9e9 14.9e9 0.0015001 1e6 0.25
+        set group all density 2200
+        set group all volume 1.25e-10
+        velocity all create 1e-6 1 dist uniform
+        timestep 1e-9
+        fix 1 all nve
+        thermo 1000
+        run 1 post no"""
+    try:
+        run = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    except LammpsError as error:
+        print(f"\nLAMMPS left out: {error}")
+        return
+    for line in lines.splitlines():
+        run.command(line.strip())
+    steps, seconds = 20, []
+    for _ in range(3):
+        start = time.perf_counter()
+        run.command("run 0 post no")
+        overhead = time.perf_counter() - start
+        start = time.perf_counter()
+        run.command(f"run {steps} post no")
+        seconds.append((time.perf_counter() - start - overhead) / steps)
+    r = np.linalg.norm(np.argwhere(np.ones((7, 7, 7))) - 3, axis=1)
+    bonds = side**3 * (np.count_nonzero(r <= 3.0002) - 1)
+    speed = bonds / np.median(seconds)
+    run.close()
+    print(f"\nLAMMPS peri/lps, {side}³ particles: {speed / 1e6:.1f} Mbond/s")
+    print("  three dimensions, contact forces and time steps included, one rank;")
+    print(f"  warp_peri forward, 200² lattice, float64: {ours / speed:.2f} × its bonds a second")
+
+
+THREADS = 2
+
+
+def operator(*, quick: bool) -> None:
+    """The benchmark of the operator."""
+    set_threads(THREADS)
+    torch.set_num_threads(THREADS)
+    bandwidth = copy_bandwidth()
+    print(f"{THREADS} threads; copying moves {bandwidth / 1e9:.1f} GB/s on one thread")
+    rounds = 5 if quick else 15
+    speed = 0.0
+    for kind in ("lattice", "scattered"):
+        for precision in ("float64", "float32"):
+            seconds = measure(kind, 200, precision, rounds, bandwidth)
+            if kind == "lattice" and precision == "float64":
+                speed = 48 * 200**2 / seconds
+    lammps(24, speed)
+    if not quick:
+        forward = measure("lattice", 1000, "float64", 3, bandwidth)
+        measure("lattice", 1000, "float32", 3, bandwidth)
+        setting_up(1000, forward)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=["operator"])
+    parser.add_argument("--quick", action="store_true", help="few rounds, no 1000² lattice")
+    given = parser.parse_args(arguments)
+    operator(quick=given.quick)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

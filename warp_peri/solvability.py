@@ -1,0 +1,65 @@
+"""How far from singular the operator is on given nodes, symmetric or not (theory.md, 48)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from warp_peri.dataset import PointSet
+from warp_peri.matrices import matrices
+from warp_peri.model import Model
+
+DENSE = 1500
+"""Numbers of unknowns up to which eigenvalues are computed densely."""
+
+
+@dataclass(frozen=True)
+class Solvability:
+    """Figures of L on the unknown displacements of a point set.
+
+    Attributes:
+        symmetric_min: smallest eigenvalue of (L + Lᵗ)/2 [TPa/Å²]; above 0, every Dirichlet problem
+            on the nodes has exactly one solution.
+        singular_min: smallest singular value of L [TPa/Å²]; above 0, this one has.
+        asymmetry: ‖L − Lᵗ‖ / ‖L + Lᵗ‖ in the Frobenius norm; rounding on lattices.
+    """
+
+    symmetric_min: float
+    singular_min: float
+    asymmetry: float
+
+
+def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
+    """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior.
+
+    On scattered points W_ij ≠ W_ji, so that L is not symmetric and no certificate speaks for it.
+
+    Args:
+        model: the model; certified or not.
+        points: a lattice or scattered points.
+        options: box, outside, quadrature_degree as for LPSOperator.
+
+    Raises InputError for a point set that does not carry the horizon.
+    """
+    L = matrices(model, points, **options).operator(model.lam, model.mu)
+    A = sp.csc_array(L[:, np.repeat(points.interior, 2)])
+    symmetric = (A + A.T) / 2
+    asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
+    if A.shape[0] <= DENSE:
+        smallest = np.linalg.eigvalsh(symmetric.toarray())[0]
+        singular = np.linalg.svd(A.toarray(), compute_uv=False)[-1]
+        return Solvability(float(smallest), float(singular), float(asymmetry))
+    start = np.ones(A.shape[0])  # a fixed start gives the same figures every time
+    options = {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}
+    smallest = eigsh(symmetric, which="SA", tol=1e-6, **options)[0]
+    try:
+        factors = splu(A)
+    except RuntimeError:  # exactly singular
+        return Solvability(float(smallest), 0.0, float(asymmetry))
+    squared = LinearOperator(A.shape, lambda v: factors.solve(factors.solve(v, "T")))
+    singular = 1 / np.sqrt(eigsh(squared, which="LM", tol=1e-8, **options)[0])
+    return Solvability(float(smallest), float(singular), float(asymmetry))
