@@ -33,6 +33,8 @@ PAPER = {
 """Errors printed in the papers at h = 5 Å, δ = 20 Å, 0 K [%]."""
 
 PAPER_CONSTANTS = {"lambda": -0.4796, "mu": 0.7978, "E": 0.91, "nu": -0.4297}
+SAME_OPTIMUM = 1e-5
+"""Starts agree when what they reach differs by less, relative."""
 ROLES = {"train": "training", "val": "validation", "test": "disks"}
 
 
@@ -163,6 +165,11 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
     for stage in numbers["stages"]:
         error = 100 * stage["E_res_train"]
         lines.append(f"| {stage['name']} | {error:.2f} | {stage['seconds']:.1f} |")
+    if starts := numbers["starts"]:
+        reached = ", ".join(f"{100 * value:.4f} % from {name}" for name, value in starts.items())
+        agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
+        verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
+        lines += ["", f"‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict})."]
     certificate = numbers["certificate"]
     verdict = "holds" if numbers["certified"] else "DOES NOT HOLD"
     lines += [

@@ -151,3 +151,14 @@ def test_nodes_without_atoms_are_named():
     fields = np.ones((1, 40, 2))
     with pytest.raises(InputError, match="1 nodes have no atom .* the first is 16"):
         coarse_grain(omega, displacement=fields, force=fields, node_area=1.0, thickness=1.0)
+
+
+@pytest.mark.parametrize("shape", ["cone", "paraboloid"])
+def test_a_density_integrates_to_one_over_nodes(shape):
+    atoms = np.array([[0.3, -0.2], [4.1, 2.2]])
+    line = np.arange(-15, 20, 0.1)
+    nodes = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    omega = smoothing_matrix(atoms, nodes, radius=8.0, shape=shape, density=True)
+    np.testing.assert_allclose(omega.sum(axis=0) * 0.01, 1.0, rtol=1e-4)
+    with pytest.raises(InputError, match="density"):
+        smoothing_matrix(atoms, nodes, radius=8.0, spacing=0.1, density=True)

@@ -89,7 +89,8 @@ def test_derivatives(lattices, degree, two):
 
 
 @pytest.mark.parametrize(
-    ("lattices", "degree", "free"), [(ONE, 4, True), (ONE, 5, False), (ONE, 8, False), (TWO, 4, True)]
+    ("lattices", "degree", "free"),
+    [(ONE, 4, True), (ONE, 5, False), (ONE, 8, False), (TWO, 4, True)],
 )
 def test_the_exponent_is_free_where_coefficients_do_not_reach_every_length(lattices, degree, free):
     coordinates = Coordinates(lattices, 1.0, degree)

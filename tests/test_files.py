@@ -42,7 +42,8 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, error, exists):
             temporary.write_text("half of it")
             raise error
 
-    pytest.raises(type(error), write)
+    with pytest.raises(type(error)):
+        write()
     assert [file.read_text() for file in tmp_path.iterdir()] == ["old"] * exists
 
 

@@ -37,8 +37,7 @@ def leaves(lam=-0.2, mu=0.7, *, alpha, D, D_dilatation=None):
 
 
 def reduced_loss(grids, lam, mu, alpha, *kernels):
-    tables = [[grid.class_weights(alpha, D) for D in (kernels[0], kernels[-1])] for grid in grids]
-    return sum(grid.loss(lam, mu, w, p) for grid, (w, p) in zip(grids, tables))
+    return sum(grid.loss(lam, mu, alpha, *kernels) for grid in grids)
 
 
 def compare(grids, full, at):

@@ -43,7 +43,7 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name):
     u = noise(points, 2)
     u -= u.mean(axis=1, keepdims=True)
     b = LPSOperator(model, points, box=box)(u).reshape(2, 9, 12, 2)
-    found = solve_periodic(model, b + (0.3, -5.0), spacing=2.5)
+    found = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
     np.testing.assert_allclose(found.reshape(u.shape), u, rtol=0, atol=1e-11)
     assert np.abs(found.mean(axis=(1, 2))).max() < 1e-14
 

@@ -118,6 +118,30 @@ def make_graphene(
     return path
 
 
+def read_samples(
+    cache: str | os.PathLike[str], group: str
+) -> tuple[Body, Sequence[Load], list[Sample]]:
+    """Finished samples of `train`, `val` or `test` with their body and loads, from the cache.
+
+    For node lattices that the data set does not hold; raises InputError when samples are missing.
+    """
+    potential = potential_file()
+    bond = bond_length(potential)
+    sheet = Body(bond, str(potential), cells=SHEET_CELLS)
+    disk = Body(bond, str(potential), radius=DISK_RADIUS)
+    groups: dict[str, tuple[Body, Sequence[Load]]] = {
+        "train": (sheet, TRAINING),
+        "val": (sheet, VALIDATION),
+        "test": (disk, TEST),
+    }
+    body, loads = groups[group]
+    found = [read_sample(cache_file(cache, body, load)) for load in loads]
+    samples = [sample for sample in found if sample is not None]
+    if len(samples) < len(loads):
+        raise InputError(f"{cache}: samples of '{group}' are missing; make the data set first")
+    return body, loads, samples
+
+
 def solve_all(
     work: Mapping[Body, Sequence[Load]], cache: Path, jobs: int, progress: bool
 ) -> dict[Body, list[Sample]]:

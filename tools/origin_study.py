@@ -16,11 +16,7 @@ if __name__ == "__main__":
 
 import numpy as np
 
-from tools.graphene import SHEET_CELLS, bond_length
-from tools.lammps_session import potential_file
-from tools.loads import VALIDATION
-from tools.make_graphene import point_set
-from tools.samples import Body, cache_file, read_sample
+from tools.make_graphene import point_set, read_samples
 from warp_peri.errors import InputError
 from warp_peri.model import load_model
 from warp_peri.validation import evaluate
@@ -35,18 +31,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--model", type=Path, default=root / "runs/graphene_0K/model.json")
     parser.add_argument("--cache", type=Path, default=root / "data/graphene_0K.cache")
     given = parser.parse_args(arguments)
-    potential = potential_file()
-    bond = bond_length(potential)
-    body = Body(bond, str(potential), cells=SHEET_CELLS)
-    samples = [read_sample(cache_file(given.cache, body, load)) for load in VALIDATION]
-    ready = [sample for sample in samples if sample is not None]
     try:
+        body, loads, samples = read_samples(given.cache, "val")
         model = load_model(given.model)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
-    if len(ready) < len(samples):
-        print(f"error: samples missing in {given.cache}; run the main job first", file=sys.stderr)
         return 2
     spacing = model.trained_on[0]
     rows = [0.0, 0.25, 0.5, 0.75]
@@ -55,8 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
     for y in rows:
         errors = []
         for x in FRACTIONS:
-            shift = (x * math.sqrt(3) * bond, y * 3 * bond)
-            points = point_set(body, VALIDATION, ready, spacing=spacing, shift=shift)
+            shift = (x * math.sqrt(3) * body.bond, y * 3 * body.bond)
+            points = point_set(body, loads, samples, spacing=spacing, shift=shift)
             errors.append(100 * evaluate(model, points)["E_res"])
         print(f"{y:7.3f}" + "".join(f"{error:8.2f}" for error in errors))
     return 0

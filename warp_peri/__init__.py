@@ -9,6 +9,7 @@ from warp_peri.model import Model, load_model
 from warp_peri.operator import LPSOperator
 from warp_peri.solvability import Solvability, solvability
 from warp_peri.solve import solve, solve_periodic
+from warp_peri.sweep import Sweep, sweep
 from warp_peri.training import Fit, fit
 from warp_peri.validation import evaluate
 
@@ -23,6 +24,7 @@ __all__ = [
     "Model",
     "PointSet",
     "Solvability",
+    "Sweep",
     "certify",
     "coarse_grain",
     "evaluate",
@@ -35,4 +37,5 @@ __all__ = [
     "solvability",
     "solve",
     "solve_periodic",
+    "sweep",
 ]

@@ -54,7 +54,8 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            # np.load leaves a file open that it opened itself and could not read.
+            with open(self.path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
                 content = {name: file[name] for name in file.files}
             key = str(content["key"])
             state = State(

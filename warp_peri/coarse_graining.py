@@ -23,6 +23,7 @@ def smoothing_matrix(
     shape: str = "cone",
     box: tuple[float, float] | None = None,
     spacing: float | None = None,
+    density: bool = False,
 ) -> sp.csr_array:
     """Smoothing functions ω(x_i, X_ε) of every node and atom (You et al. 2021, equation 6.1).
 
@@ -39,9 +40,11 @@ def smoothing_matrix(
         spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
             over in the denominator; None sums over the given nodes, so that atoms outside their
             reach or at the edge of the node set are shared out among fewer nodes.
+        density: divide τ by its integral instead, ∫ω dx = 1 (2.1): for scattered nodes, which
+            stand for no fixed area; coarse_grain then takes node_area = 1. Not with a spacing.
 
     Returns:
-        Sparse ω, shape [N, A], dimensionless.
+        Sparse ω, shape [N, A], dimensionless; [Å⁻²] with `density`.
 
     Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
     without two periods, nodes that are not on a lattice of the given spacing, or arrays of another
@@ -54,6 +57,8 @@ def smoothing_matrix(
         raise InputError(f"radius: expected a length > 0, got {radius}")
     if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
         raise InputError(f"box: expected two periods > 0, got {box}")
+    if density and spacing is not None:
+        raise InputError("density: expected no spacing with it, each normalises in its own way")
     if spacing is not None:
         if spacing <= 0:
             raise InputError(f"spacing: expected a length > 0, got {spacing}")
@@ -77,6 +82,9 @@ def smoothing_matrix(
         p, q = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij")
         lattice = nodes[0] + spacing * np.stack([p.ravel(), q.ravel()], axis=1)
         total = _tau(lattice, images, radius, shape).sum(axis=0)
+    elif density:
+        volume = np.pi * radius**3 / 3 if shape == "cone" else np.pi * radius**4 / 2
+        total = np.full(len(images), volume)
     else:
         total = np.asarray(tau.sum(axis=0))
         if box is not None:

@@ -18,6 +18,7 @@ from warp_peri.influence import bernstein_basis
 from warp_peri.parameters import Parameters
 
 RANK_TOLERANCE = 1e-11
+ALPHA_IN_SIGHT = (-12.0, 6.0)
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ class Coordinates:
 
     def point(self, y: np.ndarray) -> Point:
         """v, z, κ and μ at y, with their derivatives."""
-        alpha = float(y[-1]) if self.free_alpha else self.alpha
+        # Constraints bound α; on its way SLSQP may look where r^(−α) overflows.
+        alpha = float(np.clip(y[-1], *ALPHA_IN_SIGHT)) if self.free_alpha else self.alpha
         deviatoric = slice(1, 1 + self.rank)
         dilatation = slice(1 + self.rank, 1 + 2 * self.rank) if self.two_functions else deviatoric
         v, dv = self._kernels(y, alpha, deviatoric)

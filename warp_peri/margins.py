@@ -17,6 +17,7 @@ from scipy.linalg import eigh
 
 from warp_peri.conditions import Conditions
 from warp_peri.dataset import PointSet
+from warp_peri.families import bond_classes
 from warp_peri.matrices import assemble
 from warp_peri.operator import Sweeps
 from warp_peri.symbol import Symbol, symbol, zone_wedge
@@ -52,8 +53,10 @@ class SymbolMargins:
 
     def __init__(self, conditions: Sequence[Conditions]) -> None:
         self.conditions = conditions
-        lattices = [one.classes for one in conditions]
-        self.tables = [symbol(one, zone_wedge(one.spacing, ZONE_INTERVALS)) for one in lattices]
+        self.lattices = [one.classes for one in conditions]
+        self.tables = [
+            symbol(one, zone_wedge(one.spacing, ZONE_INTERVALS)) for one in self.lattices
+        ]
         self.count = sum(len(one.names) for one in conditions)
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
@@ -88,6 +91,7 @@ class DenseMargins:
     """
 
     def __init__(self, sets: Sequence[PointSet], horizon: float) -> None:
+        self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
         self.parts = [_class_matrices(points, horizon) for points in sets]
         self.count = 3 * len(sets)
 

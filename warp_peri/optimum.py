@@ -21,6 +21,8 @@ from warp_peri.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 FIRST_CUTS = 12
 """Intervals of the zone grid that the first fit keeps the conditions on."""
 ROUNDS = 40
+LOSS_TOLERANCE = 1e-14
+"""Changes of the loss that SLSQP takes for none; losses are relative to the loads."""
 RESTARTS, RESTART_GAIN = 10, 1e-6
 """SLSQP is begun again at most so often, while its loss falls by more than this, relative."""
 HEADROOM = 1.01
@@ -115,7 +117,7 @@ class _Problem:
         y, loss = self.solve(y, tables)
         for _ in range(RESTARTS):
             again, lower = self.solve(y, tables)
-            if not lower < loss * (1 - RESTART_GAIN):
+            if not lower < loss * (1 - RESTART_GAIN) - LOSS_TOLERANCE:
                 break
             y, loss = again, lower
         return y, loss
@@ -124,18 +126,20 @@ class _Problem:
         """SLSQP from y0 with the conditions at given wave vectors; returns y and the loss there.
 
         Variables are scaled by the Gauss–Newton Hessian at y0, which makes SLSQP's first
-        quadratic model nearly exact.
+        quadratic model nearly exact, and the loss by its value there, since SLSQP stops at an
+        absolute change.
         """
-        _, slope = self._residual(y0)
+        e, slope = self._residual(y0)
+        unit = max(float(e @ e), np.finfo(float).tiny)
         curvature, axes = np.linalg.eigh(slope.T @ slope)
-        scaling = axes / np.sqrt(2 * np.maximum(curvature, 1e-14 * curvature[-1]))
+        scaling = axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
 
         def at(t: np.ndarray) -> Point:
             return self.coordinates.point(y0 + scaling @ t)
 
         def objective(t: np.ndarray) -> tuple[float, np.ndarray]:
             e, slope = self._residual(y0 + scaling @ t)
-            return float(e @ e), 2 * scaling.T @ (slope.T @ e)
+            return float(e @ e) / unit, 2 / unit * scaling.T @ (slope.T @ e)
 
         constraints = [
             {
@@ -158,7 +162,7 @@ class _Problem:
             jac=True,
             method="SLSQP",
             constraints=constraints,
-            options={"maxiter": 500, "ftol": 1e-14},
+            options={"maxiter": 500, "ftol": LOSS_TOLERANCE},
         )
         y = y0 + scaling @ result.x
         e, _ = self._residual(y)

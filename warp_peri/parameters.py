@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from warp_peri.reduced import ReducedLoss
+from warp_peri.families import BondClasses
+from warp_peri.full_loss import FullLoss
+from warp_peri.reduced import ReducedLoss, class_weights
 
 SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 """μ and λ + μ [TPa] stay above the first, α below the second."""
@@ -81,18 +83,16 @@ class Variables:
                 for D in kernels:
                     D.clamp_(min=0.0)
 
-    def loss(
-        self, grids: Sequence[ReducedLoss]
-    ) -> tuple[torch.Tensor, list[tuple[torch.Tensor, torch.Tensor]]]:
-        """The loss over all lattices, and the class weights (w, p) on each."""
-        lam, mu, alpha, *kernels = self.bounded()
-        total, weights = torch.zeros((), dtype=torch.float64), []
-        for grid in grids:
-            w = grid.class_weights(alpha, kernels[0])
-            p = grid.class_weights(alpha, kernels[1]) if len(kernels) > 1 else w
-            total = total + grid.loss(lam, mu, w, p)
-            weights.append((w, p))
-        return total, weights
+    def loss(self, terms: Sequence[ReducedLoss | FullLoss]) -> torch.Tensor:
+        """The loss over all training sets."""
+        values = self.bounded()
+        return torch.stack([term.loss(*values) for term in terms]).sum()
+
+    def weights(self, lattices: Sequence[BondClasses]) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Class weights (w, p) of the deviatoric part and the dilatation on each lattice."""
+        _, _, alpha, *kernels = self.bounded()
+        tables = [[class_weights(one, alpha, D) for D in kernels] for one in lattices]
+        return [(table[0], table[-1]) for table in tables]
 
     def parameters(self, losses: list[float]) -> Parameters:
         """Their values strictly inside the bounds, with the loss on the way."""

@@ -18,6 +18,7 @@ from warp_peri.families import BondClasses
 from warp_peri.influence import bernstein_basis
 from warp_peri.kernels import features as kernels
 from warp_peri.operator import DEVICE, Sweeps
+from warp_peri.quadrature import DEGREE
 
 _BLOCK_BYTES = 2**27
 """Rows are factorised in blocks of about this size, so memory does not grow with the data."""
@@ -38,43 +39,47 @@ class ReducedLoss:
     pairs: np.ndarray
 
     def loss(
-        self, lam: torch.Tensor, mu: torch.Tensor, w: torch.Tensor, p: torch.Tensor
+        self,
+        lam: torch.Tensor,
+        mu: torch.Tensor,
+        alpha: torch.Tensor,
+        D: torch.Tensor,
+        D_dilatation: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable.
-
-        Args:
-            lam, mu: Lamé parameters [TPa].
-            w: class weights of the deviatoric part [Å⁻²], shape [C].
-            p: class weights of the dilatation [Å⁻²], shape [C]; those of w for one K.
-        """
+        """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable."""
+        w = class_weights(self.classes, alpha, D)
+        p = w if D_dilatation is None else class_weights(self.classes, alpha, D_dilatation)
         products = torch.cat([mu * w, (lam - mu) * p[self.pairs[0]] * p[self.pairs[1]], _ONE])
         residual = torch.from_numpy(self.R) @ products
         return residual @ residual
 
-    def class_weights(self, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
-        """w_c = K(r_c) W_c / m [Å⁻²] of the influence function, differentiable in α and D."""
-        classes = self.classes
-        r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
-        basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
-        kw = weight * r**-alpha * (basis @ D)
-        return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
+
+def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+    """w_c = K(r_c) W_c / m [Å⁻²] of an influence function, shape [C]; differentiable."""
+    r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
+    basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
+    kw = weight * r**-alpha * (basis @ D)
+    return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
 
 
 _ONE = torch.ones(1, dtype=torch.float64)
 
 
-def reduce(points: PointSet, horizon: float, weight: np.ndarray) -> ReducedLoss:
+def reduce(
+    points: PointSet, horizon: float, weight: np.ndarray, *, quadrature_degree: int = DEGREE
+) -> ReducedLoss:
     """Sweep a lattice data set once and factorise its features.
 
     Args:
         points: samples on a lattice.
         horizon: δ [Å].
         weight: of each sample in the loss, shape [S]; see sample_weights.
+        quadrature_degree: of the polynomials that the weights are exact for.
 
     Raises InputError for a set that does not carry the horizon.
     """
     factor = np.sqrt(weight)
-    sweeps = Sweeps(points, horizon)
+    sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree)
     classes = sweeps.families.classes
     number = len(classes.r)
     pairs = np.array(np.triu_indices(number))

@@ -22,6 +22,7 @@ from warp_peri.checkpoint import Checkpoint
 from warp_peri.conditions import Conditions
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
+from warp_peri.families import bond_classes
 from warp_peri.full_loss import FullLoss, sample_weights
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
@@ -94,6 +95,7 @@ def fit(
     parametrisation: str = "projected",
     constraints: str = "symbol",
     checkpoint: str | os.PathLike[str] | None = None,
+    lattice_spacing: float | None = None,
     seed: int = 0,
     jobs: int = 1,
     progress: bool = False,
@@ -101,8 +103,9 @@ def fit(
     """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
-        points: training samples, one set or several on different lattices; interior nodes need
-            the 2δ collar.
+        points: training samples, one set or several on different lattices or scattered points
+            (each sample on its own if need be); interior nodes need the 2δ collar. Scattered
+            points train on the full loss, by the two-stage method.
         horizon: δ [Å], at least one spacing.
         degree: M ≥ 0 of the Bernstein polynomials.
         method: "two-stage" is Algorithm 1 of You et al. (2021); "constrained" goes on from it to
@@ -117,6 +120,8 @@ def fit(
         parametrisation: of stages 1 and 2, "projected" or, as printed, "relu"; see Variables.
         constraints: of stage 2, "symbol" (over the zone) or, as printed and far slower, "dense"
             (eigenvalues on the training domain).
+        lattice_spacing: for training sets of scattered points, which have no symbol: spacing [Å]
+            of the lattice on which the conditions are kept.
         checkpoint: file that stage 2 keeps its state in and goes on from.
         seed: of the initial D of stage 1.
         jobs: threads for the starts of stage 3.
@@ -153,9 +158,23 @@ def fit(
         raise InputError("points: expected at least one training set, got none")
     weights = sample_weights(sets, normalise=normalise)
     full = [FullLoss(one, horizon, weight) for one, weight in zip(sets, weights)]
-    grids = [reduce(one, horizon, weight) for one, weight in zip(sets, weights)]
-    asked = [Conditions(grid.classes, conditions, zeta) for grid in grids]
+    scattered = any(one.spacing == 0 for one in sets)
+    grids = []
+    if not scattered:
+        if lattice_spacing is not None:
+            raise InputError("lattice_spacing: only for scattered points")
+        grids = [reduce(one, horizon, weight) for one, weight in zip(sets, weights)]
+        spacings = [one.spacing for one in sets]
+    elif method == "two-stage" and constraints == "symbol" and lattice_spacing is not None:
+        spacings = [lattice_spacing]
+    else:
+        raise InputError(
+            "points: scattered points need method='two-stage', constraints='symbol' and a "
+            "lattice_spacing whose symbol keeps the conditions"
+        )
+    asked = [Conditions(bond_classes(h, horizon), conditions, zeta) for h in spacings]
     oracle = _Oracle(grids, full)
+    terms: Sequence[ReducedLoss | FullLoss] = grids or full
     history: list[Stage] = []
 
     def stage(name: str, run: Callable[[Callable[[float], None]], Parameters]) -> Parameters:
@@ -184,17 +203,17 @@ def fit(
         margins = DenseMargins(sets, horizon) if constraints == "dense" else SymbolMargins(asked)
         kept_in = None
         if checkpoint is not None:
-            settings = (horizon, degree, conditions, zeta, normalise, two_functions, seed)
+            settings = (horizon, degree, conditions, zeta, normalise, two_functions, seed, spacings)
             key = _key(sets, *settings, parametrisation, constraints)
             kept_in = Checkpoint(checkpoint, key)
         first = stage(
             "1 positive",
-            lambda tick: positive_stage(grids, rough, parametrisation=parametrisation, tick=tick),
+            lambda tick: positive_stage(terms, rough, parametrisation=parametrisation, tick=tick),
         )
         final = second = stage(
             "2 sign-changing",
             lambda tick: sign_changing_stage(
-                grids,
+                terms,
                 first,
                 margins,
                 parametrisation=parametrisation,
@@ -234,7 +253,10 @@ def fit(
     bare = Model(
         final.lam, final.mu, final.alpha, final.D, horizon, D_dilatation=final.D_dilatation
     )
-    certificates = [certify(bare, spacing=one.spacing, points=one) for one in sets]
+    if scattered:
+        certificates = [certify(bare, spacing=h) for h in spacings]
+    else:
+        certificates = [certify(bare, spacing=one.spacing, points=one) for one in sets]
     certified = tuple(
         one.spacing
         for one in certificates
@@ -247,7 +269,8 @@ def fit(
         certificate={f"{one.spacing:g}": one.figures() for one in certificates},
         versions=_versions(),
     )
-    return Fit(model, certificates, [moduli_of(model, g.classes) for g in grids], history, reached)
+    found = [moduli_of(model, one.classes) for one in asked]
+    return Fit(model, certificates, found, history, reached)
 
 
 def _key(sets: Sequence[PointSet], *settings: object) -> str:
@@ -273,11 +296,13 @@ class _Oracle:
         self.gradient_size: float | None = None
 
     def check(self, at: Parameters) -> None:
-        """Compare at one point; the first one sets the size of the gradient."""
+        """Compare at one point, on lattices; the first one sets the size of the gradient."""
+        if not self.grids:
+            return
         variables = Variables(at, positive=False, parametrisation="projected")
         results = []
         for loss in (
-            variables.loss(self.grids)[0],
+            variables.loss(self.grids),
             torch.stack([one.loss(*variables.leaves) for one in self.full]).sum(),
         ):
             parts = torch.autograd.grad(loss, variables.leaves)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import torch
 
 from warp_peri.checkpoint import Checkpoint
+from warp_peri.full_loss import FullLoss
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.parameters import Parameters, Variables
 from warp_peri.reduced import ReducedLoss
@@ -24,7 +25,7 @@ LARGEST_PENALTY = 1e20
 
 
 def positive_stage(
-    grids: Sequence[ReducedLoss],
+    terms: Sequence[ReducedLoss | FullLoss],
     start: Parameters,
     *,
     parametrisation: str = "projected",
@@ -33,7 +34,7 @@ def positive_stage(
     """Stage 1: Adam with D ≥ 0.
 
     Args:
-        grids: the reduced loss of each lattice.
+        terms: the loss of each training set, reduced on lattices, full on scattered points.
         start: λ, μ, α and D to start from.
         parametrisation: how the bounds are kept, see Variables.
         tick: called with the loss after every epoch.
@@ -41,14 +42,14 @@ def positive_stage(
     variables = Variables(start, positive=True, parametrisation=parametrisation)
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
-        loss, _ = variables.loss(grids)
+        loss = variables.loss(terms)
         return loss, loss
 
     return variables.parameters(_adam(variables, [], objective, EPOCHS, tick))
 
 
 def sign_changing_stage(
-    grids: Sequence[ReducedLoss],
+    terms: Sequence[ReducedLoss | FullLoss],
     start: Parameters,
     margins: SymbolMargins | DenseMargins,
     *,
@@ -63,7 +64,7 @@ def sign_changing_stage(
     φ_p ← φ_p + ψ H_p is the ascent of the dual.
 
     Args:
-        grids: the reduced loss of each lattice.
+        terms: the loss of each training set, reduced on lattices, full on scattered points.
         start: result of stage 1.
         margins: of the conditions.
         parametrisation: how the bounds are kept, see Variables.
@@ -78,9 +79,9 @@ def sign_changing_stage(
     losses: list[float] = []
 
     def loss_and_violation() -> tuple[torch.Tensor, torch.Tensor]:
-        loss, weights = variables.loss(grids)
         lam, mu = variables.bounded()[:2]
-        return loss, margins(lam, mu, weights) - slack**2
+        weights = variables.weights(margins.lattices)
+        return variables.loss(terms), margins(lam, mu, weights) - slack**2
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
         loss, H = loss_and_violation()
