@@ -42,16 +42,25 @@ def threads() -> int:
 
 
 def at_once(jobs: Sequence[Callable[[], None]]) -> None:
-    """Run jobs that touch different memory, on as many threads as there are."""
+    """Run jobs that touch different memory, on as many threads as there are, this one included."""
     global _pool
-    if _count == 1 or len(jobs) == 1:
-        for job in jobs:
+    waiting = iter(jobs)  # a list's iterator gives each job once, whoever asks
+
+    def work() -> None:
+        for job in waiting:
             job()
-        return
-    if _pool is None:
-        _pool = ThreadPoolExecutor(_count, thread_name_prefix="warp_peri")
-    for done in [_pool.submit(job) for job in jobs]:
-        done.result()
+
+    helpers = min(_count, len(jobs)) - 1
+    if helpers and _pool is None:
+        _pool = ThreadPoolExecutor(_count - 1, thread_name_prefix="warp_peri")
+    started = [_pool.submit(work) for _ in range(helpers)] if _pool is not None else []
+    try:
+        work()
+    finally:
+        failures = [helper.exception() for helper in started]
+    for failure in failures:
+        if failure is not None:
+            raise failure
 
 
 def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
