@@ -3,8 +3,9 @@
     python tools/benchmark.py operator [--quick]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
-first; rounds are interleaved and medians are given. Bonds are counted once from each end. What to
-read are the ratios: the times belong to the machine. Needs the extra `bench` for Numba.
+first. Rounds are interleaved, each timing follows an untimed call, and the best round counts (a
+median folds in what else the machine does). Bonds are counted once from each end. What to read are
+the ratios: the times belong to the machine. Needs the extra `bench` for Numba.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def on_threads(count: int, function: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def interleaved(candidates: Candidates, rounds: int, tolerance: float) -> dict[str, float]:
-    """Median seconds of each candidate, after a round that checks what it returns."""
+    """Least seconds of each candidate over the rounds, after a round that checks the results."""
     reference = None
     for name, function in candidates.items():
         found = function()
@@ -97,10 +98,12 @@ def interleaved(candidates: Candidates, rounds: int, tolerance: float) -> dict[s
     times: dict[str, list[float]] = {name: [] for name in candidates}
     for _ in range(rounds):
         for name, function in candidates.items():
+            time.sleep(0.02)  # until the threads of the one before stop spinning
+            function()
             start = time.perf_counter()
             function()
             times[name].append(time.perf_counter() - start)
-    return {name: float(np.median(values)) for name, values in times.items()}
+    return {name: min(values) for name, values in times.items()}
 
 
 def copy_bandwidth() -> float:
