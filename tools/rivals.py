@@ -119,9 +119,8 @@ def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
             return force(*start).numpy()
 
     def both():
-        leaves = [value.clone().requires_grad_() for value in start]
-        force(*leaves).backward(g)
-        return [leaf.grad.numpy() for leaf in leaves]
+        leaves = [value.detach().requires_grad_() for value in start]
+        return [found.numpy() for found in torch.autograd.grad(force(*leaves), leaves, g)]
 
     return forward, both
 

@@ -48,7 +48,7 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
         for job in jobs:
             job()
         return
-    if _pool is None or _pool._max_workers != _count:
+    if _pool is None:
         _pool = ThreadPoolExecutor(_count, thread_name_prefix="warp_peri")
     for done in [_pool.submit(job) for job in jobs]:
         done.result()

@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from warp_peri.adjoint import gradient
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE, floats
+from warp_peri.launch import DEVICE
 from warp_peri.model import Model
 from warp_peri.quadrature import DEGREE
 from warp_peri.sweeps import Sweeps
@@ -167,6 +167,4 @@ def lps_force(
     return Lu.reshape(*u.shape[:-2], -1, 2)
 
 
-as_float = floats
-
-__all__ = ["DEVICE", "LPSOperator", "Sweeps", "as_float", "lps_force"]
+__all__ = ["DEVICE", "LPSOperator", "Sweeps", "lps_force"]
