@@ -45,8 +45,8 @@ class FullLoss:
 
     def __init__(self, points: PointSet, horizon: float, weight: np.ndarray) -> None:
         self.sweeps = Sweeps(points, horizon)
-        self.u = torch.from_numpy(points.u)
-        self.b = torch.from_numpy(points.b[:, points.interior])
+        self.u = torch.tensor(points.u)  # a copy: the set may be read-only
+        self.b = torch.tensor(points.b[:, points.interior])
         self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:
