@@ -10,7 +10,8 @@ from tests.problems import GRADIENT, KERNELS, LAM, MU, difference, lattice, nois
 from tests.problems import kernel as model_of
 from tests.problems import periodic as periodic_lattice
 from warp_peri import LPSOperator
-from warp_peri.operator import Sweeps, lps_force
+from warp_peri.operator import lps_force
+from warp_peri.sweeps import Sweeps
 
 HORIZON = 2.5
 

@@ -10,7 +10,8 @@ import torch
 
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
-from warp_peri.operator import Sweeps, lps_force
+from warp_peri.operator import lps_force
+from warp_peri.sweeps import Sweeps
 
 
 def sample_weights(sets: Sequence[PointSet], *, normalise: bool) -> list[np.ndarray]:

@@ -19,7 +19,7 @@ from warp_peri.conditions import Conditions
 from warp_peri.dataset import PointSet
 from warp_peri.families import bond_classes
 from warp_peri.matrices import assemble
-from warp_peri.operator import Sweeps
+from warp_peri.sweeps import Sweeps
 from warp_peri.symbol import Symbol, symbol, zone_wedge
 
 ZONE_INTERVALS = 24

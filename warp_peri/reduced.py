@@ -17,8 +17,9 @@ from warp_peri.dataset import PointSet
 from warp_peri.families import BondClasses
 from warp_peri.influence import bernstein_basis
 from warp_peri.kernels import features as kernels
-from warp_peri.operator import DEVICE, Sweeps
+from warp_peri.launch import DEVICE
 from warp_peri.quadrature import DEGREE
+from warp_peri.sweeps import Sweeps
 
 _BLOCK_BYTES = 2**27
 """Rows are factorised in blocks of about this size, so memory does not grow with the data."""
