@@ -126,7 +126,7 @@ def positive_fit(
     def residual(y: np.ndarray) -> np.ndarray:
         return _residual(reduced, *((y[-1], y[:-1]) if learn_alpha else (1.0, y)))
 
-    options = {"xtol": 1e-9, "ftol": 1e-9, "gtol": 1e-14, "max_nfev": 400}
+    options = {"xtol": 1e-9, "ftol": 1e-9, "gtol": 1e-14, "max_nfev": 150}
     y = least_squares(residual, start, bounds=(low, high), **options).x
     return (float(y[-1]), y[:-1]) if learn_alpha else (1.0, y)
 
