@@ -36,9 +36,13 @@ def elastic_constants(bond: float, *, potential: str | Path | None = None) -> di
         stiffness[:, axis] = change / (2 * STRAIN)
     c11 = np.trace(stiffness) / 2
     lame = (stiffness[0, 1] + stiffness[1, 0]) / 2
-    mu = (c11 - lame) / 2
-    young, poisson = 4 * mu * (lame + mu) / c11, lame / c11
-    return {"lambda": float(lame), "mu": float(mu), "E": float(young), "nu": float(poisson)}
+    return lame_constants(float(lame), float((c11 - lame) / 2))
+
+
+def lame_constants(lam: float, mu: float) -> dict[str, float]:
+    """`lambda`, `mu` as given, and `E` [TPa] and `nu` of the plane solid that has them."""
+    c11 = lam + 2 * mu
+    return {"lambda": lam, "mu": mu, "E": 4 * mu * (lam + mu) / c11, "nu": lam / c11}
 
 
 def _stress(bond: float, strain: np.ndarray, potential: str | Path | None) -> np.ndarray:

@@ -6,7 +6,6 @@ times shape is a body force density.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -35,14 +34,13 @@ class WaveLoad:
     def load_id(self) -> str:
         return f"{'xy'[self.axis]} k=({self.waves[0]},{self.waves[1]})"
 
-    def wave_number(self, box: Box) -> float:
-        """|k| [1/Å] on a sheet of periods `box` [Å]."""
-        return 2 * math.pi * math.hypot(*(self.waves / _periods(box)))
+    def wave_vector(self, box: Box) -> np.ndarray:
+        """k [1/Å] on a sheet of periods `box` [Å], shape [2]."""
+        return np.asarray(2 * np.pi * np.divide(self.waves, _periods(box)))
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
         """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
-        k = 2 * np.pi * np.divide(self.waves, _periods(box))
-        return _along(self.axis, np.cos(k * positions).prod(axis=1))
+        return _along(self.axis, np.cos(self.wave_vector(box) * positions).prod(axis=1))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tools.elastic import lame_constants
 from tools.graphene import THICKNESS, area_per_atom
 from tools.loads import Load, WaveLoad
 from tools.samples import Body
@@ -47,7 +48,7 @@ def long_wave_constants(
     for load, u, b in zip(loads, displacement, density):
         if not isinstance(load, WaveLoad) or np.square(load.waves).sum() > LONGEST:
             continue
-        k = 2 * np.pi * np.divide(load.waves, body.box)
+        k = load.wave_vector(body.box)
         cos, sin = np.cos(k * reference).prod(axis=1), np.sin(k * reference).prod(axis=1)
         along, across = load.axis, 1 - load.axis
         B, U = b[:, along] @ cos / (cos @ cos), u[:, along] @ cos / (cos @ cos)
@@ -63,6 +64,5 @@ def long_wave_constants(
             right.append(0.0)
     if not rows:
         raise ValueError(f"loads: expected a WaveLoad with p₁² + p₂² ≤ {LONGEST}")
-    lame, mu = (float(value) for value in np.linalg.lstsq(np.array(rows), np.array(right))[0])
-    c11 = lame + 2 * mu
-    return {"lambda": lame, "mu": mu, "E": 4 * mu * (lame + mu) / c11, "nu": lame / c11}
+    lam, mu = np.linalg.lstsq(np.array(rows), np.array(right))[0]
+    return lame_constants(float(lam), float(mu))

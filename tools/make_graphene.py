@@ -274,9 +274,10 @@ def on_nodes(
 def load_record(body: Body, loads: Sequence[Load]) -> dict[str, np.ndarray]:
     """Per-sample arrays of a set that belong to its loads."""
     record = {"load_id": np.array([load.load_id for load in loads])}
-    waves = [load.wave_number(body.box) for load in loads if isinstance(load, WaveLoad)]
+    waves = [load.wave_vector(body.box) for load in loads if isinstance(load, WaveLoad)]
     if waves:
-        record["wave_number"] = np.array(waves)
+        record["wave_vector"] = np.array(waves)
+        record["wave_number"] = np.linalg.norm(waves, axis=1)
     return record
 
 

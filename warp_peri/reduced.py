@@ -66,6 +66,60 @@ def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) ->
 _ONE = torch.ones(1, dtype=torch.float64)
 
 
+def class_pairs(number: int) -> np.ndarray:
+    """Class numbers of each quadratic feature, shape [2, C (C + 1) / 2]."""
+    return np.array(np.triu_indices(number))
+
+
+class Features:
+    """Features of displacement fields on one lattice: L u is affine in the products c of (17).
+
+    Args:
+        points: the lattice.
+        horizon: δ [Å].
+        quadrature_degree: of the polynomials that the weights are exact for.
+
+    Raises InputError for a set that does not carry the horizon.
+    """
+
+    def __init__(
+        self, points: PointSet, horizon: float, *, quadrature_degree: int = DEGREE
+    ) -> None:
+        self.sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree)
+        self.classes = self.sweeps.families.classes
+        number = len(self.classes.r)
+        self.pairs = class_pairs(number)
+        column = np.empty((number, number), dtype=np.int32)
+        column[tuple(self.pairs)] = column[tuple(self.pairs[::-1])] = number + np.arange(
+            self.pairs.shape[1]
+        )
+        self.width = number + self.pairs.shape[1]
+        self._columns: wp.array = wp.array(column, dtype=wp.int32, device=DEVICE)
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """Features of u [Å], shape [S, N, 2], on the interior nodes: shape [S, I, F, 2]."""
+        samples, nodes, _ = u.shape
+        sweeps = self.sweeps
+        field: wp.array = wp.array(u, dtype=wp.vec2d, device=DEVICE)
+        theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=DEVICE)
+        out = wp.zeros((samples, len(sweeps.rows), self.width), dtype=wp.vec2d, device=DEVICE)
+        wp.launch(
+            kernels.class_dilatation,
+            dim=(samples, len(sweeps.full)),
+            inputs=[sweeps.full, *sweeps.links, field],
+            outputs=[theta],
+            device=DEVICE,
+        )
+        wp.launch(
+            kernels.class_force,
+            dim=(samples, len(sweeps.rows)),
+            inputs=[sweeps.rows, *sweeps.links, self._columns, field, theta],
+            outputs=[out],
+            device=DEVICE,
+        )
+        return out.numpy()
+
+
 def reduce(
     points: PointSet, horizon: float, weight: np.ndarray, *, quadrature_degree: int = DEGREE
 ) -> ReducedLoss:
@@ -80,44 +134,19 @@ def reduce(
     Raises InputError for a set that does not carry the horizon.
     """
     factor = np.sqrt(weight)
-    sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree)
-    classes = sweeps.families.classes
-    number = len(classes.r)
-    pairs = np.array(np.triu_indices(number))
-    column = np.empty((number, number), dtype=np.int32)
-    column[tuple(pairs)] = column[tuple(pairs[::-1])] = number + np.arange(pairs.shape[1])
-    width = number + pairs.shape[1]
-    block = max(1, _BLOCK_BYTES // (16 * (width + 1) * np.count_nonzero(points.interior)))
-    R = np.zeros((0, width + 1))
+    features = Features(points, horizon, quadrature_degree=quadrature_degree)
+    columns = features.width + 1
+    block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))
+    R = np.zeros((0, columns))
     for first in range(0, len(points), block):
         some = slice(first, first + block)
-        rows = _features(sweeps, points.u[some], column, width)
+        rows = features(points.u[some])
         rows = np.concatenate([rows, -points.b[some][:, points.interior, None, :]], axis=2)
         rows *= factor[some, None, None, None]
-        rows = rows.transpose(0, 1, 3, 2).reshape(-1, width + 1)
-        R = np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))
-    return ReducedLoss(classes, R, pairs)
+        R = with_rows(R, rows.transpose(0, 1, 3, 2).reshape(-1, columns))
+    return ReducedLoss(features.classes, R, features.pairs)
 
 
-def _features(sweeps: Sweeps, u: np.ndarray, column: np.ndarray, width: int) -> np.ndarray:
-    """Features of some samples on the interior nodes, shape [S, I, F, 2]."""
-    samples, nodes, _ = u.shape
-    field: wp.array = wp.array(u, dtype=wp.vec2d, device=DEVICE)
-    theta = wp.zeros((samples, nodes, len(column)), dtype=wp.float64, device=DEVICE)
-    out = wp.zeros((samples, len(sweeps.rows), width), dtype=wp.vec2d, device=DEVICE)
-    wp.launch(
-        kernels.class_dilatation,
-        dim=(samples, len(sweeps.full)),
-        inputs=[sweeps.full, *sweeps.links, field],
-        outputs=[theta],
-        device=DEVICE,
-    )
-    columns: wp.array = wp.array(column, dtype=wp.int32, device=DEVICE)
-    wp.launch(
-        kernels.class_force,
-        dim=(samples, len(sweeps.rows)),
-        inputs=[sweeps.rows, *sweeps.links, columns, field, theta],
-        outputs=[out],
-        device=DEVICE,
-    )
-    return out.numpy()
+def with_rows(R: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Triangular factor of more rows: RᵗR of the result is RᵗR + rowsᵗ rows."""
+    return np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))

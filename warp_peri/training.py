@@ -24,11 +24,15 @@ from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
 from warp_peri.full_loss import FullLoss, sample_weights
+from warp_peri.losses import LossChoice, choose_loss
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
+from warp_peri.noise import corrected, noise_loss
 from warp_peri.optimum import ISOTROPIC, constrained_optimum
+from warp_peri.output_error import output_optimum
 from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
 from warp_peri.reduced import ReducedLoss, reduce
+from warp_peri.response import responses_of
 from warp_peri.symbol import moduli as moduli_of
 from warp_peri.two_stage import positive_stage, sign_changing_stage
 
@@ -67,6 +71,7 @@ class Fit:
         moduli: long-wave moduli C11, C12, C44 of the discrete operator on each of them [TPa].
         history: the stages, in order.
         starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
+        loss: which loss was minimised, and why.
     """
 
     model: Model
@@ -74,6 +79,7 @@ class Fit:
     moduli: list[dict[str, float]]
     history: list[Stage]
     starts: dict[str, float]
+    loss: LossChoice
 
     @property
     def certificate(self) -> Certificate:
@@ -90,6 +96,8 @@ def fit(
     conditions: str = "direct",
     zeta: float = 0.01,
     normalise: bool = False,
+    loss: str = "auto",
+    noise: PointSet | Sequence[PointSet] | None = None,
     two_functions: bool = False,
     moduli: tuple[float, float] | str | None = None,
     parametrisation: str = "projected",
@@ -112,7 +120,13 @@ def fit(
             the constrained optimum; "optimum" starts at the optimum, from plain kernels.
         conditions: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
         zeta: ζ [TPa].
-        normalise: divide each sample by ‖b‖ in the loss.
+        normalise: divide each sample by ‖b‖ in the residual.
+        loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
+            fit displacement, at the wave vectors of the loads (`wave_vector` of the samples) or,
+            for any loads, as solved with the collar given. "auto" takes the residual where noise
+            does not matter or nothing is known of it, else "output" for loads at wave vectors,
+            "corrected" for others.
+        noise: fields of noise alone on the nodes of each training set, their loads of no account.
         two_functions: give the dilatation an influence function of its own.
         moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
             the moduli of the discrete operator); "isotropic" holds that condition and learns λ
@@ -173,7 +187,18 @@ def fit(
             "lattice_spacing whose symbol keeps the conditions"
         )
     asked = [Conditions(bond_classes(h, horizon), conditions, zeta) for h in spacings]
+    unloaded = [noise] if isinstance(noise, PointSet) else list(noise or [])
+    if unloaded and len(unloaded) != len(sets):
+        raise InputError(f"noise: expected {len(sets)} sets, got {len(unloaded)}")
+    added = [
+        noise_loss(one, points, horizon, weight)
+        for one, points, weight in zip(unloaded, sets if grids else [], weights)
+    ]
+    responds = method != "two-stage"
+    choice = choose_loss(loss, sets, grids, added, asked, horizon, degree, responds=responds)
     oracle = _Oracle(grids, full)
+    if added and choice.name != "residual":
+        grids = [corrected(grid, R) for grid, R in zip(grids, added)]
     terms: Sequence[ReducedLoss | FullLoss] = grids or full
     history: list[Stage] = []
 
@@ -204,7 +229,7 @@ def fit(
         kept_in = None
         if checkpoint is not None:
             settings = (horizon, degree, conditions, zeta, normalise, two_functions, seed, spacings)
-            key = _key(sets, *settings, parametrisation, constraints)
+            key = _key([*sets, *unloaded], *settings, parametrisation, constraints, choice.name)
             kept_in = Checkpoint(checkpoint, key)
         first = stage(
             "1 positive",
@@ -248,7 +273,23 @@ def fit(
             # Equal losses are one optimum: the first start is kept, whatever the rounding.
             return next(one for one in kept if one.loss <= lowest * (1 + SAME_LOSS)).parameters
 
-        final = stage("3 constrained", best)
+        final = third = stage("3 constrained", best)
+        if choice.name == "output":
+            responses = responses_of(sets, horizon, grids)
+            final = stage(
+                "4 output error",
+                lambda tick: (
+                    output_optimum(
+                        responses,
+                        third,
+                        asked,
+                        horizon,
+                        two_functions=two_functions,
+                        moduli=moduli,
+                        tick=tick,
+                    ).parameters
+                ),
+            )
     oracle.check(final)
     bare = Model(
         final.lam, final.mu, final.alpha, final.D, horizon, D_dilatation=final.D_dilatation
@@ -270,7 +311,7 @@ def fit(
         versions=_versions(),
     )
     found = [moduli_of(model, one.classes) for one in asked]
-    return Fit(model, certificates, found, history, reached)
+    return Fit(model, certificates, found, history, reached, choice)
 
 
 def _key(sets: Sequence[PointSet], *settings: object) -> str:
