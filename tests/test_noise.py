@@ -39,6 +39,7 @@ def near(model, seed=1, size=0.03):
         model.alpha,
         model.D * (1 + size * random.normal(size=len(model.D))),
         model.horizon,
+        certified_on=(1.0,),
     )
 
 
@@ -121,7 +122,7 @@ def assert_tangent(loss, grid, at, step=1e-5):
             if isinstance(change, int):
                 D = at.D.copy()
                 D[change] += by
-                return dataclasses.replace(at, D=D)
+                return dataclasses.replace(at, D=D, D_dilatation=D)
             return dataclasses.replace(at, **{change: getattr(at, change) + by})
 
         exact = (loss(moved(step)) - loss(moved(-step))) / (2 * step)

@@ -70,9 +70,11 @@ def test_blocks_leave_the_loss_as_it_is(monkeypatch):
     (weight,) = sample_weights([points], normalise=False)
     whole = reduced.reduce(points, HORIZON, weight).R
     launches = []
-    features = reduced._features
+    real = reduced.Features.__call__
     monkeypatch.setattr(reduced, "_BLOCK_BYTES", 1)
-    monkeypatch.setattr(reduced, "_features", lambda *a: launches.append(a[1]) or features(*a))
+    monkeypatch.setattr(
+        reduced.Features, "__call__", lambda self, u: launches.append(u) or real(self, u)
+    )
     blocks = reduced.reduce(points, HORIZON, weight).R
     assert [len(u) for u in launches] == [1, 1, 1, 1]
     assert blocks.shape == whole.shape
