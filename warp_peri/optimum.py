@@ -75,7 +75,7 @@ def constrained_optimum(
     """
     classes = [grid.classes for grid in grids]
     coordinates = Coordinates(classes, start.alpha, len(start.D) - 1, two_functions=two_functions)
-    problem = _Problem(grids, conditions, coordinates, moduli)
+    problem = Problem(grids, conditions, coordinates, moduli)
     searches = [ZoneSearch(one) for one in conditions]
     cuts = [zone_wedge(one.spacing, FIRST_CUTS) for one in classes]
     y = coordinates.start(start)
@@ -96,7 +96,7 @@ def constrained_optimum(
     return Optimum(parameters, loss, margin, sum(map(len, cuts)), kept)
 
 
-class _Problem:
+class Problem:
     """The loss and the constraints as functions of the coordinates y, with exact derivatives."""
 
     def __init__(
@@ -129,7 +129,7 @@ class _Problem:
         quadratic model nearly exact, and the loss by its value there, since SLSQP stops at an
         absolute change.
         """
-        e, slope = self._residual(y0)
+        e, slope = self.residual(y0)
         unit = max(float(e @ e), np.finfo(float).tiny)
         curvature, axes = np.linalg.eigh(slope.T @ slope)
         scaling = axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
@@ -138,22 +138,22 @@ class _Problem:
             return self.coordinates.point(y0 + scaling @ t)
 
         def objective(t: np.ndarray) -> tuple[float, np.ndarray]:
-            e, slope = self._residual(y0 + scaling @ t)
+            e, slope = self.residual(y0 + scaling @ t)
             return float(e @ e) / unit, 2 / unit * scaling.T @ (slope.T @ e)
 
         constraints = [
             {
                 "type": "ineq",
-                "fun": lambda t: self._margins(at(t), tables)[0],
-                "jac": lambda t: self._margins(at(t), tables)[1] @ scaling,
+                "fun": lambda t: self.margins(at(t), tables)[0],
+                "jac": lambda t: self.margins(at(t), tables)[1] @ scaling,
             }
         ]
         if self.moduli is not None:
             constraints.append(
                 {
                     "type": "eq",
-                    "fun": lambda t: self._departure(at(t))[0],
-                    "jac": lambda t: self._departure(at(t))[1] @ scaling,
+                    "fun": lambda t: self.departure(at(t))[0],
+                    "jac": lambda t: self.departure(at(t))[1] @ scaling,
                 }
             )
         result = minimize(
@@ -165,22 +165,15 @@ class _Problem:
             options={"maxiter": 500, "ftol": LOSS_TOLERANCE},
         )
         y = y0 + scaling @ result.x
-        e, _ = self._residual(y)
+        e, _ = self.residual(y)
         rows = sum(len(grid.R) for grid in self.grids)
         return y, float(e[:rows] @ e[:rows])
 
-    def _residual(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def residual(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R (v, κ z⊗z, 1) of all grids, then the roughness, and the derivative to y."""
         point = self.coordinates.point(y)
-        kappa = point.kappa
         parts, slopes = [], []
-        for grid, v, z, dv, dz in zip(self.grids, point.v, point.z, point.dv, point.dz):
-            i, j = grid.pairs
-            products = np.concatenate([v, kappa * z[i] * z[j], [1.0]])
-            slope = np.zeros((len(products), dv.shape[1]))
-            slope[: len(v)] = dv
-            slope[len(v) : -1] = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
-            slope[len(v) : -1, 0] += z[i] * z[j]  # y₀ is κ
+        for grid, (products, slope) in zip(self.grids, self.products(point)):
             parts.append(grid.R @ products)
             slopes.append(grid.R @ slope)
         rough, slope = self.coordinates.roughness(y, point)
@@ -188,7 +181,21 @@ class _Problem:
         slopes.append(SMOOTHNESS * slope)
         return np.concatenate(parts), np.concatenate(slopes)
 
-    def _margins(self, point: Point, tables: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
+    def products(self, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
+        """(v, κ z⊗z, 1) of each grid, shape [F + 1], and the derivative to y, [F + 1, Y]."""
+        out = []
+        kappa = point.kappa
+        for grid, v, z, dv, dz in zip(self.grids, point.v, point.z, point.dv, point.dz):
+            i, j = grid.pairs
+            products = np.concatenate([v, kappa * z[i] * z[j], [1.0]])
+            slope = np.zeros((len(products), dv.shape[1]))
+            slope[: len(v)] = dv
+            slope[len(v) : -1] = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
+            slope[len(v) : -1, 0] += z[i] * z[j]  # y₀ is κ
+            out.append((products, slope))
+        return out
+
+    def margins(self, point: Point, tables: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
         """What must not be negative, and its derivative to y."""
         kappa, mu, dmu = point.kappa, point.mu, point.dmu
         dkappa = np.zeros_like(dmu)
@@ -212,7 +219,7 @@ class _Problem:
             slopes.append(by_alpha)
         return np.concatenate(values), np.concatenate(slopes)
 
-    def _departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    def departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """C44 − μ of every lattice, and μ and κ less what was asked for; derivative to y."""
         values, slopes = [], []
         if not isinstance(self.moduli, str) and self.moduli is not None:

@@ -65,8 +65,11 @@ class WaveResponse:
         k = np.asarray(points.samples[WAVE_VECTOR], dtype=float)
         if k.shape != (len(points), 2) or not np.isfinite(k).all():
             raise InputError(f"{WAVE_VECTOR}: expected shape [{len(points)}, 2], got {k.shape}")
-        pairs = [_amplitudes(points.x, *sample) for sample in zip(k, points.u, points.b)]
-        self.u, self.b = (np.array(part) for part in zip(*pairs))
+        self.onto = [_projection(points.x, *sample) for sample in zip(k, points.b)]
+        self.u, self.b = (
+            np.array([(onto * field.T).sum(axis=1) for onto, field in zip(self.onto, fields)])
+            for fields in (points.u, points.b)
+        )
         for name, value in (("u", self.u), ("b", self.b)):
             size = np.linalg.norm(value, axis=1)
             if not (size > 0).all():
@@ -76,12 +79,19 @@ class WaveResponse:
         self.rows = _symbol_rows(self.classes, k)
 
     def about(self, model: Model) -> ReducedLoss:
-        c = products(model, self.classes)[:-1]
-        entries = self.rows @ c  # D11, D22, D12
+        answer, slope = self.answer(model)
+        return self._loss(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
+
+    def answer(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """û of the samples [Å], shape [S, 2], and its derivative to the products c, [S, 2, F]."""
+        entries = self.rows @ products(model, self.classes)[:-1]  # D11, D22, D12
         D = entries[:, [[0, 2], [2, 1]]]
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
-        slope = -np.linalg.solve(D, self._acting(answer))
-        return self._loss(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
+        return answer, -np.linalg.solve(D, self._acting(answer))
+
+    def of(self, fields: np.ndarray) -> np.ndarray:
+        """Amplitudes of other fields [Å], shape [E, N, 2], at every load's wave: [S, E, 2]."""
+        return np.stack([np.einsum("an,ena->ea", onto, fields) for onto in self.onto])
 
     def start(self) -> ReducedLoss:
         """D(k) u against b at the wave vectors, relative."""
@@ -191,17 +201,18 @@ def responses_of(
     ]
 
 
-def _amplitudes(
-    x: np.ndarray, k: np.ndarray, u: np.ndarray, b: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """û and b̂ with D(k) û = b̂, of the parity of waves that holds most of the load."""
+def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Onto the amplitudes of a field's components, D(k) û = b̂, shape [2, N].
+
+    Of the four parities of waves, the one that holds most of the load.
+    """
     (c1, c2), (s1, s2) = np.cos(k * x).T, np.sin(k * x).T
     waves = np.stack([c1 * c2, -s1 * s2, s1 * c2, c1 * s2], axis=1)
     parities = ((0, 1), (1, 0), (2, 3), (3, 2))  # wave of the first and of the second component
     onto = np.linalg.pinv(waves)  # waves that vanish, where k has a zero, get amplitude zero
-    U, B = onto @ u, onto @ b
-    first, second = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
-    return np.array([U[first, 0], U[second, 1]]), np.array([B[first, 0], B[second, 1]])
+    B = onto @ b
+    best = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
+    return np.asarray(onto[list(best)])
 
 
 def _symbol_rows(classes: BondClasses, k: np.ndarray) -> np.ndarray:

@@ -62,6 +62,16 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Settings:
+    """What a fit was asked for: conditions on each lattice, and the options of `fit`."""
+
+    conditions: list[Conditions]
+    normalise: bool
+    two_functions: bool
+    moduli: tuple[float, float] | str | None
+
+
+@dataclass(frozen=True)
 class Fit:
     """A learned model and how it was learned.
 
@@ -72,6 +82,7 @@ class Fit:
         history: the stages, in order.
         starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
         loss: which loss was minimised, and why.
+        settings: what was asked for.
     """
 
     model: Model
@@ -80,6 +91,7 @@ class Fit:
     history: list[Stage]
     starts: dict[str, float]
     loss: LossChoice
+    settings: Settings
 
     @property
     def certificate(self) -> Certificate:
@@ -228,8 +240,8 @@ def fit(
         margins = DenseMargins(sets, horizon) if constraints == "dense" else SymbolMargins(asked)
         kept_in = None
         if checkpoint is not None:
-            settings = (horizon, degree, conditions, zeta, normalise, two_functions, seed, spacings)
-            key = _key([*sets, *unloaded], *settings, parametrisation, constraints, choice.name)
+            options = (horizon, degree, conditions, zeta, normalise, two_functions, seed, spacings)
+            key = _key([*sets, *unloaded], *options, parametrisation, constraints, choice.name)
             kept_in = Checkpoint(checkpoint, key)
         first = stage(
             "1 positive",
@@ -311,7 +323,8 @@ def fit(
         versions=_versions(),
     )
     found = [moduli_of(model, one.classes) for one in asked]
-    return Fit(model, certificates, found, history, reached, choice)
+    settings = Settings(asked, normalise, two_functions, moduli)
+    return Fit(model, certificates, found, history, reached, choice, settings)
 
 
 def _key(sets: Sequence[PointSet], *settings: object) -> str:
