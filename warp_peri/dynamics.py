@@ -29,7 +29,7 @@ class Motion:
 
     Attributes:
         time: of the records, half a step after each `every` steps [ps], shape [R].
-        energy: what leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa], shape [R].
+        energy: what leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa], [R].
         u: displacement at the end [Å], shape [N, 2].
         v: velocity at the end [Å/ps], shape [N, 2]; zero on the collar.
     """
@@ -157,5 +157,5 @@ def velocity_verlet(
 
 
 def _positive(name: str, value: float) -> None:
-    if not (np.isscalar(value) and np.isfinite(value) and value > 0):
+    if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
         raise InputError(f"{name}: expected a number > 0, got {value!r}")
