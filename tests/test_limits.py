@@ -36,15 +36,15 @@ def test_a_vanishing_weighted_volume_is_refused():
 
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 def test_a_vanishing_weighted_volume_of_scattered_points_is_counted():
-    points = cloud(3, 2.5)
-    families = families_of(points, 2.5)
+    points = cloud(3, 3.5)
+    families = families_of(points, 3.5)
     node = np.flatnonzero(points.interior)[0]
     bonds = slice(*families.row[node : node + 2])
     sigma = families.weight[bonds] * families.r[bonds] ** 2
     a, b = (
-        sigma @ Model(0.3, 0.8, 1.0, D, 2.5).influence(families.r[bonds]) for D in ([1, 0], [0, 1])
+        sigma @ Model(0.3, 0.8, 1.0, D, 3.5).influence(families.r[bonds]) for D in ([1, 0], [0, 1])
     )
-    model = Model(0.3, 0.8, 1.0, [1.0, -a / b], 2.5)
+    model = Model(0.3, 0.8, 1.0, [1.0, -a / b], 3.5)
     with pytest.raises(InputError, match="is zero at 1 nodes"):
         LPSOperator(model, points, allow_uncertified=True)
 

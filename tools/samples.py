@@ -19,6 +19,7 @@ from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load, WaveLoad, atom_force
 from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
+from warp_peri.archive import read_arrays
 from warp_peri.files import whole_file
 
 TRAINING_STRAIN = 0.02
@@ -104,8 +105,8 @@ def _positions_hash(body: Body) -> str:
 def read_sample(path: Path) -> Sample | None:
     """The sample in a cache file; None when there is none, with a warning when it is corrupt."""
     try:
-        with np.load(path) as content:
-            fields = {name: content[name] for name in Sample.__dataclass_fields__}
+        content = read_arrays(path)
+        fields = {name: content[name] for name in Sample.__dataclass_fields__}
         for name in ("amplitude", "max_bond_strain", "residual"):
             fields[name] = float(fields[name])
         shape = fields["reference"].shape

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import warnings
@@ -12,13 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.files import write_json
+from warp_peri.files import plain, write_json
 from warp_peri.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
 from warp_peri.quadrature import DEGREE, SINGULARITY
 
 FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 _NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
+LARGEST_FILE = 2**24
+"""Bytes of a model file that are read at most."""
 _OPTIONAL = {"trained_strain", "sha256"}
 _RECORDS = ("certificate", "errors", "provenance", "versions")
 _KEYS = {
@@ -159,6 +162,7 @@ class Model:
         content |= {key: getattr(self, key) for key in ("trained_on", "certified_on", *_RECORDS)}
         if self.trained_strain is not None:
             content["trained_strain"] = self.trained_strain
+        content["sha256"] = _content_hash(content)
         write_json(path, content)
 
 
@@ -166,13 +170,18 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     """Read a model file.
 
     Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
-    missing or unknown keys, numbers out of range.
+    missing or unknown keys, numbers out of range, contents that are not what was written.
     """
     try:
-        with open(path, encoding="utf-8") as file:
-            content = json.load(file)
+        with open(path, "rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+        if len(raw) > LARGEST_FILE:
+            raise InputError(f"{path}: expected a model file of at most {LARGEST_FILE} bytes")
+        content = json.loads(raw.decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such model file") from None
+    except InputError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a readable JSON file ({error})") from None
     try:
@@ -214,7 +223,17 @@ def _model(content: Any) -> Model:
             f"degree: expected {model.degree} for {len(model.D)} coefficients, "
             f"got {content['degree']!r}"
         )
+    if "sha256" in content and content["sha256"] != _content_hash(content):
+        raise InputError(
+            "sha256: the contents are not what was written; remove this key to accept them"
+        )
     return model
+
+
+def _content_hash(content: dict[str, Any]) -> str:
+    """SHA-256 of everything else in a model file."""
+    kept = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
 
 
 def _number(name: str, value: Any) -> float:
