@@ -52,5 +52,5 @@ def square_lattice(interior: int, horizon: float, spacing: float) -> PointSet:
     """interior × interior unknown nodes from the origin and the collar of 2δ they need."""
     pad = int(np.ceil(2 * horizon / spacing))
     steps = np.argwhere(np.ones(2 * [interior + 2 * pad])) - pad
-    inside = ((steps >= 0) & (steps < interior)).all(axis=1)
+    inside = np.all((steps >= 0) & (steps < interior), axis=1)
     return PointSet(spacing * steps, inside, spacing)

@@ -64,8 +64,8 @@ def critical_step(model: Model) -> Entry:
     spacing = 5.0
     models = {
         "learned": model,
-        "1/r, δ = 3h": Model(-0.2, 0.72, 1.0, [1.0], 15.0, certified_on=(spacing,)),
-        "r^(−2.9), δ = 2h": Model(-0.2, 0.72, 2.9, [1.0], 10.0, certified_on=(spacing,)),
+        "1/r, δ = 3h": Model(-0.2, 0.72, 1.0, np.ones(1), 15.0, certified_on=(spacing,)),
+        "r^(−2.9), δ = 2h": Model(-0.2, 0.72, 2.9, np.ones(1), 10.0, certified_on=(spacing,)),
     }
     parts = np.array([0.95, 0.98, 0.99, 0.995, 1.005, 1.01, 1.02, 1.05])
     growth: dict[str, list[float]] = {}
@@ -89,12 +89,12 @@ def critical_step(model: Model) -> Entry:
                 )  # fmt: skip
             growth[name].append(float(np.abs(found.u).max() / np.abs(u).max()))
         ax.semilogy(parts, growth[name], "o-", label=name)
-        refused = words(
-            lambda one=one, points=points, box=box, critical=critical: velocity_verlet(
-                one, points, 0 * points.x, 0 * points.x,
-                density=DENSITY, step=1.01 * critical, steps=1, box=box,
-            )
-        )  # fmt: skip
+        rest = 0 * points.x
+
+        def too_long(one=one, points=points, rest=rest, box=box, step=1.01 * critical) -> None:
+            velocity_verlet(one, points, rest, rest, density=DENSITY, step=step, steps=1, box=box)
+
+        refused = words(too_long)
     ax.axvline(1, color="0.6", linewidth=0.8)
     ax.set_xlabel("time step / proven critical step")
     ax.set_ylabel("largest |u| after 400 steps / at the start")
@@ -187,7 +187,7 @@ def dispersion(model: Model, data: Dataset) -> Entry:
     truth = data.provenance["truth"]
     lam, mu = truth["lambda"], truth["mu"]
     speeds = np.sqrt(np.array([mu, lam + 2 * mu]) / (INERTIA * data.density))
-    worst = {}
+    worst: dict[float, float] = {}
     for ax, (name, direction) in zip(axes, {"zigzag": (1.0, 0.0), "armchair": (0.0, 1.0)}.items()):
         k = size[:, None] * np.array(direction)
         atoms, learned = phonons(k), frequencies(model, spacing, data.density, k)

@@ -48,7 +48,11 @@ def test_round_trip_keeps_every_bit(path):
 
 def test_the_file_says_what_it_is(path):
     with h5py.File(path) as file:
-        assert dict(file.attrs) == {
+        found = {
+            key: getattr(value, "decode", lambda value=value: value)()
+            for key, value in file.attrs.items()
+        }
+        assert found == {
             "format": "warp_peri.dataset",
             "version": 1,
             "length_unit": "angstrom",

@@ -23,6 +23,7 @@ MOST_PER_BYTE = 20
 """Arrays may hold so many times the bytes of the file (they may be compressed), and no more."""
 SMALL = 2**20
 """Arrays up to so many bytes are read whatever the size of the file."""
+LAYOUT = ("v110", "v110")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,17 +124,22 @@ class Dataset:
 def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
     """Write `dataset` to an HDF5 file, whole or not at all.
 
+    In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
+    the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
+
     Raises InputError for a provenance that is not JSON.
     """
     try:
         provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"provenance: expected plain JSON values ({error})") from None
-    with whole_file(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs.update({"format": FORMAT, "version": VERSION, **UNITS})
+    with whole_file(path) as temporary, h5py.File(temporary, "w", libver=LAYOUT) as file:
+        for key, text in {"format": FORMAT, **UNITS}.items():
+            file.attrs[key] = _fixed(text)
+        file.attrs["version"] = VERSION
         file.attrs["thickness"] = float(dataset.thickness)
         file.attrs["density"] = float(dataset.density)
-        file.attrs["provenance"] = provenance
+        file.attrs["provenance"] = _fixed(provenance)
         for name, points in dataset.sets.items():
             group = file.create_group(name)
             group.attrs["spacing"] = float(points.spacing)
@@ -141,9 +147,14 @@ def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
                 group[key] = getattr(points, key)
             for key, value in points.samples.items():
                 value = np.asarray(value)
-                text = value.dtype.kind in "US"
-                group[key] = value.astype(h5py.string_dtype()) if text else value
-        file.attrs["sha256"] = content_hash(dataset)
+                group[key] = _fixed(value) if value.dtype.kind in "USO" else value
+        file.attrs["sha256"] = _fixed(content_hash(dataset))
+
+
+def _fixed(text: str | np.ndarray) -> np.ndarray:
+    """Text as UTF-8 of fixed length."""
+    encoded = np.char.encode(np.asarray(text).astype(str), "utf-8", "surrogatepass")
+    return encoded.astype(h5py.string_dtype("utf-8", max(1, encoded.dtype.itemsize)))
 
 
 def content_hash(dataset: Dataset) -> str:
@@ -185,7 +196,7 @@ def load_dataset(path: str | os.PathLike[str]) -> Dataset:
         with h5py.File(path, "r") as file:
             _check_sizes(file, os.path.getsize(path))
             data = _read(file)
-            expected = file.attrs.get("sha256")
+            expected = _text(file.attrs.get("sha256"))
         if expected is not None and not (
             isinstance(expected, str) and expected == content_hash(data)
         ):
@@ -240,12 +251,12 @@ def _is_group(item: Any) -> bool:
 
 def _read(file: h5py.File) -> Dataset:
     for key, expected in {"format": FORMAT, "version": VERSION, **UNITS}.items():
-        found = file.attrs.get(key)
+        found = _text(file.attrs.get(key))
         if np.shape(found) != () or found != expected:
             raise InputError(f"{key}: expected {expected!r}, got {found!r}")
     thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
     try:
-        provenance = json.loads(file.attrs.get("provenance", "{}"))
+        provenance = json.loads(_text(file.attrs.get("provenance", "{}")))
     except (TypeError, ValueError) as error:
         raise InputError(f"provenance: expected JSON ({error})") from None
     if not isinstance(provenance, dict):
@@ -283,11 +294,16 @@ def _read_points(group: h5py.Group) -> PointSet:
     )
 
 
+def _text(value: Any) -> Any:
+    """An attribute that holds text as str, whatever its length; anything else as it is."""
+    return value.decode("utf-8", "surrogatepass") if isinstance(value, bytes) else value
+
+
 def _attribute(attributes: Mapping[str, Any], key: str) -> float:
     if key not in attributes:
         raise InputError(f"attribute '{key}' is missing")
     if not _is_number(attributes[key]):
-        raise InputError(f"{key}: expected a number, got {attributes[key]!r}")
+        raise InputError(f"{key}: expected a number, got {_text(attributes[key])!r}")
     return float(attributes[key])
 
 
