@@ -31,10 +31,10 @@ from warp_peri.files import write_json, write_text
 STEPS = 100_000
 HEAD = """# Where the method fails: a stability atlas
 
-Every failure below is provoked by `python examples/stability_atlas.py`, which wrote this page: each has a
-figure, a number, and what a user would see. Numbers in brackets are equations of the [theory](theory.md);
-"learned" means δ = 20 Å, M = 10 on 5 Å nodes of the graphene data. How the files survive is in
-[reliability](reliability.md).
+Every failure below is provoked by `python examples/stability_atlas.py`, which wrote this page: each
+has a figure, a number, and what a user would see. Numbers in brackets are equations of the
+[theory](theory.md); "learned" means δ = 20 Å, M = 10 on 5 Å nodes
+of the graphene data. How the files survive is in [reliability](reliability.md).
 """
 
 

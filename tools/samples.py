@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def read_sample(path: Path) -> Sample | None:
     """The sample in a cache file; None when there is none, with a warning when it is corrupt."""
     try:
         content = read_arrays(path)
-        fields = {name: content[name] for name in Sample.__dataclass_fields__}
+        fields: dict[str, Any] = {name: content[name] for name in Sample.__dataclass_fields__}
         for name in ("amplitude", "max_bond_strain", "residual"):
             fields[name] = float(fields[name])
         shape = fields["reference"].shape
