@@ -48,9 +48,10 @@ def words(run: Callable[[], Any]) -> str:
     return f"UserWarning: {caught[0].message}"
 
 
-def square_lattice(interior: int, horizon: float, spacing: float) -> PointSet:
-    """interior × interior unknown nodes from the origin and the collar of 2δ they need."""
+def square_lattice(interior: int | tuple[int, int], horizon: float, spacing: float) -> PointSet:
+    """Unknown nodes from the origin, so many a side, and the collar of 2δ they need."""
+    sides = np.broadcast_to(interior, 2)
     pad = int(np.ceil(2 * horizon / spacing))
-    steps = np.argwhere(np.ones(2 * [interior + 2 * pad])) - pad
-    inside = np.all((steps >= 0) & (steps < interior), axis=1)
+    steps = np.argwhere(np.ones(sides + 2 * pad)) - pad
+    inside = np.all((steps >= 0) & (steps < sides), axis=1)
     return PointSet(spacing * steps, inside, spacing)

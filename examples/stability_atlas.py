@@ -8,10 +8,12 @@ them are caught as a user would see them.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -26,7 +28,7 @@ from examples.atlas_entry import Entry
 from examples.graphene_report import save_figure
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from warp_peri.errors import InputError
-from warp_peri.files import write_json, write_text
+from warp_peri.files import plain, write_json, write_text
 
 STEPS = 100_000
 HEAD = """# Where the method fails: a stability atlas
@@ -74,6 +76,15 @@ def section(name: str, entry: Entry, figures: str) -> str:
     )
 
 
+def finite(value: Any) -> Any:
+    """None for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns 0, or 2 for bad input."""
     parser = argparse.ArgumentParser(
@@ -105,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     if not given.only:
         write_text(given.out / "stability.md", "\n".join([HEAD, *sections]))
-        write_json(ROOT / "runs" / "stability" / "stability.json", values)
+        write_json(ROOT / "runs" / "stability" / "stability.json", finite(plain(values)))
     return 0
 
 
