@@ -23,7 +23,7 @@ from examples import graphene_report as report
 from examples import sweep_report
 from warp_peri.dataset import Dataset, PointSet
 from warp_peri.errors import InputError
-from warp_peri.files import write_json
+from warp_peri.files import locked, write_json
 from warp_peri.sweep import sweep
 from warp_peri.training import METHODS, fit
 
@@ -195,7 +195,8 @@ def main(arguments: list[str] | None = None) -> int:
             print((given.out / "sweep.md").read_text(encoding="utf-8").split("## All")[0])
             print(f"everything is in {given.out}/ (start with sweep.md)")
             return 0
-        numbers = run(given)
+        with locked(given.out):
+            numbers = run(given)
     except KeyboardInterrupt:
         print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
         return 130

@@ -8,6 +8,7 @@ import pytest
 
 from tests.problems import lattice, noise
 from warp_peri import Dataset, InputError, PointSet, load_dataset, save_dataset
+from warp_peri.dataset import content_hash
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
@@ -47,7 +48,11 @@ def test_round_trip_keeps_every_bit(path):
 
 def test_the_file_says_what_it_is(path):
     with h5py.File(path) as file:
-        assert dict(file.attrs) == {
+        found = {
+            key: value.decode() if isinstance(value, bytes) else value
+            for key, value in file.attrs.items()
+        }
+        assert found == {
             "format": "warp_peri.dataset",
             "version": 1,
             "length_unit": "angstrom",
@@ -55,6 +60,7 @@ def test_the_file_says_what_it_is(path):
             "thickness": 3.35,
             "density": 2267.0,
             "provenance": '{"seed": 1, "L": [1.5, null]}',
+            "sha256": content_hash(DATA),
         }
         assert file["train"].attrs["spacing"] == 2.5
 

@@ -21,6 +21,7 @@ BAR_IN_EV_PER_CUBIC_ANGSTROM = 1e5 * 1e-30 / 1.602176634e-19
 CARBON_MASS = float(ase.data.atomic_masses[ase.data.atomic_numbers["C"]])
 """[amu]"""
 
+_COMMAND_SIGNS = set("\"'$&#")
 _HEIGHT = 20.0  # of the LAMMPS box [Å]; the atoms stay at z = 0 and never see their images
 
 
@@ -63,7 +64,8 @@ class LammpsSession:
             box: periods (Lx, Ly) [Å]; None for a free body.
             potential: a Tersoff file with an entry for C; by default the wheel's own POTENTIAL.
 
-        Raises ValueError for positions or periods that are not finite, FileNotFoundError for a
+        Raises ValueError for positions or periods that are not finite or a path that LAMMPS would
+        take for a command, FileNotFoundError for a
         missing potential, LammpsError when LAMMPS fails.
         """
         positions = np.asarray(positions, dtype=float)
@@ -76,6 +78,11 @@ class LammpsSession:
         file = potential_file() if potential is None else Path(potential)
         if not file.is_file():
             raise FileNotFoundError(f"interatomic potential not found: {file}")
+        if not str(file).isprintable() or set(str(file)) & _COMMAND_SIGNS:
+            raise ValueError(
+                f"potential: expected a path without any of {' '.join(sorted(_COMMAND_SIGNS))} "
+                f"or control characters, which LAMMPS would interpret, got {str(file)!r}"
+            )
 
         low = positions.min(axis=0) if box is None else positions.mean(axis=0) - np.divide(box, 2)
         high = positions.max(axis=0) if box is None else low + box

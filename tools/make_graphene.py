@@ -30,6 +30,7 @@ from tools.statics import TOLERANCE
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, save_dataset
 from warp_peri.errors import InputError
+from warp_peri.files import locked
 
 SPACINGS = {"": 5.0, "_fine": 2.5}
 """Node spacing [Å] by suffix of the set names."""
@@ -68,14 +69,19 @@ def make_graphene(
         The path written.
 
     Raises ValueError for jobs = 0 or below −1, FileNotFoundError for a missing potential,
-    LammpsError, ConvergenceError naming the load, OSError when the disk is full.
+    LammpsError, ConvergenceError naming the load, OSError when the disk is full, InputError when
+    another job writes to `path` or the cache.
     """
     if jobs == 0 or jobs < -1:
         raise ValueError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
     path = Path(path)
     cache = path.with_suffix(".cache") if cache is None else Path(cache)
-    cache.mkdir(parents=True, exist_ok=True)
+    with locked(path), locked(cache):
+        return _make(path, cache, jobs, smoothing_radius, progress)
 
+
+def _make(path: Path, cache: Path, jobs: int, smoothing_radius: float, progress: bool) -> Path:
+    cache.mkdir(parents=True, exist_ok=True)
     sheet, disk = graphene_bodies()
     potential, bond = Path(sheet.potential), sheet.bond
     # The disk first: it is the longest piece of work.

@@ -20,6 +20,7 @@ from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load, WaveLoad, atom_force
 from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
+from warp_peri.archive import read_arrays
 from warp_peri.files import whole_file
 
 TRAINING_STRAIN = 0.02
@@ -129,8 +130,8 @@ def read_record(path: Path, kind: type[R]) -> R | None:
     None when there is no file, with a warning when it is corrupt.
     """
     try:
-        with np.load(path) as content:
-            fields = {name: content[name] for name in kind.__dataclass_fields__}
+        content = read_arrays(path)
+        fields = {name: content[name] for name in kind.__dataclass_fields__}
         if len({value.shape for value in fields.values() if value.ndim}) > 1:
             raise ValueError("arrays do not fit each other")
         if not all(np.isfinite(value).all() for value in fields.values()):

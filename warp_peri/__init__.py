@@ -3,6 +3,7 @@
 from warp_peri.certificate import Certificate, certify
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
+from warp_peri.dynamics import Motion, critical_time_step, velocity_verlet
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
 from warp_peri.model import Model, load_model
@@ -22,11 +23,13 @@ __all__ = [
     "InputError",
     "LPSOperator",
     "Model",
+    "Motion",
     "PointSet",
     "Solvability",
     "Sweep",
     "certify",
     "coarse_grain",
+    "critical_time_step",
     "evaluate",
     "fit",
     "load_dataset",
@@ -38,4 +41,5 @@ __all__ = [
     "solve",
     "solve_periodic",
     "sweep",
+    "velocity_verlet",
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.archive import read_arrays
 from warp_peri.errors import InputError
 from warp_peri.files import whole_file
 
@@ -54,9 +54,7 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            # np.load leaves a file open that it opened itself and could not read.
-            with open(self.path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
-                content = {name: file[name] for name in file.files}
+            content = read_arrays(self.path)
             key = str(content["key"])
             state = State(
                 [content[f"tensor{number}"] for number in range(len(content) - 4)],
@@ -64,7 +62,7 @@ class Checkpoint:
                 float(content["penalty"]),
                 int(content["iteration"]),
             )
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
         if key != self.key:
             raise InputError(f"{self.path}: the checkpoint of a run on other data or settings")

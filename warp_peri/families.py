@@ -29,6 +29,13 @@ LATTICE_TOLERANCE = 1e-6
 """Largest distance of a node from its lattice position, in spacings."""
 
 COLLAR = "interior nodes need complete families out to twice the horizon"
+LARGEST_REACH = 100
+"""Largest horizon in spacings: a family of 31 000 bonds."""
+
+EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
+"""The table of lattice places around the nodes may be so much larger than their number, or so
+large; beyond that the nodes are too far apart to be one body."""
+
 BOND_COLLAR = "interior nodes need complete families"
 
 
@@ -123,6 +130,11 @@ def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> Bon
         raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
     if not (np.isfinite(horizon) and horizon >= spacing):
         raise InputError(f"horizon: expected at least one spacing ({spacing} Å), got {horizon}")
+    if horizon > LARGEST_REACH * spacing:
+        raise InputError(
+            f"horizon: expected at most {LARGEST_REACH} spacings ({LARGEST_REACH * spacing:g} Å), "
+            f"got {horizon}"
+        )
     reach = int(np.floor(horizon / spacing * (1 + HORIZON_TOLERANCE)))
     a, b = np.meshgrid(*2 * [np.arange(-reach, reach + 1)], indexing="ij")
     steps = np.stack([a.ravel(), b.ravel()], axis=1)
@@ -170,6 +182,11 @@ def families_of(
     grid = None
     if points.spacing > 0:
         classes = bond_classes(points.spacing, horizon, degree=degree)
+        places = np.prod(np.ptp(x, axis=0) / points.spacing + 1)
+        if places > max(SMALL_TABLE, EMPTY_SHARE * len(x)):
+            raise InputError(
+                f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
+            )
         grid, axes, table, lacking = _lattice_table(points, classes, box)
         bonds = len(classes.steps)
         row = np.arange(len(x) + 1, dtype=np.int64) * bonds

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Files are written whole or not at all, and by one job at a time."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock, Timeout
+
+from warp_peri.errors import InputError
+
+PART = ".part-"
+"""What the names of half-written files hold, between the name to be and something random."""
 
 
 @contextmanager
@@ -22,7 +28,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+    handle, name = tempfile.mkstemp(
+        prefix=f".{path.name}{PART}", suffix=path.suffix, dir=path.parent
+    )
     os.close(handle)
     temporary = Path(name)
     try:
@@ -35,6 +43,32 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Hold a file or folder that is being written against every other job.
+
+    The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
+    however that ends. Half-written files that a killed job left are removed.
+
+    Raises InputError when another job holds it.
+    """
+    path = Path(os.path.realpath(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.lock")
+    lock = FileLock(beside)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise InputError(f"{path}: another job is writing here") from None
+    try:
+        for left in (*path.parent.glob(f".{path.name}{PART}*"), *path.glob(f".*{PART}*")):
+            left.unlink(missing_ok=True)
+        yield
+    finally:
+        beside.unlink(missing_ok=True)  # still held: who opened it before tries again
+        lock.release()
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

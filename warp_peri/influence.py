@@ -12,16 +12,24 @@ ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
 
 
+CANCELLED = 1e-10
+"""A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
+LARGEST_DEGREE = 1000
+"""Above 1029 the binomial coefficients are no floating-point numbers."""
+
+
 def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
     """Bernstein polynomials B_k,M(r/δ), shape [..., M + 1].
 
     Args:
         r: bond lengths [Å] in [0, δ]; a rounding error beyond δ counts as δ.
         horizon: δ [Å].
-        degree: M ≥ 0.
+        degree: M from 0 to LARGEST_DEGREE.
     """
     if not (isinstance(degree, (int, np.integer)) and degree >= 0):
         raise InputError(f"degree: expected a whole number ≥ 0, got {degree}")
+    if degree > LARGEST_DEGREE:
+        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
     t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
     k = np.arange(degree + 1)
     return comb(degree, k) * t**k * (1 - t) ** (degree - k)

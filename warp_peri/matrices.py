@@ -58,6 +58,7 @@ def matrices(
         bond_based=model.lam == model.mu,
         quadrature_degree=quadrature_degree,
     )
+    sweeps.check_volumes(model)
     alpha = floats(np.array([model.alpha]))
     tables = [
         table

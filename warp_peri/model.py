@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import warnings
@@ -12,13 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.files import write_json
-from warp_peri.influence import ALPHA_BOUND, bernstein_basis
+from warp_peri.files import plain, write_json
+from warp_peri.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
 from warp_peri.quadrature import DEGREE, SINGULARITY
 
 FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 _NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
+LARGEST_FILE = 2**24
+"""Bytes of a model file that are read at most."""
+_OPTIONAL = {"trained_strain", "sha256"}
 _RECORDS = ("certificate", "errors", "provenance", "versions")
 _KEYS = {
     "format",
@@ -48,6 +52,7 @@ class Model:
             of D where none are given.
         horizon: δ [Å].
         trained_on, certified_on: lattice spacings [Å].
+        trained_strain: largest strain of neighbouring nodes in the training fields, if known.
         certificate: figures of the certificate, by spacing.
         errors, provenance, versions: records that travel with the model.
 
@@ -62,6 +67,7 @@ class Model:
     D_dilatation: np.ndarray | None = None
     trained_on: tuple[float, ...] = ()
     certified_on: tuple[float, ...] = ()
+    trained_strain: float | None = None
     certificate: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -75,8 +81,13 @@ class Model:
         for name in ("D", "D_dilatation", "trained_on", "certified_on"):
             value = np.array(_numbers(name, getattr(self, name)))
             object.__setattr__(self, name, value if name[0] == "D" else tuple(value.tolist()))
+        if self.trained_strain is not None:
+            strain = _number("trained_strain", self.trained_strain)
+            object.__setattr__(self, "trained_strain", strain)
         if len(self.D) == 0:
             raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
+        if len(self.D) > LARGEST_DEGREE + 1:
+            raise InputError(f"D: expected at most {LARGEST_DEGREE + 1}, got {len(self.D)} of them")
         if not self.alpha < ALPHA_BOUND:
             raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
         if not self.horizon > 0:
@@ -128,8 +139,9 @@ class Model:
         if np.isclose(spacing, self.certified_on, rtol=1e-6).any():
             return
         known = ", ".join(f"{value:g} Å" for value in self.certified_on) or "no spacing"
+        here = f"{spacing:g} Å" if spacing else "scattered points"
         message = (
-            f"spacing: the model is certified on {known}, not on {spacing:g} Å, where its static "
+            f"spacing: the model is certified on {known}, not on {here}, where its static "
             "problems may have no solution or a wrong one"
         )
         if not allow_uncertified:
@@ -148,6 +160,9 @@ class Model:
         content |= {"degree": self.degree, "D": self.D, "D_dilatation": self.D_dilatation}
         content["quadrature"] = QUADRATURE
         content |= {key: getattr(self, key) for key in ("trained_on", "certified_on", *_RECORDS)}
+        if self.trained_strain is not None:
+            content["trained_strain"] = self.trained_strain
+        content["sha256"] = _content_hash(content)
         write_json(path, content)
 
 
@@ -155,13 +170,18 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     """Read a model file.
 
     Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
-    missing or unknown keys, numbers out of range.
+    missing or unknown keys, numbers out of range, contents that are not what was written.
     """
     try:
-        with open(path, encoding="utf-8") as file:
-            content = json.load(file)
+        with open(path, "rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+        if len(raw) > LARGEST_FILE:
+            raise InputError(f"{path}: expected a model file of at most {LARGEST_FILE} bytes")
+        content = json.loads(raw.decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such model file") from None
+    except InputError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a readable JSON file ({error})") from None
     try:
@@ -178,7 +198,7 @@ def _model(content: Any) -> Model:
             raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r}")
     if missing := sorted(_KEYS - set(content)):
         raise InputError(f"missing keys: {', '.join(missing)}")
-    if unknown := sorted(set(content) - _KEYS):
+    if unknown := sorted(set(content) - _KEYS - _OPTIONAL):
         raise InputError(f"unknown keys: {', '.join(unknown)}")
     fixed = {"length_unit": "angstrom", "stress_unit": "TPa", "quadrature": QUADRATURE}
     for key, wanted in fixed.items():
@@ -196,13 +216,24 @@ def _model(content: Any) -> Model:
             key: content[key]
             for key in ("D", "D_dilatation", "trained_on", "certified_on", *_RECORDS)
         },
+        trained_strain=content.get("trained_strain"),
     )
     if content["degree"] != model.degree:
         raise InputError(
             f"degree: expected {model.degree} for {len(model.D)} coefficients, "
             f"got {content['degree']!r}"
         )
+    if "sha256" in content and content["sha256"] != _content_hash(content):
+        raise InputError(
+            "sha256: the contents are not what was written; remove this key to accept them"
+        )
     return model
+
+
+def _content_hash(content: dict[str, Any]) -> str:
+    """SHA-256 of everything else in a model file."""
+    kept = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
 
 
 def _number(name: str, value: Any) -> float:

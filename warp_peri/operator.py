@@ -112,6 +112,7 @@ class LPSOperator:
             bond_based=model.lam == model.mu,
             quadrature_degree=quadrature_degree,
         )
+        self.sweeps.check_volumes(model)
 
     @overload
     def __call__(self, u: np.ndarray) -> np.ndarray: ...

@@ -1,8 +1,11 @@
-"""A proven lower bound of Λmin D(k)/s(k) over the whole Brillouin zone (theory.md, 32–35).
+"""Proven bounds of the symbol over the whole Brillouin zone (theory.md, 32–35 and 50).
+
+Of Λmin D(k)/s(k) from below, and of Λmax D(k) from above.
 
 Near k = 0 by a Taylor remainder, elsewhere cell by cell: D(k) − c s(k) is at least its affine part
 at the middle of the cell minus half the largest second derivative times the distance squared, and
-the smallest eigenvalue of an affine matrix function is concave, hence smallest at a corner.
+the smallest eigenvalue of an affine matrix function is concave, hence smallest at a corner; the
+largest is convex, hence largest at a corner.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ FRACTIONS = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1, 0.01)
 FIRST_CELLS = 16
 MOST_CELLS = 400_000
 """Work after which a bound is given up; halved cells cost four times as much."""
+UPPER_TOLERANCE = 1e-3
+"""How far the proven upper bound of D may be above a value that D takes, relative."""
 ROUNDING = 1e-11
 """Set aside for rounding, relative to the largest Γ."""
 
@@ -131,3 +136,43 @@ def _affine(
         slopes[a, 2] += kappa * (phi[0] * dphi[1] + phi[1] * dphi[0])
         slopes[a, :2] -= c * 2 / classes.spacing * np.sin(k[:, a] * classes.spacing)
     return d, slopes
+
+
+def largest_bound(
+    classes: BondClasses,
+    v: np.ndarray,
+    z: np.ndarray,
+    kappa: float,
+    *,
+    tolerance: float = UPPER_TOLERANCE,
+) -> float:
+    """An upper bound of Λmax D(k) over all k [TPa/Å²], proven cell by cell (theory.md, 50).
+
+    Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
+    then it is what was proven so far.
+    """
+    curvature = _second_derivative(classes, v, z, kappa)
+    slack = ROUNDING * 32 * (classes.count @ np.abs(v))
+    half = np.pi / classes.spacing / FIRST_CELLS / 2
+    middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
+    corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+    taken, work = 0.0, 0
+    while True:
+        d, slopes = _affine(classes, v, z, kappa, 0.0, middle)
+        bound = np.zeros(len(middle))
+        for shift in half * np.concatenate([np.zeros((1, 2)), corners]):
+            e11, e22, e12 = d + np.einsum("a,aek->ek", shift, slopes)
+            values = (e11 + e22) / 2 + np.hypot((e11 - e22) / 2, e12)
+            if not shift.any():
+                taken = max(taken, float(values.max()))  # D itself, at the middle
+            bound = np.maximum(bound, values)
+        bound += curvature * half**2 + slack
+        still = bound > (1 + tolerance) * taken
+        work += len(middle)
+        if not still.any():
+            return (1 + tolerance) * taken
+        if work > MOST_CELLS:
+            return float(bound.max())
+        half /= 2
+        middle = (middle[still][:, None, :] + half * corners).reshape(-1, 2)
+        middle = middle[middle[:, 0] + 2 * half >= middle[:, 1]]  # the wedge k₂ ≤ k₁

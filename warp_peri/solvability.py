@@ -10,8 +10,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.dataset import PointSet
+from warp_peri.families import families_of
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
+from warp_peri.quadrature import DEGREE
 
 DENSE = 1500
 """Numbers of unknowns up to which eigenvalues are computed densely."""
@@ -26,11 +28,13 @@ class Solvability:
             on the nodes has exactly one solution.
         singular_min: smallest singular value of L [TPa/Å²]; above 0, this one has.
         asymmetry: ‖L − Lᵗ‖ / ‖L + Lᵗ‖ in the Frobenius norm; rounding on lattices.
+        negative_weights: share of the interior nodes' bonds whose quadrature weight is below zero.
     """
 
     symmetric_min: float
     singular_min: float
     asymmetry: float
+    negative_weights: float
 
 
 def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
@@ -49,17 +53,31 @@ def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
     A = sp.csc_array(L[:, np.repeat(points.interior, 2)])
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
+    negative = _negative_weights(model, points, options)
     if A.shape[0] <= DENSE:
         smallest = np.linalg.eigvalsh(symmetric.toarray())[0]
         singular = np.linalg.svd(A.toarray(), compute_uv=False)[-1]
-        return Solvability(float(smallest), float(singular), float(asymmetry))
+        return Solvability(float(smallest), float(singular), float(asymmetry), negative)
     start = np.ones(A.shape[0])  # a fixed start gives the same figures every time
     options = {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}
     smallest = eigsh(symmetric, which="SA", tol=1e-6, **options)[0]
     try:
         factors = splu(A)
     except RuntimeError:  # exactly singular
-        return Solvability(float(smallest), 0.0, float(asymmetry))
+        return Solvability(float(smallest), 0.0, float(asymmetry), negative)
     squared = LinearOperator(A.shape, lambda v: factors.solve(factors.solve(v, "T")))
     singular = 1 / np.sqrt(eigsh(squared, which="LM", tol=1e-8, **options)[0])
-    return Solvability(float(smallest), float(singular), float(asymmetry))
+    return Solvability(float(smallest), float(singular), float(asymmetry), negative)
+
+
+def _negative_weights(model: Model, points: PointSet, options: dict[str, Any]) -> float:
+    degree = options.get("quadrature_degree", DEGREE)
+    keep = {"box": options.get("box"), "outside": options.get("outside"), "degree": degree}
+    bond_based = model.lam == model.mu
+    families = families_of(points, model.horizon, bond_based=bond_based, **keep)
+    if families.lattice is not None:
+        weight = families.weight[families.lattice.bond_class]
+    else:
+        of_node = np.repeat(np.arange(len(points.x)), np.diff(families.row))
+        weight = families.weight[points.interior[of_node]]
+    return float(np.mean(weight < 0))

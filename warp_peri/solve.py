@@ -13,6 +13,7 @@ from warp_peri.families import bond_classes
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
 from warp_peri.quadrature import DEGREE
+from warp_peri.strain import warn_beyond
 from warp_peri.symbol import stiffnesses, symbol
 
 RESIDUAL = 1e-9
@@ -90,6 +91,7 @@ def solve(
             f"the residual of the solve is {wrong.max():.1e} TPa/Å"
         )
     u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
+    warn_beyond(model, points, u, outside)
     return u
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from tqdm import tqdm
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
-from warp_peri.files import write_json
+from warp_peri.files import locked, write_json
 from warp_peri.model import load_model
 from warp_peri.training import fit
 from warp_peri.validation import evaluate
@@ -96,7 +97,8 @@ def sweep(
     """Fit every horizon and degree to its constrained optimum and choose.
 
     Finished fits stay in `folder`, so that an interrupted sweep goes on where it was; they are
-    known by a hash of the data and the settings.
+    known by a hash of the data and the settings. A fit that finds no optimum is warned about and
+    left out.
 
     Args:
         train, val: training and validation samples.
@@ -109,11 +111,27 @@ def sweep(
             chooses another backend.
         progress: show a progress bar.
 
-    Raises InputError for input that cannot be used.
+    Raises InputError for input that cannot be used or a folder that another job writes to,
+    RuntimeError when every fit failed.
     """
     if not (len(horizons) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
-    folder = Path(folder)
+    sets, grid = (train, val, test), (horizons, degrees)
+    with locked(folder):
+        return _sweep(*sets, Path(folder), *grid, conditions, jobs, progress)
+
+
+def _sweep(
+    train: PointSet,
+    val: PointSet,
+    test: PointSet | None,
+    folder: Path,
+    horizons: Sequence[float],
+    degrees: Sequence[int],
+    conditions: str,
+    jobs: int,
+    progress: bool,
+) -> Sweep:
     key = _key(train, val, test, conditions)
     cases = [(horizon, degree) for horizon in horizons for degree in degrees]
     files = [folder / f"d{horizon:g}_M{degree}_{key}.json" for horizon, degree in cases]
@@ -126,9 +144,16 @@ def sweep(
             joblib.delayed(_trial)(train, val, test, horizon, degree, conditions, file)
             for (horizon, degree), file in todo
         )
-        for _ in parallel(work) if todo else ():
+        failed = []
+        for failure in parallel(work) if todo else ():
+            failed += [failure] if failure else []
             bar.update()
-    return choose([trial for file in files if (trial := _read(file)) is not None])
+    for failure in sorted(failed):
+        warnings.warn(f"sweep: {failure}; the other fits go on", stacklevel=3)
+    trials = [trial for file in files if (trial := _read(file)) is not None]
+    if not trials:
+        raise RuntimeError("sweep: every fit failed")
+    return choose(trials)
 
 
 def choose(trials: list[Trial]) -> Sweep:
@@ -162,9 +187,16 @@ def _trial(
     degree: int,
     conditions: str,
     file: Path,
-) -> None:
-    """Fit, evaluate, and leave the record in `file` and the model beside it."""
-    found = fit(train, horizon=horizon, degree=degree, method="optimum", conditions=conditions)
+) -> str:
+    """Fit, evaluate, and leave the record in `file` and the model beside it.
+
+    Returns what went wrong when a fit finds no optimum; nothing is left then, and the next run
+    tries again. Input that cannot be used ends the sweep.
+    """
+    try:
+        found = fit(train, horizon=horizon, degree=degree, method="optimum", conditions=conditions)
+    except RuntimeError as error:
+        return f"δ = {horizon:g} Å, M = {degree}: {error}"
     model = found.model
     tables = [evaluate(model, points, allow_uncertified=True) for points in (train, val)]
     E_u_test = None if test is None else evaluate(model, test, allow_uncertified=True)["E_u"]
@@ -186,6 +218,7 @@ def _trial(
         model=model_file.name,
     )
     write_json(file, asdict(record))
+    return ""
 
 
 def _read(file: Path) -> Trial | None:

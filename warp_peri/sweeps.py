@@ -13,10 +13,12 @@ from scipy.special import comb
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.families import families_of
+from warp_peri.influence import CANCELLED
 from warp_peri.kernels import influence as influence_kernels
 from warp_peri.kernels import lps
 from warp_peri.kernels.bonds import bonds
 from warp_peri.launch import floats, ints, launch, launch_slices, zeros
+from warp_peri.model import Model
 from warp_peri.quadrature import DEGREE
 
 PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
@@ -143,6 +145,33 @@ class Sweeps:
         self._launch(gradient, kernel, len(self.r), table, kw)
         self._launch(gradient, self.kernels.weighted_volume, count, inputs, m)
         return kw, m
+
+    def check_volumes(self, model: Model) -> None:
+        """Refuse an influence function whose weighted volume vanishes: the operator divides by it.
+
+        Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
+        """
+        families = self.families
+        alpha = self.floats(np.array([model.alpha]))
+        for D in {
+            model.D.tobytes(): model.D,
+            model.dilatation.tobytes(): model.dilatation,
+        }.values():
+            kw = self.influence(alpha, self.floats(D), gradient=False)[0].numpy()
+            terms = kw * families.r**2
+            if families.lattice is not None:
+                terms = (families.lattice.count * terms)[None]
+                m, size = terms.sum(axis=1), np.abs(terms).sum(axis=1)
+            else:
+                m = np.add.reduceat(terms, families.row[:-1])[self.full.numpy()]
+                size = np.add.reduceat(np.abs(terms), families.row[:-1])[self.full.numpy()]
+            bad = np.count_nonzero(~(np.abs(m) > CANCELLED * size))
+            if bad:
+                where = "every node" if families.lattice is not None else f"{bad} nodes"
+                raise InputError(
+                    f"influence function: its weighted volume m (theory.md, 5) is zero at {where}: "
+                    f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
+                )
 
     def shape(self, kd: wp.array, *, gradient: bool = False) -> wp.array:
         """S of the nodes with broken bonds, (40), shape [N]."""

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warp_peri.errors import InputError
 from warp_peri.families import BondClasses
+from warp_peri.influence import CANCELLED
 from warp_peri.model import Model
 
 
@@ -88,11 +90,20 @@ def zone_wedge(spacing: float, intervals: int) -> np.ndarray:
 
 
 def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
-    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice."""
+    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
+
+    Raises InputError for an influence function whose weighted volume is zero.
+    """
     tables = []
     for K in (model.influence(classes.r), model.influence_dilatation(classes.r)):
         kw = K * classes.weight
-        tables.append(model.mu * kw / (classes.count @ (kw * classes.r**2)))
+        terms = classes.count * kw * classes.r**2
+        if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+            raise InputError(
+                "influence function: its weighted volume m (theory.md, 5) is zero on the lattice "
+                f"of spacing {classes.spacing:g} Å: positive and negative parts cancel"
+            )
+        tables.append(model.mu * kw / terms.sum())
     return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
 
 

@@ -33,6 +33,7 @@ from warp_peri.output_error import output_optimum
 from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
 from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.response import responses_of
+from warp_peri.strain import largest_strain
 from warp_peri.symbol import moduli as moduli_of
 from warp_peri.two_stage import positive_stage, sign_changing_stage
 
@@ -319,6 +320,7 @@ def fit(
         bare,
         trained_on=tuple(one.spacing for one in sets),
         certified_on=certified,
+        trained_strain=max(largest_strain(one, one.u) for one in sets),
         certificate={f"{one.spacing:g}": one.figures() for one in certificates},
         versions=_versions(),
     )

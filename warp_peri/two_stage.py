@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 
 import torch
 
 from warp_peri.checkpoint import Checkpoint
+from warp_peri.files import locked
 from warp_peri.full_loss import FullLoss
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.parameters import Parameters, Variables
@@ -70,7 +72,21 @@ def sign_changing_stage(
         parametrisation: how the bounds are kept, see Variables.
         checkpoint: kept after every outer iteration; a run that finds one goes on from it.
         tick: called with the loss after every epoch.
+
+    Raises InputError for a checkpoint of another run, or one that another job writes to.
     """
+    with locked(checkpoint.path) if checkpoint is not None else nullcontext():
+        return _augmented_lagrangian(terms, start, margins, parametrisation, checkpoint, tick)
+
+
+def _augmented_lagrangian(
+    terms: Sequence[ReducedLoss | FullLoss],
+    start: Parameters,
+    margins: SymbolMargins | DenseMargins,
+    parametrisation: str,
+    checkpoint: Checkpoint | None,
+    tick: Callable[[float], None],
+) -> Parameters:
     variables = Variables(start, positive=False, parametrisation=parametrisation)
     slack = torch.ones(margins.count, dtype=torch.float64, requires_grad=True)
     multiplier = torch.zeros(margins.count, dtype=torch.float64)
