@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from warp_peri.files import whole_file, write_text
 from warp_peri.model import Model
 from warp_peri.solve import solve
 from warp_peri.training import Fit
+from warp_peri.uncertainty import Uncertainty
 
 PAPER = {
     "You et al. 2021, LPS": {
@@ -31,6 +33,14 @@ PAPER = {
     },
 }
 """Errors printed in the papers at h = 5 Å, δ = 20 Å, 0 K [%]."""
+
+PAPER_300K = {
+    "You et al. 2021, LPS, 300 K": {
+        "E_res": {"train": 9.82, "val": 18.08},
+        "E_u": {"train": 13.16, "val": 8.88, "test": 9.21},
+    }
+}
+"""The same at 300 K, against the paper's own noisy displacements."""
 
 PAPER_CONSTANTS = {"lambda": -0.4796, "mu": 0.7978, "E": 0.91, "nu": -0.4297}
 SAME_OPTIMUM = 1e-5
@@ -45,10 +55,10 @@ def save_figure(figure: Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def draw_fit(folder: Path, fit: Fit, spacing: float) -> None:
-    """influence.png and loss.png."""
+def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = None) -> None:
+    """influence.png, with a band where the noise is known, and loss.png."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(fit.model, spacing=spacing, ax=ax)
+    plots.influence_function(fit.model, spacing=spacing, ax=ax, sure=sure)
     ax.set_title(f"Influence function, δ = {fit.model.horizon:g} Å, M = {fit.model.degree}")
     save_figure(figure, folder / "influence.png")
 
@@ -93,6 +103,14 @@ def draw_waves(path: Path, points: PointSet, table: dict[str, Any]) -> None:
     save_figure(figure, path)
 
 
+def deviations(sure: Uncertainty) -> dict[str, float]:
+    """Standard deviations of the constants by noise."""
+    quantities = {"lambda": "lam", "mu": "mu", "E": "E", "nu": "nu"}
+    return {
+        key: float(sure.deviation(operator.attrgetter(name))) for key, name in quantities.items()
+    }
+
+
 def metrics(
     fit: Fit, tables: dict[str, dict[str, Any]], truth: dict[str, float] | None
 ) -> dict[str, Any]:
@@ -118,6 +136,7 @@ def metrics(
             for stage in fit.history
         ],
         "starts": fit.starts,
+        "loss": {"name": fit.loss.name, "reason": fit.loss.reason},
         "certificate": {key: figures[key] for key in certificate},
         "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
@@ -126,10 +145,11 @@ def metrics(
 
 def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
     """report.md: the errors beside the printed ones, constants, stages, certificate, times."""
+    temperature = numbers["temperature"]
     roles = [role for role in ROLES if role in numbers["E_u"]]
     columns = [("E_res", r) for r in roles if r != "test"] + [("E_u", r) for r in roles]
     lines = [
-        "# Graphene at 0 K",
+        f"# Graphene at {temperature:g} K",
         "",
         f"Made by `{command}`. Errors are means over samples of relative ℓ2 errors [%].",
         "",
@@ -139,7 +159,7 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
         + " | ".join(f"{100 * numbers[e][r]:.2f}" for e, r in columns)
         + " |",
     ]
-    for name, printed in PAPER.items():
+    for name, printed in (PAPER if temperature == 0 else PAPER_300K).items():
         values = [printed[e].get(r) for e, r in columns]
         cells = ("–" if value is None else f"{value:.2f}" for value in values)
         lines.append(f"| {name} (as printed) | " + " | ".join(cells) + " |")
@@ -153,7 +173,11 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
     lines += ["", "## Constants [TPa]", "", "| | λ | μ | E | ν |", "|---|---|---|---|---|"]
     keys = ("lambda", "mu", "E", "nu")
     rows = {"learned": numbers, "the potential's own": numbers["truth"] or {}}
-    for name, row in (rows | {"You et al. 2021, learned": PAPER_CONSTANTS}).items():
+    if "deviation" in numbers:
+        rows["standard deviation by noise"] = numbers["deviation"]
+    if temperature == 0:
+        rows["You et al. 2021, learned"] = PAPER_CONSTANTS
+    for name, row in rows.items():
         cells = (f"{row[key]:.4f}" if key in row else "–" for key in keys)
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     moduli = ", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items())
@@ -161,6 +185,7 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
     if numbers["truth"]:
         lam, mu = numbers["truth"]["lambda"], numbers["truth"]["mu"]
         lines[-1] += f" The potential's: C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
+    lines += ["", f"Loss: {numbers['loss']['name']} ({numbers['loss']['reason']})."]
     lines += ["", "## Stages", "", "| stage | E_res training [%] | seconds |", "|---|---|---|"]
     for stage in numbers["stages"]:
         error = 100 * stage["E_res_train"]

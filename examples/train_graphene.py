@@ -37,9 +37,10 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     seconds: dict[str, float] = {}
     begin = time.perf_counter()
     with phase("data", seconds):
-        path = given.data or make_data(given.jobs, given.smoothing_radius)
+        path = data_file(given)
         data = warp_peri.load_dataset(path)
         sets = sets_at(data, given.spacing)
+        noise = noise_at(data, given.spacing)
     with phase("learning", seconds):
         found = fit(
             sets["train"],
@@ -47,9 +48,11 @@ def run(given: argparse.Namespace) -> dict[str, object]:
             degree=given.degree,
             method=given.method,
             conditions=given.conditions,
+            noise=noise,
             seed=given.seed,
             progress=True,
         )
+    print(f"loss: {found.loss.name} ({found.loss.reason})")
     print_certificate(found)
     with phase("prediction", seconds):
         tables = {
@@ -58,6 +61,11 @@ def run(given: argparse.Namespace) -> dict[str, object]:
         }
     truth = data.provenance.get("truth")
     numbers = report.metrics(found, tables, truth)
+    numbers["temperature"] = data.provenance.get("temperature", 0.0)
+    sure = None
+    if noise is not None:
+        sure = warp_peri.fit_uncertainty(found, sets["train"], noise)
+        numbers["deviation"] = report.deviations(sure)
     errors = {key: numbers[key] for key in ("E_res", "E_u", "E_res_abs")}
     provenance = {
         "data": path.name,
@@ -69,7 +77,7 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     }
     model = dataclasses.replace(found.model, errors=errors, provenance=provenance)
     with phase("figures", seconds):
-        report.draw_fit(given.out, found, given.spacing)
+        report.draw_fit(given.out, found, given.spacing, sure)
         if "test" in sets:
             report.draw_disks(given.out / "disks.png", model, sets["test"], tables["test"])
         if "wave_number" in sets["train"].samples:
@@ -80,6 +88,32 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     write_json(given.out / "metrics.json", numbers)
     report.write_report(given.out / "report.md", numbers, given.command)
     return numbers
+
+
+def data_file(given: argparse.Namespace) -> Path:
+    """The data set that was named or, made if it is not there, the one for the temperature."""
+    if given.data:
+        return Path(given.data)
+    if given.temperature == 0:
+        return make_data(given.jobs, given.smoothing_radius)
+    from tools.make_thermal import make_thermal
+    from tools.thermal import Bath
+
+    if given.smoothing_radius != SMOOTHING_RADIUS:
+        raise InputError("smoothing radius: only data at 0 K are made with another one")
+    try:
+        bath = Bath(temperature=given.temperature, steps=given.steps)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    print(f"graphene at {given.temperature:g} K by LAMMPS (finished runs are kept)")
+    paths = make_thermal(
+        DATA.parent,
+        bath=bath,
+        factors=[given.factor],
+        reductions=[given.reduction],
+        jobs=given.jobs,
+    )
+    return paths[given.reduction, given.factor]
 
 
 def make_data(jobs: int, smoothing_radius: float) -> Path:
@@ -98,8 +132,7 @@ def make_data(jobs: int, smoothing_radius: float) -> Path:
 
 def run_sweep(given: argparse.Namespace) -> None:
     """Algorithm 2: every horizon and degree, and the choice."""
-    path = given.data or make_data(given.jobs, given.smoothing_radius)
-    data = warp_peri.load_dataset(path)
+    data = warp_peri.load_dataset(data_file(given))
     sets = sets_at(data, given.spacing)
     if "val" not in sets:
         raise InputError("the sweep needs a validation set beside the training set")
@@ -109,6 +142,7 @@ def run_sweep(given: argparse.Namespace) -> None:
         sets["val"],
         given.out,
         test=sets.get("test"),
+        noise=noise_at(data, given.spacing),
         conditions=given.conditions,
         jobs=given.jobs,
         progress=True,
@@ -134,6 +168,13 @@ def sets_at(data: Dataset, spacing: float) -> dict[str, PointSet]:
         known = ", ".join(f"{name} ({data[name].spacing:g} Å)" for name in data)
         raise InputError(f"no training set on nodes {spacing:g} Å apart; the file has {known}")
     return found
+
+
+def noise_at(data: Dataset, spacing: float) -> PointSet | None:
+    """The fields of noise alone on the training nodes, if the data have any."""
+    if "noise" not in data or abs(data["noise"].spacing - spacing) > 1e-6 * spacing:
+        return None
+    return data["noise"]
 
 
 def print_certificate(found: warp_peri.Fit) -> None:
@@ -169,6 +210,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0])
     parser.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    parser.add_argument(
+        "--temperature", type=float, default=0.0, help="[K]; 300 K takes LAMMPS 15 to 30 minutes"
+    )
+    parser.add_argument(
+        "--reduction",
+        choices=("shared", "plain", "iota"),
+        default="shared",
+        help="of thermal runs (see tools/make_thermal.py); above 0 K only, as the next two",
+    )
+    parser.add_argument("--factor", type=float, default=1.0, help="on the loads")
+    parser.add_argument("--steps", type=int, default=4000, help="of each thermal run")
     parser.add_argument("--seed", type=int, default=0, help="of the initial influence function")
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument(
@@ -183,10 +235,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--out",
         type=Path,
-        help="folder for the results (default: runs/graphene_0K, or runs/graphene_0K_sweep)",
+        help="folder for the results (default: runs/graphene_0K or what the temperature is, "
+        "with _sweep for a sweep)",
     )
     given = parser.parse_args(arguments)
-    given.out = given.out or (OUT.with_name(OUT.name + "_sweep") if given.sweep else OUT)
+    if given.out is None:
+        name = f"graphene_{given.temperature:g}K" + ("_sweep" if given.sweep else "")
+        given.out = OUT.with_name(name)
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/train_graphene.py", *words])
     try:

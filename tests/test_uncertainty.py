@@ -17,7 +17,7 @@ from warp_peri.response import WaveResponse
 from warp_peri.solve import solve
 from warp_peri.symbol import moduli, stiffnesses
 from warp_peri.training import Fit, Settings
-from warp_peri.uncertainty import Uncertainty, uncertainty
+from warp_peri.uncertainty import Uncertainty, fit_uncertainty
 
 HORIZON = 2.5
 CLASSES = bond_classes(1.0, HORIZON)
@@ -64,7 +64,7 @@ def test_the_band_holds_the_truth_as_often_as_it_says():
         data = noisy(clean, SIZE, seed=2 * replicate)
         noise = fluctuation(clean, 12, SIZE, seed=2 * replicate + 1)
         found = fitted(data, start)
-        lower, upper = uncertainty(found, data, noise).band(found.model, quantities, level=0.9)
+        lower, upper = fit_uncertainty(found, data, noise).band(found.model, quantities, level=0.9)
         held.append((lower <= expected) & (expected <= upper))
     coverage = np.mean(held, axis=0)
     assert coverage.min() >= 0.80, coverage
@@ -88,7 +88,7 @@ def test_samples_of_one_seed_share_their_noise():
     def spread(points, seed=None):
         samples = points.samples if seed is None else {**points.samples, "seed": seed}
         points = dataclasses.replace(points, samples=samples)
-        return uncertainty(found, points, noise).deviation(constants)
+        return fit_uncertainty(found, points, noise).deviation(constants)
 
     once = spread(data)
     seeds = np.tile(np.arange(len(data)), 2)
@@ -113,8 +113,8 @@ def test_an_active_condition_stays_where_it_is():
         table = ZoneSearch(Conditions(CLASSES, "direct", 1e-9))
         return table.worst(*stiffnesses(model, CLASSES))[0].min()
 
-    free = uncertainty(fitted(data, start), data, noise).deviation(smallest)
-    held = uncertainty(fitted(data, start, zeta=1.3 * margin), data, noise).deviation(smallest)
+    free = fit_uncertainty(fitted(data, start), data, noise).deviation(smallest)
+    held = fit_uncertainty(fitted(data, start, zeta=1.3 * margin), data, noise).deviation(smallest)
     assert held < 0.05 * free
 
 
@@ -138,11 +138,11 @@ def test_what_it_cannot_do_is_refused():
     noise = fluctuation(data, 3, SIZE, seed=2)
     found = fit(data, horizon=HORIZON, degree=0, method="optimum", normalise=True)
     with pytest.raises(InputError, match="two fields"):
-        uncertainty(found, data, fluctuation(data, 1, SIZE, seed=2))
+        fit_uncertainty(found, data, fluctuation(data, 1, SIZE, seed=2))
     with pytest.raises(InputError, match="expected 1 sets"):
-        uncertainty(found, [data, data], noise)
+        fit_uncertainty(found, [data, data], noise)
     with pytest.raises(InputError, match="wave_vector"):
-        uncertainty(
+        fit_uncertainty(
             dataclasses.replace(found, loss=LossChoice("output", "")),
             dataclasses.replace(data, samples={}),
             noise,

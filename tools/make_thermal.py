@@ -45,6 +45,7 @@ from tools.reductions import REDUCTIONS, noise, reduced
 from tools.samples import Body, Sample, file_hash
 from tools.thermal import Bath, Run, Task, read_run, run, run_file
 from warp_peri.dataset import Dataset, PointSet, save_dataset
+from warp_peri.files import locked
 
 SPACING = 5.0
 """Of the nodes [Å]."""
@@ -97,17 +98,19 @@ def make_thermal(
     plans = graphene_plans() if plans is None else plans
     out = Path(out)
     cache = out / "graphene_0K.cache" if cache is None else Path(cache)
-    for folder in (out, cache):
-        folder.mkdir(parents=True, exist_ok=True)
-    at_rest, runs = run_all(plans, factors, bath, cache, jobs=jobs, progress=progress)
-    truth = thermal_constants(plans, runs, at_rest, max(factors))
-    paths = {}
-    for factor in factors:
-        for reduction in reductions:
-            data = data_set(plans, runs, at_rest, bath, reduction=reduction, factor=factor)
-            data.provenance["truth"] = truth
-            paths[reduction, factor] = out / file_name(bath.temperature, reduction, factor)
-            save_dataset(paths[reduction, factor], data)
+    cache.mkdir(parents=True, exist_ok=True)
+    with locked(cache):
+        at_rest, runs = run_all(plans, factors, bath, cache, jobs=jobs, progress=progress)
+        truth = thermal_constants(plans, runs, at_rest, max(factors))
+        paths = {}
+        for factor in factors:
+            for reduction in reductions:
+                data = data_set(plans, runs, at_rest, bath, reduction=reduction, factor=factor)
+                data.provenance["truth"] = truth
+                path = out / file_name(bath.temperature, reduction, factor)
+                with locked(path):
+                    save_dataset(path, data)
+                paths[reduction, factor] = path
     return paths
 
 

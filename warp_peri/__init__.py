@@ -12,6 +12,7 @@ from warp_peri.solvability import Solvability, solvability
 from warp_peri.solve import solve, solve_periodic
 from warp_peri.sweep import Sweep, sweep
 from warp_peri.training import Fit, fit
+from warp_peri.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.validation import evaluate
 
 __version__ = "0.1.0"
@@ -27,11 +28,13 @@ __all__ = [
     "PointSet",
     "Solvability",
     "Sweep",
+    "Uncertainty",
     "certify",
     "coarse_grain",
     "critical_time_step",
     "evaluate",
     "fit",
+    "fit_uncertainty",
     "load_dataset",
     "load_model",
     "save_dataset",

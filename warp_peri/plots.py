@@ -8,27 +8,39 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from numpy.typing import ArrayLike
+from scipy.stats import norm
 
-from warp_peri.families import bond_classes
+from warp_peri.families import BondClasses, bond_classes
 from warp_peri.model import Model
 from warp_peri.training import Stage
+from warp_peri.uncertainty import Uncertainty
 
 
-def influence_function(model: Model, *, spacing: float, ax: Axes) -> Axes:
+def influence_function(
+    model: Model, *, spacing: float, ax: Axes, sure: Uncertainty | None = None, color: str = "C0"
+) -> Axes:
     """K(r), scaled to unit weighted volume, and its values at the bond lengths of a lattice.
 
     Args:
         model: the model.
         spacing: of the lattice [Å].
         ax: where to draw.
+        sure: draws the 90 % band of the values at the bonds.
+        color: of the lines.
     """
     classes = bond_classes(spacing, model.horizon)
-    volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
-    values = model.influence(classes.r) / volume
     r = np.linspace(0.5 * spacing, model.horizon, 1000)
+    values = kernel_values(model, classes, classes.r)
     ax.axhline(0, color="0.7", linewidth=0.8)
-    ax.plot(r, model.influence(r) / volume, color="C0", linewidth=1, alpha=0.6, label="K(r)")
-    ax.plot(classes.r, values, "o", color="C0", label=f"at the bonds of the {spacing:g} Å lattice")
+    ax.plot(r, kernel_values(model, classes, r), color=color, linewidth=1, alpha=0.6, label="K(r)")
+    label = f"at the bonds of the {spacing:g} Å lattice"
+    if sure is None:
+        ax.plot(classes.r, values, "o", color=color, label=label)
+    else:
+        half = norm.ppf(0.95) * sure.deviation(lambda m: kernel_values(m, classes, classes.r))
+        ax.errorbar(
+            classes.r, values, half, fmt="o", color=color, capsize=3, label=f"{label}, 90 % band"
+        )
     room = 1.5 * np.abs(values).max()
     ax.set_ylim(-room, room)
     ax.set_xlim(0, 1.03 * model.horizon)
@@ -38,8 +50,16 @@ def influence_function(model: Model, *, spacing: float, ax: Axes) -> Axes:
     return ax
 
 
+def kernel_values(model: Model, classes: BondClasses, r: np.ndarray) -> np.ndarray:
+    """K(r) over the weighted volume on a lattice [Å⁻⁴]."""
+    volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
+    return np.asarray(model.influence(r) / volume)
+
+
 def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
-    """Relative residual √loss over the steps of each stage, one after the other.
+    """√loss over the steps of each stage, one after the other.
+
+    It is a relative residual, or in stage 4 a relative error of displacement.
 
     Args:
         history: stages of a fit.
@@ -55,7 +75,7 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
         begin = int(steps[-1])
     ax.set_yscale("log")
     ax.set_xlabel("steps (Adam epochs, then rounds of cutting planes)")
-    ax.set_ylabel("‖L u − b‖ / ‖b‖ over the training set [%]")
+    ax.set_ylabel("relative misfit of the training set [%]")
     ax.legend(frameon=False)
     return ax
 

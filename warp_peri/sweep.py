@@ -88,6 +88,7 @@ def sweep(
     folder: str | os.PathLike[str],
     *,
     test: PointSet | None = None,
+    noise: PointSet | None = None,
     horizons: Sequence[float] = HORIZONS,
     degrees: Sequence[int] = DEGREES,
     conditions: str = "direct",
@@ -104,6 +105,7 @@ def sweep(
         train, val: training and validation samples.
         folder: for the models and their errors.
         test: samples whose error is reported and takes no part in the choice.
+        noise: fields of noise alone on the training nodes, as in `fit`.
         horizons: δ [Å].
         degrees: M.
         conditions: as in `fit`.
@@ -116,7 +118,7 @@ def sweep(
     """
     if not (len(horizons) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
-    sets, grid = (train, val, test), (horizons, degrees)
+    sets, grid = (train, val, test, noise), (horizons, degrees)
     with locked(folder):
         return _sweep(*sets, Path(folder), *grid, conditions, jobs, progress)
 
@@ -125,6 +127,7 @@ def _sweep(
     train: PointSet,
     val: PointSet,
     test: PointSet | None,
+    noise: PointSet | None,
     folder: Path,
     horizons: Sequence[float],
     degrees: Sequence[int],
@@ -132,7 +135,7 @@ def _sweep(
     jobs: int,
     progress: bool,
 ) -> Sweep:
-    key = _key(train, val, test, conditions)
+    key = _key((train, val, test, noise), conditions)
     cases = [(horizon, degree) for horizon in horizons for degree in degrees]
     files = [folder / f"d{horizon:g}_M{degree}_{key}.json" for horizon, degree in cases]
     todo = [(case, file) for case, file in zip(cases, files) if _read(file) is None]
@@ -141,7 +144,7 @@ def _sweep(
     ) as bar:
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
         work = (
-            joblib.delayed(_trial)(train, val, test, horizon, degree, conditions, file)
+            joblib.delayed(_trial)(train, val, test, noise, horizon, degree, conditions, file)
             for (horizon, degree), file in todo
         )
         failed = []
@@ -183,6 +186,7 @@ def _trial(
     train: PointSet,
     val: PointSet,
     test: PointSet | None,
+    noise: PointSet | None,
     horizon: float,
     degree: int,
     conditions: str,
@@ -194,7 +198,14 @@ def _trial(
     tries again. Input that cannot be used ends the sweep.
     """
     try:
-        found = fit(train, horizon=horizon, degree=degree, method="optimum", conditions=conditions)
+        found = fit(
+            train,
+            horizon=horizon,
+            degree=degree,
+            method="optimum",
+            conditions=conditions,
+            noise=noise,
+        )
     except RuntimeError as error:
         return f"δ = {horizon:g} Å, M = {degree}: {error}"
     model = found.model
@@ -231,9 +242,9 @@ def _read(file: Path) -> Trial | None:
     return trial
 
 
-def _key(train: PointSet, val: PointSet, test: PointSet | None, conditions: str) -> str:
+def _key(sets: Sequence[PointSet | None], conditions: str) -> str:
     digest = hashlib.sha256(conditions.encode())
-    for points in (train, val, test):
+    for points in sets:
         if points is not None:
             for field in (points.x, points.interior, points.u, points.b):
                 digest.update(field.tobytes())

@@ -61,7 +61,7 @@ class Uncertainty:
         return middle - half, middle + half
 
 
-def uncertainty(
+def fit_uncertainty(
     found: Fit, points: PointSet | Sequence[PointSet], noise: PointSet | Sequence[PointSet]
 ) -> Uncertainty:
     """What noise makes of a fit.
