@@ -7,42 +7,28 @@ import pytest
 
 import tools.make_graphene as graphene
 import tools.make_thermal as tool
-from tools.graphene import THICKNESS, area_per_atom, bond_length
-from tools.lammps_session import CARBON_MASS, LammpsSession, potential_file
-from tools.loads import PatchLoad, RimLoad, WaveLoad, atom_force
+from tests.thermal import BATH, small_plans, small_sheet
+from tools.graphene import THICKNESS, area_per_atom
+from tools.lammps_session import CARBON_MASS, LammpsSession
+from tools.loads import PatchLoad, WaveLoad, atom_force
 from tools.long_wave import long_wave_constants
-from tools.plans import Plan
 from tools.reductions import REDUCTIONS, settled
-from tools.samples import Body
-from tools.thermal import Bath, Task, read_run, run_file
+from tools.thermal import Task, read_run, run_file
 from warp_peri.dataset import load_dataset
 
-BATH = Bath(steps=90, transient=30)
 BOLTZMANN = 8.617333262e-5  # eV/K
 EV_PER_AMU_SQUARE_ANGSTROM_PER_PS = 1.0364269656e-4
 
 
 @pytest.fixture(scope="module")
 def sheet():
-    return Body(bond_length(), str(potential_file()), cells=(8, 5))
+    return small_sheet()
 
 
 @pytest.fixture
 def plans(sheet, monkeypatch):
-    """Five loads on a small sheet and a small disk, two seeds and two spare ones."""
     monkeypatch.setattr(graphene, "REACH", 60.0)
-    disk = Body(sheet.bond, sheet.potential, radius=65.0)
-    waves = [WaveLoad(0, (0, 1)), WaveLoad(0, (1, 0)), WaveLoad(1, (1, 1))]
-    return [
-        Plan(disk, {"test": [RimLoad(1)]}, seeds=2, spare=2, repeat=1),
-        Plan(
-            sheet,
-            {"train": waves, "val": [PatchLoad(1, 0, 0, 8.0)]},
-            seeds=2,
-            spare=2,
-            repeat=2,
-        ),
-    ]
+    return small_plans(sheet)
 
 
 def make(folder, plans, **options):

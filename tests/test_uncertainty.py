@@ -121,8 +121,8 @@ def test_an_active_condition_stays_where_it_is():
 def test_deviations_add_in_squares():
     true = kernel("1/r", HORIZON)
     pairs = [
-        tuple(dataclasses.replace(true, mu=true.mu + sign * step) for sign in (1, -1))
-        for step in (0.03, 0.04)
+        (*(dataclasses.replace(true, mu=true.mu + sign * off * step) for sign in (1, -1)), off)
+        for step, off in ((0.03, 1.0), (0.04, 0.25))
     ]
     found = Uncertainty(pairs)
     assert found.deviation(lambda model: model.mu) == pytest.approx(0.05)
@@ -130,6 +130,21 @@ def test_deviations_add_in_squares():
     assert (upper - lower) / 2 == pytest.approx(0.05)
     with pytest.raises(InputError, match="between 0 and 1"):
         found.band(true, lambda model: model.mu, level=90)
+
+
+def test_a_deviation_beyond_every_solid_is_still_told():
+    """One standard deviation off there is no solid any more; the deviation is that of a part."""
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    start = Parameters(true.lam, true.mu, true.alpha, true.D)
+    data = waves(true, cells=4, highest=3)
+    found = fitted(data, start)
+    small, large = (
+        fit_uncertainty(found, data, fluctuation(data, 12, size, seed=2)) for size in (1e-4, 10.0)
+    )
+    assert {off for *_, off in small.pairs} == {1.0}
+    assert min(off for *_, off in large.pairs) < 1
+    ratio = large.deviation(lambda model: model.mu) / small.deviation(lambda model: model.mu)
+    assert ratio == pytest.approx(1e5, rel=0.3)
 
 
 def test_what_it_cannot_do_is_refused():

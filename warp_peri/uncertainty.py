@@ -33,21 +33,28 @@ ACTIVE = 0.02
 """A condition is active where its margin is below this part of ζ."""
 SAME = 1e-3
 """Conditions at neighbouring wave vectors whose gradients differ by less than this are one."""
+SMALLER = (1.0, 0.25, 0.05, 0.01, 1e-3, 1e-5)
+"""Parts of a standard deviation that are tried, one after the other."""
 DETERMINED = 1e-9
 """Directions in which the data bend the loss less than this of the most do not count."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Models one standard deviation to either side of a fit, along independent directions."""
+    """Models to either side of a fit, along independent directions of its covariance.
 
-    pairs: list[tuple[Model, Model]]
+    Attributes:
+        pairs: models above and below, and how many standard deviations they are off: one, or less
+            where that far no solid is left.
+    """
+
+    pairs: list[tuple[Model, Model, float]]
 
     def deviation(self, quantity: Callable[[Model], np.ndarray | float]) -> np.ndarray:
         """Standard deviation of anything a model determines, of the shape of the quantity."""
         total: np.ndarray | float = 0.0
-        for above, below in self.pairs:
-            total = total + ((np.asarray(quantity(above)) - quantity(below)) / 2) ** 2
+        for above, below, off in self.pairs:
+            total = total + ((np.asarray(quantity(above)) - quantity(below)) / (2 * off)) ** 2
         return np.sqrt(total)
 
     def band(
@@ -114,11 +121,20 @@ def fit_uncertainty(
     follow = follow @ right[: len(size)][kept] @ free.T  # −dy by gradient
     axes, deviation, _ = np.linalg.svd(follow @ np.concatenate(pushes, axis=1))
 
-    def beside(step: np.ndarray) -> Model:
-        return as_model(coordinates.parameters(y + step, []), model.horizon)
+    def beside(step: np.ndarray) -> tuple[Model, Model, float]:
+        for off in SMALLER:
+            try:
+                above, below = (
+                    as_model(coordinates.parameters(y + sign * off * step, []), model.horizon)
+                    for sign in (1, -1)
+                )
+            except InputError:  # μ or λ + μ is not above zero there
+                continue
+            return above, below, off
+        raise InputError("noise: it is so strong that nothing can be said of this fit")
 
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
-    return Uncertainty([(beside(step), beside(-step)) for step in steps])
+    return Uncertainty([beside(step) for step in steps])
 
 
 def _linearised(
