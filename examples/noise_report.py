@@ -153,7 +153,7 @@ def _errors(row: dict[str, Any]) -> list[str]:
 
 def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     """Figure 6, right: errors by degree at 300 K, here and printed."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.6), layout="constrained")
     degrees = [row["degree"] for row in rows]
     known = [M for M in degrees if M in PRINTED_TABLE_3]
     names = (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))
@@ -169,7 +169,10 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     ours = [100 * row["E_u_val_shared"] for row in rows]
     axes[1].semilogy(degrees, ours, "^-", color="C2", label="E_u_val, shared-seed reference")
     for ax in axes:
-        ax.legend(frameon=False, fontsize="small")
+        ax.set_xticks(degrees)
+        ax.legend(
+            frameon=False, fontsize="small", loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2
+        )
     figure.suptitle("Errors by degree at 300 K, time smoothing as printed (figure 6, right)")
     save_figure(figure, path)
 
