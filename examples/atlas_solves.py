@@ -121,8 +121,8 @@ def lame_parameters(data: Dataset) -> Entry:
     least = {name: values[0] for name, values in symbols.items()}
     text = f"""λ < μ is no danger by itself; the true graphene has λ = −0.27 μ. Nor is λ + μ → 0 for the continuum under
 Dirichlet data, whose longitudinal stiffness λ + 2μ stays at μ. For a kernel it may be: at (λ + μ)/μ = 10⁻⁶ the
-smallest $D/s$ over μ is {least['1/r']:.2g} for K = 1/r, {least["conditions 'paper'"]:.1e} for the kernel fitted under (24), whose
-condition (iii) is active at its optimum, {least["conditions 'direct'"]:.2g} under (23) and {least['no conditions']:.2g} without conditions. Condition (iii) of (24) is what carries a kernel to *any*
+smallest $D/s$ over μ is {least["1/r"]:.2g} for K = 1/r, {least["conditions 'paper'"]:.1e} for the kernel fitted under (24), whose
+condition (iii) is active at its optimum, {least["conditions 'direct'"]:.2g} under (23) and {least["no conditions"]:.2g} without conditions. Condition (iii) of (24) is what carries a kernel to *any*
 λ > −μ; (23) speaks of the fitted λ only, so certify again after changing it. Upwards nothing turns negative, but the
 condition number of $L$ grows with λ: from {min(conditions["1/r"]):.0f} to {conditions["1/r"][-1]:.1e} at λ/μ = 10⁶
 (K = 1/r; {conditions["conditions 'direct'"][-1]:.1e} under (23)). There is no locking on lattices: the order of the error against

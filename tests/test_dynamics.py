@@ -35,6 +35,22 @@ def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
     assert found <= bound <= 1.002 * found
 
 
+@pytest.mark.parametrize("lam", [-0.2, 3.0])
+@pytest.mark.parametrize("name", KERNELS)
+def test_no_cell_holds_more_than_its_bound(name, lam, monkeypatch):
+    model, classes = kernel(name, 3.0, lam=lam), bond_classes(1.0, 3.0)
+    random, half = np.random.default_rng(0), np.pi / 32
+    middle = random.uniform(0, np.pi, (200, 2))
+    inside = middle[:, None] + half * random.uniform(-1, 1, (200, 300, 2))
+    found = largest(model, inside.reshape(-1, 2)).reshape(200, 300).max(axis=1)
+    point = stiffnesses(model, classes)
+    bound = proof._cells_above(classes, *point, middle, half)[1]
+    assert (found <= bound).all()
+    monkeypatch.setattr(proof, "_second_derivative", lambda *_: 0.0)
+    straight = proof._cells_above(classes, *point, middle, half)[1]
+    assert (found > straight).any()  # without the curvature it is no bound
+
+
 def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
     model, classes = kernel("positive", 3.0), bond_classes(1.0, 3.0)
     tight = largest_bound(classes, *stiffnesses(model, classes))
