@@ -117,7 +117,7 @@ def sign_changing(data: Dataset) -> Entry:
     bar.ax.set_yticklabels(["−1", "−0.01", "0", "0.01", "1"])
     for name, style in (("without", "o"), ("with", "s")):
         closest = [float(np.abs(values).min()) for values in spectra[name]]
-        right.loglog(sizes, closest, style, label=f"{name} conditions", markersize=4, alpha=0.7)
+        right.semilogy(sizes, closest, style, label=f"{name} conditions", markersize=4, alpha=0.7)
     right.set_xlabel("unknown nodes of a rectangle")
     right.set_ylabel("smallest |eigenvalue of L| / λ₁ [TPa]")
     right.set_title(f"δ = {ratio:g}h, M = {degree}; λ₁: 5-point Laplacian")

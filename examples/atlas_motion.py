@@ -212,11 +212,13 @@ def dispersion(model: Model, data: Dataset) -> Entry:
         )
         for part in (0.5, 1.0)
     }
+    reach = float(data["train"].samples["wave_number"].max() / np.sqrt(2))
     text = f"""The learned model moves as $\\rho\\omega^2$ = eigenvalues of $D(k)$, with the data's density and nothing fitted to
 motion. Against the in-plane acoustic branches of the atoms (dynamical matrix from LAMMPS forces, along zigzag
 and armchair) ω is within {worst[0.25]:.1%} up to a quarter of the nodes' zone, {worst[0.5]:.1%} up to a half, and {worst[1.0]:.1%} up to its
 edge at π/h = {edge:.2f} 1/Å. Elasticity with the true constants is {limit[0.5]:.1%} and {limit[1.0]:.1%} off at a half and at the edge.
-Waves shorter than the nodes carry do not exist in the model; it says nothing where a load holds them."""
+The training loads reach |k| = {reach:.2f} 1/Å along each axis; beyond, nothing holds the model but the condition
+that it be stable, and ω leaves the atoms' on both sides. Plain elasticity is the better guess there."""
     bare = Model(model.lam, model.mu, model.alpha, model.D, model.horizon)
     return Entry(
         "Waves of the learned model against phonons",

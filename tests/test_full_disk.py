@@ -29,7 +29,7 @@ if limit:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit is then an error
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 points = small["train"]
-many = PointSet(points.x, points.interior, points.spacing, np.ones((1000, len(points.x), 2)))
+many = PointSet(points.x, points.interior, points.spacing, np.ones((9000, len(points.x), 2)))
 big = Dataset({"train": many}, 3.35, 2267.0)
 jobs = {
     "g.h5": lambda: save_dataset(folder / "g.h5", big),

@@ -9,7 +9,7 @@ import pytest
 import tools.make_graphene as tool
 from examples import train_graphene
 from tests.jobs import problem
-from warp_peri import InputError, fit, sweep
+from warp_peri import InputError, fit, sweep, two_stage
 from warp_peri.files import PART, locked, whole_file
 
 ROOT = Path(__file__).parent.parent
@@ -49,7 +49,8 @@ def refused():
     return pytest.raises(InputError, match="another job is writing here")
 
 
-def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys):
+def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(two_stage, "EPOCHS", 5)
     holder(*(tmp_path / name for name in ("out", "g.h5", "state.npz")))
     with pytest.raises(InputError, match="out: another job is writing here"):
         sweep(problem(), problem(1), tmp_path / "out", horizons=(2.0,), degrees=(0,), jobs=1)

@@ -203,3 +203,13 @@ def test_memory_is_within_forty_bytes_a_bond():
     assert families.bytes_per_bond + working <= 40.5  # the half byte is row, which is by node
     ordered = families_of(replace(lattice(60, 3.0)), 3.0)
     assert ordered.bytes_per_bond < 4.5
+
+
+def test_negative_weights_are_counted():
+    points = cloud(4, 3.0, perturbation=0.45, seed=1)
+    families = families_of(points, 3.0)
+    rows = np.repeat(np.arange(len(points.x)), np.diff(families.row))
+    inside = families.weight[points.interior[rows]]
+    found = solvability(plain(3.0), points).negative_weights
+    assert found == np.count_nonzero(inside < 0) / len(inside) > 0
+    assert solvability(plain(3.0), lattice(4, 3.0)).negative_weights == 0

@@ -1,12 +1,15 @@
 """Algorithm 2: choices among trials, and a sweep that resumes."""
 
 import dataclasses
+import sys
 
 import pytest
 
 from tests.problems import kernel, lattice, manufactured
 from warp_peri import InputError, sweep
 from warp_peri.sweep import Trial, choose
+
+sweeps = sys.modules["warp_peri.sweep"]  # the package holds the function of that name
 
 
 def trial(horizon, degree, *errors, bonds=20):
@@ -81,3 +84,30 @@ def test_other_data_are_not_taken_for_finished(sets, tmp_path):
 def test_an_empty_sweep_is_refused(sets, tmp_path):
     with pytest.raises(InputError, match="at least one horizon"):
         sweep(*sets, tmp_path, horizons=())
+
+
+def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
+    train, val = sets
+    options = {"horizons": (2.0, 2.5), "degrees": (0,), "jobs": 1}
+    fit, horizons = sweeps.fit, []
+
+    def fails(points, *, horizon, **rest):
+        horizons.append(horizon)
+        if horizon == 2.0:
+            raise RuntimeError("stage 3: no start ended with the conditions kept")
+        return fit(points, horizon=horizon, **rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweeps, "fit", fails)
+        with pytest.warns(UserWarning, match=r"sweep: δ = 2 Å, M = 0: stage 3: no start"):
+            found = sweep(train, val, tmp_path, **options)
+        assert [t.horizon for t in found.trials] == [2.5]
+        with pytest.warns(UserWarning, match="δ = 2 Å"):
+            sweep(train, val, tmp_path, **options)
+        assert horizons == [2.0, 2.5, 2.0]
+        with (
+            pytest.warns(UserWarning, match="δ = 2 Å"),
+            pytest.raises(RuntimeError, match="every fit failed"),
+        ):
+            sweep(train, val, tmp_path, **options | {"horizons": (2.0,)})
+    assert len(sweep(train, val, tmp_path, **options).trials) == 2

@@ -151,22 +151,13 @@ def largest_bound(
     Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
     then it is what was proven so far.
     """
-    curvature = _second_derivative(classes, v, z, kappa)
-    slack = ROUNDING * 32 * (classes.count @ np.abs(v))
     half = np.pi / classes.spacing / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
     corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
     taken, work = 0.0, 0
     while True:
-        d, slopes = _affine(classes, v, z, kappa, 0.0, middle)
-        bound = np.zeros(len(middle))
-        for shift in half * np.concatenate([np.zeros((1, 2)), corners]):
-            e11, e22, e12 = d + np.einsum("a,aek->ek", shift, slopes)
-            values = (e11 + e22) / 2 + np.hypot((e11 - e22) / 2, e12)
-            if not shift.any():
-                taken = max(taken, float(values.max()))  # D itself, at the middle
-            bound = np.maximum(bound, values)
-        bound += curvature * half**2 + slack
+        values, bound = _cells_above(classes, v, z, kappa, middle, half)
+        taken = max(taken, float(values.max()))
         still = bound > (1 + tolerance) * taken
         work += len(middle)
         if not still.any():
@@ -176,3 +167,24 @@ def largest_bound(
         half /= 2
         middle = (middle[still][:, None, :] + half * corners).reshape(-1, 2)
         middle = middle[middle[:, 0] + 2 * half >= middle[:, 1]]  # the wedge k₂ ≤ k₁
+
+
+def _cells_above(
+    classes: BondClasses,
+    v: np.ndarray,
+    z: np.ndarray,
+    kappa: float,
+    middle: np.ndarray,
+    half: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Λmax D at the middle of square cells, and its bound over each cell (50); shape [K] each."""
+    d, slopes = _affine(classes, v, z, kappa, 0.0, middle)
+    corners = np.array([(0, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)])
+    values = []
+    for shift in half * corners:
+        e11, e22, e12 = d + np.einsum("a,aek->ek", shift, slopes)
+        values.append((e11 + e22) / 2 + np.hypot((e11 - e22) / 2, e12))
+    curvature = _second_derivative(classes, v, z, kappa)
+    slack = ROUNDING * 32 * (classes.count @ np.abs(v))
+    # ½ · curvature · (√2 half)²
+    return values[0], np.max(values, axis=0) + curvature * half**2 + slack
