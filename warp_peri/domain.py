@@ -23,6 +23,8 @@ class Domain:
         axes: directions of the lattice as columns.
         reach: steps that the operator reaches; the wider box has so many more nodes on each side.
         mask: unknown nodes in the box, shape [n₁, n₂] bool.
+        interior: numbers of the interior nodes in the point set.
+        collar: nodes of the wider box that are not unknown, in its shape, bool.
         free: places of the interior nodes in the box, flat, in the order of the point set.
         near: nodes of the point set that lie in the wider box, by number.
         place: their places in it, flat.
@@ -33,6 +35,8 @@ class Domain:
     axes: torch.Tensor
     reach: int
     mask: torch.Tensor
+    interior: torch.Tensor
+    collar: torch.Tensor
     free: torch.Tensor
     near: torch.Tensor
     place: torch.Tensor
@@ -121,6 +125,8 @@ def domain(
         axes=torch.from_numpy(axes).to(device),
         reach=reach,
         mask=torch.from_numpy(asked[reach:-reach, reach:-reach].copy()).to(device),
+        interior=indices(np.flatnonzero(points.interior)),
+        collar=torch.from_numpy(~asked).to(device),
         free=indices((inside - corner) @ (m, 1)),
         near=indices(near),
         place=indices(place),

@@ -262,15 +262,15 @@ def _lattice_table(
             )
         grid %= size
     number = np.full(size, -1, dtype=np.int32)
-    number[tuple(grid.T)] = np.arange(len(x))
-    twice = np.flatnonzero(number[tuple(grid.T)] != np.arange(len(x)))
+    number[tuple(grid.T)] = nodes = np.arange(len(grid))
+    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
     if len(twice):
         raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
-    table = zeros(len(x), len(classes.steps), dtype=wp.int32)
-    lacking = zeros(len(x), dtype=wp.int32)
+    table = zeros(len(grid), len(classes.steps), dtype=wp.int32)
+    lacking = zeros(len(grid), dtype=wp.int32)
     launch_slices(
         kernels.lattice_neighbours,
-        len(x),
+        len(grid),
         (ints(grid), ints(classes.steps), ints(number)),
         (table, lacking),
     )

@@ -27,8 +27,8 @@ Preconditioner = Callable[[torch.Tensor], torch.Tensor]
 def sine(domain: Domain, A: torch.Tensor) -> Preconditioner:
     """For rectangles: the symbol's diagonal blocks in the sine basis, its whole at short waves.
 
-    z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, D_a = D11 and D22 at its waves, H the
-    filter of `additive`. With D12 = 0 the two add up to the inverse but for the boundary in H.
+    z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, D_a = D11 and D22 at its waves, H
+    the filter of `additive`. With D12 = 0 the two add up to the inverse but for the boundary in H.
     """
     reach = A.shape[-1] // 2
     n = torch.arange(-reach, reach + 1, dtype=A.dtype)

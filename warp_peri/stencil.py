@@ -1,7 +1,7 @@
 """The operator of a lattice as one stencil, and its products on a torus of nodes by FFT.
 
-With full families everywhere (9) is the convolution (L u)_i = Σ_n A(n) u_{i+n}, A(n) = A(−n). On any
-finite set of unknowns the operator is a block of the same convolution on a torus large enough that
+With full families everywhere (9) is the convolution (L u)_i = Σ_n A(n) u_{i+n}, A(n) = A(−n). On
+any finite set of unknowns the operator is a block of the same convolution on a torus large enough that
 nothing reaches around it (theory.md, 49–50).
 """
 
@@ -29,7 +29,7 @@ def stencil(
     D: torch.Tensor,
     D_dilatation: torch.Tensor,
 ) -> torch.Tensor:
-    """A(n) [TPa/Å²] along the lattice's own axes, shape [2, 2, 2R + 1, 2R + 1], n = 0 in the middle.
+    """A(n) [TPa/Å²] along the lattice's own axes, shape [2, 2, 2R + 1, 2R + 1], n = 0 central.
 
     Differentiable in all tensors (float64 numbers, and Bernstein coefficients, shape [M + 1]). R is
     the reach of a family in steps, or twice it with a dilatation; λ = μ has none (theory.md, 42).
