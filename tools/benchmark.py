@@ -1,6 +1,7 @@
 """Speed and memory of the LPS operator beside other ways of computing it, all in one run.
 
     python tools/benchmark.py operator [--quick]
+    python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
 first. Rounds are interleaved, each timing follows an untimed call, and the best round counts (a
@@ -24,7 +25,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import rivals
+from tools import rivals, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import PointSet, set_threads
 from warp_peri.adjoint import BLOCKS
@@ -302,10 +303,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["operator"])
+    parser.add_argument("what", choices=["operator", "solve"])
     parser.add_argument("--quick", action="store_true", help="few rounds, no 1000² lattice")
+    parser.add_argument("--model", type=Path, help="solve: model file (default: learned graphene)")
+    parser.add_argument("--out", type=Path, help="solve: write the table as JSON")
     given = parser.parse_args(arguments)
-    operator(quick=given.quick)
+    if given.what == "solve":
+        solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
+    else:
+        operator(quick=given.quick)
     return 0
 
 

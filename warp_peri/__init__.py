@@ -4,6 +4,7 @@ from warp_peri.certificate import Certificate, certify
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
 from warp_peri.dynamics import Motion, critical_time_step, velocity_verlet
+from warp_peri.equilibrium import equilibrium
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
 from warp_peri.model import Model, load_model
@@ -32,6 +33,7 @@ __all__ = [
     "certify",
     "coarse_grain",
     "critical_time_step",
+    "equilibrium",
     "evaluate",
     "fit",
     "fit_uncertainty",

@@ -240,11 +240,12 @@ def families_of(
     return Families(row, neighbour, reverse, r, weight, *nodes)
 
 
-def _lattice_table(
-    points: PointSet, classes: BondClasses, box: tuple[float, float] | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
-    h = classes.spacing
+def lattice_steps(points: PointSet) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the nodes of a lattice from its corner, shape [N, 2] int32, and its axes as columns.
+
+    Raises InputError naming points off the lattice.
+    """
+    h = points.spacing
     axes = _axes(points.x, h)
     x = points.x @ axes  # coordinates along the lattice
     grid = np.rint((x - x[0]) / h).astype(np.int32)
@@ -254,7 +255,15 @@ def _lattice_table(
             f"points: expected a square lattice of spacing {h} Å; off it: "
             f"{scattered.listed(np.flatnonzero(off))}"
         )
-    grid -= grid.min(0)
+    return grid - grid.min(0), axes
+
+
+def _lattice_table(
+    points: PointSet, classes: BondClasses, box: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
+    h = classes.spacing
+    grid, axes = lattice_steps(points)
     reach = int(np.abs(classes.steps).max())
     if box is None:
         size = grid.max(0) + 1 + 2 * reach
@@ -270,15 +279,15 @@ def _lattice_table(
             )
         grid %= size
     number = np.full(size, -1, dtype=np.int32)
-    number[tuple(grid.T)] = np.arange(len(x))
-    twice = np.flatnonzero(number[tuple(grid.T)] != np.arange(len(x)))
+    number[tuple(grid.T)] = nodes = np.arange(len(grid))
+    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
     if len(twice):
         raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
-    table = zeros(len(x), len(classes.steps), dtype=wp.int32)
-    lacking = zeros(len(x), dtype=wp.int32)
+    table = zeros(len(grid), len(classes.steps), dtype=wp.int32)
+    lacking = zeros(len(grid), dtype=wp.int32)
     launch_slices(
         kernels.lattice_neighbours,
-        len(x),
+        len(grid),
         (ints(grid), ints(classes.steps), ints(number)),
         (table, lacking),
     )

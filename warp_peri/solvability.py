@@ -54,19 +54,16 @@ def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
     negative = _negative_weights(model, points, options)
+    smallest = smallest_eigenvalue(symmetric)
     if A.shape[0] <= DENSE:
-        smallest = np.linalg.eigvalsh(symmetric.toarray())[0]
         singular = np.linalg.svd(A.toarray(), compute_uv=False)[-1]
         return Solvability(float(smallest), float(singular), float(asymmetry), negative)
-    start = np.ones(A.shape[0])  # a fixed start gives the same figures every time
-    options = {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}
-    smallest = eigsh(symmetric, which="SA", tol=1e-6, **options)[0]
     try:
         factors = splu(A)
     except RuntimeError:  # exactly singular
         return Solvability(float(smallest), 0.0, float(asymmetry), negative)
     squared = LinearOperator(A.shape, lambda v: factors.solve(factors.solve(v, "T")))
-    singular = 1 / np.sqrt(eigsh(squared, which="LM", tol=1e-8, **options)[0])
+    singular = 1 / np.sqrt(eigsh(squared, which="LM", tol=1e-8, **_one(A))[0])
     return Solvability(float(smallest), float(singular), float(asymmetry), negative)
 
 
@@ -81,3 +78,16 @@ def _negative_weights(model: Model, points: PointSet, options: dict[str, Any]) -
         of_node = np.repeat(np.arange(len(points.x)), np.diff(families.row))
         weight = families.weight[points.interior[of_node]]
     return float(np.mean(weight < 0))
+
+
+def smallest_eigenvalue(symmetric: sp.csc_array) -> float:
+    """Smallest eigenvalue of a symmetric matrix; dense for few unknowns."""
+    if symmetric.shape[0] <= DENSE:
+        return float(np.linalg.eigvalsh(symmetric.toarray())[0])
+    return float(eigsh(symmetric, which="SA", tol=1e-6, **_one(symmetric))[0])
+
+
+def _one(matrix: sp.csc_array) -> dict[str, Any]:
+    """One eigenvalue, from a fixed start that gives the same figures every time."""
+    start = np.ones(matrix.shape[0])
+    return {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu, splu
 
 from warp_peri.dataset import PointSet
+from warp_peri.dirichlet import PRECONDITIONERS, Record
+from warp_peri.domain import domain
+from warp_peri.equilibrium import TOLERANCE, equilibrium
 from warp_peri.errors import InputError
-from warp_peri.families import bond_classes
+from warp_peri.families import bond_classes, lattice_steps
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
 from warp_peri.quadrature import DEGREE
+from warp_peri.solvability import smallest_eigenvalue
+from warp_peri.stencil import smallest_ratio, stencil
 from warp_peri.strain import warn_beyond
 from warp_peri.symbol import stiffnesses, symbol
 
 RESIDUAL = 1e-9
 """Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+DIRECT, LARGEST_LU = 4_000, 40_000
+"""Most unknown nodes that are solved for directly, on lattices and on other point sets."""
 SINGULAR = 1e-13
 """Eigenvalues of the symbol below this fraction of the largest count as zero."""
 
@@ -31,8 +39,10 @@ def solve(
     box: tuple[float, float] | None = None,
     outside: ArrayLike | None = None,
     quadrature_degree: int = DEGREE,
-    method: str = "lu",
+    method: str = "auto",
+    tolerance: float = TOLERANCE,
     allow_uncertified: bool = False,
+    records: list[Record] | None = None,
 ) -> np.ndarray:
     """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
 
@@ -43,19 +53,24 @@ def solve(
         u_collar: displacement [Å], same shape; only collar values count.
         box, outside, quadrature_degree: as for LPSOperator; displacement outside the body is
             handed through.
-        method: "lu", or "gmres" preconditioned by an incomplete LU, for more nodes than LU has
-            memory for. (On scattered points the operator is not symmetric, so that conjugate
-            gradients do not apply.)
+        method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
+            conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
+            with an incomplete LU for many scattered points, whose operator is not symmetric.
+            "fft" (the inverse symbol) and "cg" (plain) are there to compare.
+        tolerance: of conjugate gradients, true residual over right-hand side.
         allow_uncertified: warn about an uncertified spacing instead of raising.
+        records: takes one Record for each sample that conjugate gradients solved.
 
     Returns:
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
     Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
-    operator that is singular to working precision.
+    operator that is singular to working precision or, on a lattice without broken bonds,
+    indefinite.
     """
-    if method not in METHODS:
-        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    known = ("auto", *METHODS, *PRECONDITIONERS)
+    if method not in known:
+        raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
     model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
     b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
     if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
@@ -66,6 +81,30 @@ def solve(
     fixed, free = ~points.interior, points.interior
     if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
         raise InputError("b, u_collar: expected finite values")
+    plain = points.spacing > 0 and box is None and outside is None
+    if method == "auto":
+        method = choose_method(points, plain=plain)
+    if method in PRECONDITIONERS:
+        if not plain or quadrature_degree != DEGREE:
+            raise InputError(
+                f"method: {method} is for lattices without a box and without broken bonds, with "
+                "quadrature of the usual degree; try lu or gmres"
+            )
+        numbers = {name: getattr(model, name) for name in ("horizon", "lam", "mu", "alpha", "D")}
+        fields = (torch.from_numpy(np.ascontiguousarray(field)) for field in (b, u))
+        with torch.no_grad():
+            found = equilibrium(
+                points,
+                *fields,
+                **numbers,
+                D_dilatation=model.dilatation,
+                method=method,
+                tolerance=tolerance,
+                records=records,
+            ).numpy()
+        u[..., free, :] = found[..., free, :]
+        warn_beyond(model, points, u)
+        return u
     parts = matrices(model, points, box=box, outside=outside, quadrature_degree=quadrature_degree)
     L = parts.operator(model.lam, model.mu)
     unknown = np.repeat(free, 2)
@@ -90,9 +129,40 @@ def solve(
             "the operator on these nodes is singular to working precision: "
             f"the residual of the solve is {wrong.max():.1e} TPa/Å"
         )
+    if plain and not _definite_by_symbol(model, points, quadrature_degree):
+        smallest = smallest_eigenvalue(stiffness)
+        if not smallest > 0:
+            raise InputError(
+                f"the operator on these {nodes} nodes is indefinite: its smallest eigenvalue is "
+                f"{smallest:.1e} TPa/Å², so that its equilibria are not stable"
+            )
     u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
     warn_beyond(model, points, u, outside)
     return u
+
+
+def choose_method(points: PointSet, *, plain: bool) -> str:
+    """The cheapest method for a point set; plain: a lattice without a box or broken bonds."""
+    nodes = int(np.count_nonzero(points.interior))
+    if not plain:
+        return "lu" if nodes <= LARGEST_LU else "gmres"
+    if nodes <= DIRECT:
+        return "lu"
+    inside, _ = lattice_steps(
+        PointSet(points.x[points.interior], np.ones(nodes, bool), points.spacing)
+    )
+    return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
+
+
+def _definite_by_symbol(model: Model, points: PointSet, degree: int) -> bool:
+    """Whether the symbol proves L_II positive definite."""
+    bond_based = model.lam == model.mu
+    nodes = domain(
+        points, model.horizon, bond_based=bond_based, degree=degree, device=torch.device("cpu")
+    )
+    numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+    A = stencil(nodes.classes, *(torch.tensor(n, dtype=torch.float64) for n in numbers))
+    return smallest_ratio(nodes.torus.symbol(A), nodes.torus) > 0
 
 
 def _lu(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:

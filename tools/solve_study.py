@@ -1,0 +1,229 @@
+"""Dirichlet solves from 64² to 2000² nodes: time, iterations, memory, and the exponent of cost.
+
+Run by `python tools/benchmark.py solve`. The model is the learned one that the repository ships,
+or another file. Right-hand sides: a smooth load, a point load and noise, zero collar, the worst
+counts.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from tools import rivals
+from warp_peri import Model, PointSet, load_model, set_threads
+from warp_peri.dirichlet import Dirichlet
+from warp_peri.domain import Domain, domain
+from warp_peri.equilibrium import on_domain
+from warp_peri.errors import InputError
+from warp_peri.files import write_json
+from warp_peri.operator import lps_force
+from warp_peri.stencil import Torus, stencil
+from warp_peri.sweeps import Sweeps
+
+SIDES = (64, 128, 250, 500, 1000, 2000)
+TOLERANCE = 1e-8
+TABLE = Path(__file__).resolve().parent / "solve_model.json"
+"""The learned graphene model, δ = 20 Å at h = 5 Å."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One solve; times in seconds, memory in MB."""
+
+    shape: str
+    side: int
+    unknowns: int
+    method: str
+    material: str
+    layout: float
+    setup: float
+    solve: float
+    iterations: int
+    residual: float
+    peak_memory: float
+
+
+def mask_of(shape: str, n: int) -> np.ndarray:
+    """Unknown nodes in an n × n box: a square, a disk, or an L with a hole."""
+    i, j = np.mgrid[:n, :n] - (n - 1) / 2
+    if shape == "disk":
+        return i**2 + j**2 <= (n / 2) ** 2
+    mask = np.ones((n, n), bool)
+    if shape == "L with a hole":
+        mask[n // 2 :, n // 2 :] = False
+        mask[(i + n / 4) ** 2 + (j + n / 4) ** 2 < (n / 10) ** 2] = False
+    return mask
+
+
+def problem(mask: np.ndarray, horizon: float, spacing: float) -> PointSet:
+    """A lattice around the mask, with the collar that the horizon needs."""
+    pad = 2 * int(np.floor(horizon / spacing + 1e-6))
+    mask = np.pad(mask, pad)
+    return PointSet(spacing * np.argwhere(np.ones_like(mask)).astype(float), mask.ravel(), spacing)
+
+
+def loads(nodes: Domain) -> dict[str, torch.Tensor]:
+    """A smooth load, a point load and noise on the box, shape [2, n₁, n₂]."""
+    n, m = nodes.mask.shape
+    x, y = (torch.arange(size, dtype=torch.float64) / size for size in (n, m))
+    smooth = torch.stack([torch.sin(3 * x)[:, None] * torch.cos(2 * y), torch.ones(n, m)])
+    point = torch.zeros(2, n, m, dtype=torch.float64)
+    point[0, n // 3, m // 4] = 1
+    noise = torch.from_numpy(np.random.default_rng(0).normal(size=(2, n, m)))
+    return {"smooth": smooth * nodes.mask, "point": point * nodes.mask, "noise": noise * nodes.mask}
+
+
+def numbers(model: Model) -> list[torch.Tensor]:
+    """λ, μ, α, D and D of the dilatation."""
+    values = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+    return [torch.tensor(value, dtype=torch.float64) for value in values]
+
+
+def measure(model: Model, shape: str, side: int, method: str, material: str) -> Row:
+    """The worst of three loads."""
+    spacing = model.certified_on[0]
+    points = problem(mask_of(shape, side), model.horizon, spacing)
+    start = time.perf_counter()
+    nodes = domain(points, model.horizon, device=torch.device("cpu"))
+    layout = time.perf_counter() - start
+    start = time.perf_counter()
+    system = Dirichlet(nodes, stencil(nodes.classes, *numbers(model)), method)
+    setup = time.perf_counter() - start
+    found = []
+    for load in loads(nodes).values():
+        start = time.perf_counter()
+        _, record = system.solve(load, TOLERANCE)
+        found.append((time.perf_counter() - start, record))
+    return Row(
+        shape,
+        side,
+        2 * len(nodes.free),
+        method,
+        material,
+        layout,
+        setup,
+        max(seconds for seconds, _ in found),
+        max(record.iterations for _, record in found),
+        max(record.residual for _, record in found),
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    )
+
+
+def exponent(rows: list[Row]) -> float:
+    """Fitted power of the unknowns that the time of a solve grows with, from 250² on."""
+    large = [row for row in rows if row.side >= 250]
+    if len(large) < 2:
+        return float("nan")
+    x, y = (np.log([getattr(row, key) for row in large]) for key in ("unknowns", "solve"))
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def application(model: Model, side: int, rounds: int) -> dict[str, float]:
+    """Least seconds of one product on a periodic lattice: stencil by FFT, sweeps, Numba."""
+    import numba
+
+    numba.set_num_threads(2)
+    points = PointSet(np.argwhere(np.ones((side, side))).astype(float), np.ones(side**2, bool), 1.0)
+    horizon = model.horizon / model.certified_on[0]
+    box = (float(side), float(side))
+    sweeps = Sweeps(points, horizon, box=box)
+    u = np.random.default_rng(1).normal(size=(side**2, 2))
+    law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
+    tables = rivals.tables(sweeps, points.x, np.array(box), u, u, **law)
+    forward, _ = rivals.numba_parallel(tables, np.float64, fastmath=False)
+    torus = Torus((side, side), torch.device("cpu"))
+    scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
+    symbol = torus.symbol(stencil(sweeps.families.classes, *numbers(scaled)))
+    field = torch.from_numpy(np.ascontiguousarray(u.T.reshape(2, side, side)))
+    D = torch.from_numpy(model.D)
+    candidates = {
+        "stencil by FFT": lambda: torus.product(symbol, field).reshape(2, -1).T.numpy(),
+        "Numba, two sweeps": lambda: forward(),
+        "warp_peri, two sweeps": lambda: lps_force(
+            sweeps, torch.from_numpy(u), model.lam, model.mu, model.alpha, D
+        ).numpy(),
+    }
+    times: dict[str, list[float]] = {name: [] for name in candidates}
+    expected = candidates["warp_peri, two sweeps"]().copy()
+    for _ in range(rounds):
+        for name, function in candidates.items():
+            start = time.perf_counter()
+            found = function()
+            times[name].append(time.perf_counter() - start)
+            if not np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max():
+                raise RuntimeError(f"{name} is wrong")
+    return {name: min(values) for name, values in times.items()}
+
+
+def adjoint_ratio(model: Model, side: int) -> float:
+    """Time of the gradient of a solve to load, λ, μ, α and D over that of the solve."""
+    points = problem(mask_of("square", side), model.horizon, model.certified_on[0])
+    nodes = domain(points, model.horizon, device=torch.device("cpu"))
+    noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
+    inside = torch.from_numpy(points.interior)[:, None]
+    law = [value.reshape(-1).requires_grad_() for value in numbers(model)]
+    b = (noise * inside).requires_grad_()
+    ratios = []
+    for _ in range(3):
+        start = time.perf_counter()
+        u = on_domain(nodes, b, noise * ~inside, law, "sine", TOLERANCE)
+        middle = time.perf_counter()
+        torch.autograd.grad((u * u).sum(), [b, *law], allow_unused=True)
+        ratios.append((time.perf_counter() - middle) / (middle - start))
+    return float(np.median(ratios))
+
+
+def solve_study(*, quick: bool, model_file: Path | None = None, out: Path | None = None) -> None:
+    """Measure, print, and with `out` write the table as JSON."""
+    set_threads(2)
+    torch.set_num_threads(2)
+    model = load_model(model_file or TABLE)
+    sides = SIDES[:2] if quick else SIDES
+    cases = [
+        (model, shape, side, "sine" if shape == "square" else "multigrid", "learned")
+        for side in sides
+        for shape in ("square", "disk", "L with a hole")
+    ]
+    side = sides[-1] if quick else 250
+    for material, ratio in (("λ = 3μ", 3.0), ("λ = 1000μ", 1000.0)):
+        stiff = replace(model, lam=ratio * model.mu)
+        cases += [
+            (stiff, s, side, m, material) for s, m in (("square", "sine"), ("disk", "multigrid"))
+        ]
+    rows = []
+    print(
+        "shape          side  method     material    layout  set-up   solve  iterations  residual"
+        "  MB"
+    )
+    for case in cases:
+        try:
+            row = measure(*case)
+        except InputError as error:
+            print(f"{case[1]:14} {case[2]:4}  {case[3]:9}  {case[4]:10}  {error}")
+            continue
+        rows.append(row)
+        print(
+            f"{row.shape:14} {row.side:4}  {row.method:9}  {row.material:10} {row.layout:7.2f} "
+            f"{row.setup:7.2f} {row.solve:7.2f} {row.iterations:11} {row.residual:9.1e} "
+            f"{row.peak_memory:6.0f}",
+            flush=True,
+        )
+    powers = {}
+    for shape in ("square", "disk", "L with a hole"):
+        powers[shape] = exponent([r for r in rows if r.shape == shape and r.material == "learned"])
+        print(f"time of a solve grows with unknowns to the power {powers[shape]:.2f} ({shape})")
+    gradient = adjoint_ratio(model, sides[-1] if quick else 500)
+    print(f"implicit gradient: {gradient:.2f} × the solve")
+    product = application(model, 64 if quick else 1000, 3 if quick else 7)
+    for name, seconds in product.items():
+        print(f"{name:24}{1e3 * seconds:9.1f} ms   {seconds / product['stencil by FFT']:6.2f} ×")
+    if out is not None:
+        table = {"rows": [asdict(row) for row in rows], "exponents": powers}
+        write_json(out, table | {"gradient_over_solve": gradient, "application": product})
