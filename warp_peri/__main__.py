@@ -1,4 +1,8 @@
-"""`python -m warp_peri evaluate MODEL.json DATA.h5`: errors of a model on the sets of a file."""
+"""The command `warp-peri`, also `python -m warp_peri`: from dumps to a certified model and on.
+
+Every command takes --config FILE.toml with its settings; train and sweep leave such a file beside
+their results. --json prints one object for machines.
+"""
 
 from __future__ import annotations
 
@@ -6,68 +10,156 @@ import argparse
 import json
 import sys
 import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from warp_peri.dataset import load_dataset
+from warp_peri import commands
 from warp_peri.errors import InputError
-from warp_peri.model import load_model
-from warp_peri.validation import evaluate
+from warp_peri.losses import LOSSES
+from warp_peri.run_file import parse
+from warp_peri.sweep import DEGREES, HORIZONS
+from warp_peri.training import METHODS
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status: 0, or 2 for input that cannot be used."""
-    parser = argparse.ArgumentParser(prog="python -m warp_peri", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    command = commands.add_parser("evaluate", help="errors of a model on data sets")
-    command.add_argument("model", type=Path, metavar="MODEL.json")
-    command.add_argument("data", type=Path, metavar="DATA.h5")
-    command.add_argument(
-        "--set",
-        dest="sets",
-        nargs="+",
-        action="extend",
-        metavar="NAME",
-        help="sets to evaluate (default: all; those that cannot be are reported as errors)",
-    )
-    command.add_argument(
-        "--allow-uncertified",
-        action="store_true",
-        help="use the model on spacings it holds no certificate for, with a warning",
-    )
-    command.add_argument("--json", action="store_true", help="one JSON object keyed by set")
-    given = parser.parse_args(arguments)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Returns the exit status: 0; 1 after a failure, such as a full disk; 2 for input that cannot be
+    used; 130 after Ctrl-C.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.showwarning = _warn
-            tables = _evaluate(given)
+            given = parse(_parser(), arguments)
+            result = given.run(given)
+    except KeyboardInterrupt:
+        print("interrupted; what is finished is kept", file=sys.stderr)
+        return 130
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except (OSError, RuntimeError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     if given.json:
-        print(json.dumps(tables))
+        print(json.dumps(result))
+    elif given.command == "evaluate":
+        _print_table(result)
     else:
-        _print_table(tables)
-    return 0 if any("error" not in table for table in tables.values()) else 2
+        print("\n".join(commands.lines_of(result)))
+    if given.command == "evaluate" and all("error" in table for table in result.values()):
+        return 2
+    return 0
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
-def _evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    model, data = load_model(given.model), load_dataset(given.data)
-    tables: dict[str, dict[str, Any]] = {}
-    for name in given.sets or data:
-        points = data[name]
-        try:
-            tables[name] = evaluate(model, points, allow_uncertified=given.allow_uncertified)
-        except InputError as error:
-            if given.sets:
-                raise InputError(f"set '{name}': {error}") from None
-            tables[name] = {"error": str(error)}
-    return tables
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="warp-peri", description=__doc__)
+    some = parser.add_subparsers(dest="command", required=True)
+
+    def command(
+        name: str, run: Callable[[argparse.Namespace], Any], words: str
+    ) -> argparse.ArgumentParser:
+        found = some.add_parser(
+            name,
+            help=words,
+            description=run.__doc__,
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        found.set_defaults(run=run)
+        found.add_argument("--config", metavar="FILE.toml", help="settings of this command")
+        found.add_argument("--json", action="store_true", help="one JSON object")
+        return found
+
+    one = command("coarse-grain", commands.run_coarse_grain, "LAMMPS dumps to a data file")
+    one.add_argument("dumps", nargs="+", type=Path, metavar="DUMP", help="one for each load")
+    one.add_argument("--reference", required=True, type=Path, help="dump of the unloaded atoms")
+    one.add_argument(
+        "--force",
+        required=True,
+        nargs="+",
+        type=Path,
+        help="external forces on the atoms of each load [eV/Å], by id: .npy or .csv",
+    )
+    one.add_argument("--unloaded", nargs="+", type=Path, help="dump without load, one or one each")
+    one.add_argument("--out", required=True, type=Path, metavar="DATA.h5")
+    one.add_argument("--set", default="train", help="name of the set in the file")
+    one.add_argument("--spacing", type=float, default=5.0, help="of the nodes [Å]")
+    one.add_argument("--radius", type=float, default=10.0, help="of the smoothing function [Å]")
+    one.add_argument("--reach", type=float, default=100.0, help="nodes lie within it [Å]")
+    one.add_argument("--interior", type=float, default=50.0, help="half width of the interior [Å]")
+    one.add_argument("--box", type=float, nargs=2, help="periods of the atoms [Å]")
+    one.add_argument("--thickness", type=float, default=3.35, help="of the sheet [Å]")
+    one.add_argument("--density", type=float, default=2200.0, help="mass density [kg/m³]")
+    one.add_argument("--skip", type=int, default=0, help="frames left out at the begin")
+    one.add_argument("--iota", type=float, help="ι of the smoothing in time; default: average")
+
+    one = command("train", commands.run_train, "a data file to a certified model")
+    one.add_argument("data", type=Path, metavar="DATA.h5")
+    one.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    one.add_argument("--set", default="train", help="what to learn from")
+    one.add_argument("--noise", help="set with fields of noise alone")
+    one.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    one.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    one.add_argument("--method", choices=METHODS, default="optimum")
+    one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    one.add_argument("--loss", choices=LOSSES, default="auto")
+    one.add_argument("--normalise", action="store_true", help="divide samples by their loads")
+    one.add_argument("--seed", type=int, default=0)
+
+    one = command("certify", commands.run_certify, "what is proven of a model")
+    one.add_argument("model", type=Path, metavar="MODEL.json")
+    one.add_argument("--spacing", type=float, nargs="+", help="of the lattices [Å]")
+
+    one = command("evaluate", commands.run_evaluate, "errors of a model on data sets")
+    one.add_argument("model", type=Path, metavar="MODEL.json")
+    one.add_argument("data", type=Path, metavar="DATA.h5")
+    one.add_argument(
+        "--set",
+        dest="sets",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="sets to evaluate; by default all, and those that cannot be are reported as errors",
+    )
+    _uncertified(one)
+
+    one = command("solve", commands.run_solve, "displacement from loads")
+    one.add_argument("model", type=Path, metavar="MODEL.json")
+    one.add_argument("data", type=Path, metavar="DATA.h5", help="loads; displacement on the collar")
+    one.add_argument("--set", default="test")
+    one.add_argument("--out", required=True, type=Path, metavar="SOLVED.h5")
+    one.add_argument("--method", default="auto", help="of the solver")
+    _uncertified(one)
+
+    one = command("sweep", commands.run_sweep, "choose horizon and degree")
+    one.add_argument("data", type=Path, metavar="DATA.h5")
+    one.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    one.add_argument("--set", default="train", help="what to learn from")
+    one.add_argument("--val", default="val", help="validation set")
+    one.add_argument("--test", help="reported; takes no part in the choice")
+    one.add_argument("--noise", help="set with fields of noise alone")
+    one.add_argument("--horizons", type=float, nargs="+", default=list(HORIZONS), help="δ [Å]")
+    one.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES), help="M")
+    one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    one.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
+
+    one = command("info", commands.run_info, "what a model or data file holds")
+    one.add_argument("file", type=Path)
+    return parser
+
+
+def _uncertified(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--allow-uncertified",
+        action="store_true",
+        help="use the model on spacings it holds no certificate for, with a warning",
+    )
 
 
 def _print_table(tables: dict[str, dict[str, Any]]) -> None:

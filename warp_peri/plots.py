@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from numpy.typing import ArrayLike
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from warp_peri.families import BondClasses, bond_classes
 from warp_peri.model import Model
@@ -37,7 +37,7 @@ def influence_function(
     if sure is None:
         ax.plot(classes.r, values, "o", color=color, label=label)
     else:
-        half = norm.ppf(0.95) * sure.deviation(lambda m: kernel_values(m, classes, classes.r))
+        half = ndtri(0.95) * sure.deviation(lambda m: kernel_values(m, classes, classes.r))
         ax.errorbar(
             classes.r, values, half, fmt="o", color=color, capsize=3, label=f"{label}, 90 % band"
         )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from warp_peri.conditions import ZoneSearch
 from warp_peri.coordinates import Coordinates
@@ -63,7 +63,7 @@ class Uncertainty:
         """Lower and upper end of the band that holds a quantity with probability `level`."""
         if not 0 < level < 1:
             raise InputError(f"level: expected a probability between 0 and 1, got {level}")
-        half = norm.ppf((1 + level) / 2) * self.deviation(quantity)
+        half = ndtri((1 + level) / 2) * self.deviation(quantity)
         middle = np.asarray(quantity(model))
         return middle - half, middle + half
 

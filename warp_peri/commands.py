@@ -1,0 +1,306 @@
+"""What each command does: from files to files, and a result that prints as JSON or as lines."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warp_peri.certificate import certify
+from warp_peri.coarse_graining import smoothing_matrix
+from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
+from warp_peri.dumps import coarse_grain_dumps, dump_positions
+from warp_peri.errors import InputError
+from warp_peri.files import locked, write_json
+from warp_peri.model import Model, load_model
+from warp_peri.run_file import keep
+from warp_peri.solve import solve
+from warp_peri.sweep import sweep
+from warp_peri.training import fit
+from warp_peri.uncertainty import fit_uncertainty
+from warp_peri.validation import evaluate
+
+Result = dict[str, Any]
+
+
+def run_coarse_grain(given: argparse.Namespace) -> Result:
+    """Dumps → a set of a data file; sets of other names that the file has stay in it."""
+    reference = next(dump_positions(given.reference))
+    force = np.stack([atom_forces(path, len(reference)) for path in given.force])
+    box = tuple(given.box) if given.box else None
+    points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
+    points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
+    omega = smoothing_matrix(
+        reference, points.x, radius=given.radius, box=box, spacing=given.spacing
+    )
+    found = coarse_grain_dumps(
+        given.dumps,
+        omega,
+        points,
+        reference=reference,
+        force=force,
+        unloaded=given.unloaded or [],
+        box=box,
+        skip=given.skip,
+        iota=given.iota,
+        node_area=given.spacing**2,
+        thickness=given.thickness,
+    )
+    with locked(given.out):
+        sets, provenance = {}, {"source": "warp-peri coarse-grain"}
+        if given.out.exists():
+            before = load_dataset(given.out)
+            sets, provenance = dict(before.sets), dict(before.provenance)
+            if before.thickness != given.thickness:
+                raise InputError(
+                    f"thickness: {given.out} has {before.thickness:g} Å, got {given.thickness:g} Å"
+                )
+        sets[given.set] = found
+        save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
+    return {
+        "file": str(given.out),
+        "set": given.set,
+        "samples": len(found),
+        "nodes": len(found.x),
+        "interior": int(found.interior.sum()),
+    }
+
+
+def atom_forces(path: Path, atoms: int) -> np.ndarray:
+    """External forces on the atoms [eV/Å] from an .npy or .csv file, shape [A, 2], by id.
+
+    Raises InputError for a file that cannot be read or of another shape.
+    """
+    try:
+        if path.suffix == ".npy":
+            force = np.load(path, allow_pickle=False)
+        else:
+            force = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: expected forces as .npy or comma-separated text ({error})"
+        ) from None
+    if force.ndim != 2 or force.shape[0] != atoms or force.shape[1] not in (2, 3):
+        raise InputError(f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}")
+    return np.asarray(force[:, :2], dtype=float)
+
+
+def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> PointSet:
+    """Nodes of a square lattice within `reach` of its middle [Å], by radius for a round body.
+
+    Raises InputError for lengths that leave no collar.
+    """
+    if not 0 < spacing <= interior < reach:
+        raise InputError(
+            "spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got "
+            f"{spacing:g}, {interior:g}, {reach:g} Å"
+        )
+    count = int(reach / spacing + 1e-9)
+    line = spacing * np.arange(-count, count + 1)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    size = np.linalg.norm(x, axis=1) if round_body else np.abs(x).max(axis=1)
+    kept = size <= reach * (1 + 1e-9)
+    return PointSet(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
+
+
+def run_train(given: argparse.Namespace) -> Result:
+    """Data → model.json, metrics.json and the settings, in a folder."""
+    data = load_dataset(given.data)
+    train = data[given.set]
+    noise = data[given.noise] if given.noise else None
+    with locked(given.out):
+        found = fit(
+            train,
+            horizon=given.horizon,
+            degree=given.degree,
+            method=given.method,
+            conditions=given.conditions,
+            normalise=given.normalise,
+            loss=given.loss,
+            noise=noise,
+            seed=given.seed,
+            progress=not given.json,
+        )
+        tables, errors = {}, {}
+        for name in data:
+            try:
+                tables[name] = evaluate(found.model, data[name])
+            except InputError as error:  # no load, another spacing, a collar too small
+                errors[name] = str(error)
+        result: Result = {
+            "certified": bool(found.model.certified_on),
+            "statement": found.certificate.statement,
+            "loss": f"{found.loss.name} ({found.loss.reason})",
+            "lambda": found.model.lam,
+            "mu": found.model.mu,
+            "E": found.model.E,
+            "nu": found.model.nu,
+            "moduli": found.moduli[0],
+            "E_res": {name: table["E_res"] for name, table in tables.items()},
+            "E_u": {name: table["E_u"] for name, table in tables.items()},
+            "not_evaluated": errors,
+        }
+        if noise is not None:
+            sure = fit_uncertainty(found, train, noise)
+            result["deviation"] = {
+                "lambda": float(sure.deviation(lambda model: model.lam)),
+                "mu": float(sure.deviation(lambda model: model.mu)),
+                "E": float(sure.deviation(lambda model: model.E)),
+            }
+        model = dataclasses.replace(
+            found.model,
+            errors={key: result[key] for key in ("E_res", "E_u")},
+            provenance={
+                "data": given.data.name,
+                "sha256": hashlib.sha256(given.data.read_bytes()).hexdigest(),
+                "data_provenance": data.provenance,
+            },
+        )
+        model.save(given.out / "model.json")
+        write_json(given.out / "metrics.json", result)
+        keep(given, given.out)
+    return {**result, "model": str(given.out / "model.json")}
+
+
+def run_certify(given: argparse.Namespace) -> Result:
+    """The certificate of a model on a lattice."""
+    model = load_model(given.model)
+    spacings = given.spacing or list(model.trained_on)
+    if not spacings:
+        raise InputError("spacing: the model names no training lattice; give --spacing")
+    found = {}
+    for spacing in spacings:
+        certificate = certify(model, spacing=spacing)
+        found[f"{spacing:g} Å"] = {
+            "holds": certificate.holds,
+            "statement": certificate.statement,
+            **certificate.figures(),
+        }
+    return found
+
+
+def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Errors of a model on the sets of a file."""
+    model, data = load_model(given.model), load_dataset(given.data)
+    tables: dict[str, dict[str, Any]] = {}
+    for name in given.sets or data:
+        points = data[name]
+        try:
+            tables[name] = evaluate(model, points, allow_uncertified=given.allow_uncertified)
+        except InputError as error:
+            if given.sets:
+                raise InputError(f"set '{name}': {error}") from None
+            tables[name] = {"error": str(error)}
+    return tables
+
+
+def run_solve(given: argparse.Namespace) -> Result:
+    """Displacement under the loads of a set, its collar held: a data file with the solution."""
+    model, data = load_model(given.model), load_dataset(given.data)
+    points = data[given.set]
+    u = solve(
+        model,
+        points,
+        points.b,
+        points.u,
+        method=given.method,
+        allow_uncertified=given.allow_uncertified,
+    )
+    solved = dataclasses.replace(points, u=u)
+    provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
+    with locked(given.out):
+        save_dataset(
+            given.out, Dataset({given.set: solved}, data.thickness, data.density, provenance)
+        )
+    size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
+    return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
+
+
+def run_sweep(given: argparse.Namespace) -> Result:
+    """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
+    data = load_dataset(given.data)
+    found = sweep(
+        data[given.set],
+        data[given.val],
+        given.out,
+        test=data[given.test] if given.test else None,
+        noise=data[given.noise] if given.noise else None,
+        horizons=given.horizons,
+        degrees=given.degrees,
+        conditions=given.conditions,
+        jobs=given.jobs,
+        progress=not given.json,
+    )
+    result: Result = {
+        "fits": len(found.trials),
+        "smallest_AvgE": dataclasses.asdict(found.printed),
+        "cheapest": dataclasses.asdict(found.cheapest),
+    }
+    with locked(given.out):
+        write_json(given.out / "sweep.json", result)
+        keep(given, given.out)
+    return result
+
+
+def run_info(given: argparse.Namespace) -> Result:
+    """What a model or data file holds."""
+    if given.file.suffix == ".json":
+        return model_summary(load_model(given.file))
+    data = load_dataset(given.file)
+    return {
+        "format": "data set",
+        "thickness": data.thickness,
+        "density": data.density,
+        "sets": {name: set_summary(data[name]) for name in data},
+        "provenance": data.provenance,
+    }
+
+
+def model_summary(model: Model) -> Result:
+    """Constants, lattices and errors of a model."""
+    return {
+        "format": "model",
+        "lambda": model.lam,
+        "mu": model.mu,
+        "E": model.E,
+        "nu": model.nu,
+        "alpha": model.alpha,
+        "degree": model.degree,
+        "horizon": model.horizon,
+        "trained_on": list(model.trained_on),
+        "certified_on": list(model.certified_on),
+        "errors": model.errors,
+        "versions": model.versions,
+    }
+
+
+def set_summary(points: PointSet) -> Result:
+    """Sizes of a point set."""
+    return {
+        "samples": len(points),
+        "nodes": len(points.x),
+        "interior": int(points.interior.sum()),
+        "spacing": points.spacing,
+        "arrays": sorted(points.samples),
+    }
+
+
+def lines_of(result: Result, indent: str = "") -> Sequence[str]:
+    """A result as text, one number a line."""
+    lines = []
+    for key, value in result.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{key}:", *lines_of(value, indent + "  ")]
+        elif isinstance(value, float):
+            lines.append(f"{indent}{key}: {value:.6g}")
+        elif isinstance(value, list):
+            shown = ", ".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in value)
+            lines.append(f"{indent}{key}: {shown}")
+        else:
+            lines.append(f"{indent}{key}: {value}")
+    return lines
