@@ -226,3 +226,10 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(path, monkeypatch, 
             save_dataset(target, DATA)
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_fields_without_loads_carry_none():
+    u = np.ones((3, 4, 2))
+    points = PointSet(x=np.eye(4)[:, :2], interior=np.ones(4, bool), spacing=1.0, u=u)
+    assert points.b.shape == u.shape
+    assert not points.b.any()

@@ -36,7 +36,7 @@ class PointSet:
             the others are the collar, whose displacement is data.
         spacing: lattice spacing [Å]; 0 for scattered points.
         u: displacements [Å], shape [S, N, 2].
-        b: body force densities [TPa/Å], shape [S, N, 2].
+        b: body force densities [TPa/Å], shape [S, N, 2]; zero where none are given.
         samples: optional per-sample arrays by name, each with first dimension S.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
@@ -58,7 +58,7 @@ class PointSet:
         if self.u.shape == (0, 0, 2):
             object.__setattr__(self, "u", np.empty((0, n, 2)))
         if self.b.shape == (0, 0, 2):
-            object.__setattr__(self, "b", np.empty((len(self.u), n, 2)))
+            object.__setattr__(self, "b", np.zeros((len(self.u), n, 2)))
         if self.interior.shape != (n,):
             raise InputError(f"interior: expected shape [{n}], got {list(self.interior.shape)}")
         if not self.interior.any():

@@ -66,7 +66,7 @@ def choose_loss(
     if not noise:
         return LossChoice("residual", "no fields of noise were given")
     share = noise_share(grids, noise, conditions, horizon, degree)
-    found = f"noise is {100 * share:.2g} % of the squared residual at its optimum"
+    found = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
     if share < SMALL_SHARE:
         return LossChoice("residual", found)
     if responds and all(WAVE_VECTOR in points.samples for points in sets):

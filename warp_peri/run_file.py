@@ -86,12 +86,10 @@ def _table(path: str, command: str) -> dict[str, Any]:
 
 def _converted(path: str, action: argparse.Action, value: Any) -> Any:
     """A value as the option's own type makes it from text."""
+    if action.nargs == 0 and isinstance(value, bool):
+        return value
     several = isinstance(value, list)
-    if several != (
-        action.nargs in ("+", "*") or (isinstance(action.nargs, int) and action.nargs > 0)
-    ):
-        if action.nargs == 0 and isinstance(value, bool):
-            return value
+    if action.nargs == 0 or several != bool(action.nargs):
         raise InputError(f"{path}: {action.dest}: {value!r} is not what this option takes")
     kind = action.type if callable(action.type) else str
     try:

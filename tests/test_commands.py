@@ -1,0 +1,187 @@
+"""The command: from dumps to a certified model, settings in TOML, exit codes."""
+
+import dataclasses
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from tests.problems import kernel
+from tests.waves import fluctuation, noisy, waves
+from warp_peri import Dataset, load_dataset, load_model, save_dataset, solve
+from warp_peri.__main__ import main
+
+HORIZON = 2.5
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Waves of a known model, noisy, and the noise alone."""
+    model = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    clean = waves(model, cells=4, highest=3)
+    sets = {"train": noisy(clean, 0.01, 1), "test": clean, "noise": fluctuation(clean, 8, 0.01, 2)}
+    path = tmp_path_factory.mktemp("command") / "data.h5"
+    save_dataset(path, Dataset(sets, 3.35, 2200.0))
+    return path
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    out = tmp_path_factory.mktemp("trained")
+    words = ["train", str(data), "--out", str(out), "--horizon", "2.5", "--degree", "3"]
+    assert main([*words, "--noise", "noise", "--json"]) == 0
+    return out
+
+
+def answer(capsys, *words):
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_train_leaves_a_certified_model_and_its_settings(trained, data, capsys):
+    model = load_model(trained / "model.json")
+    assert model.certified_on == (1.0,)
+    assert model.mu == pytest.approx(0.7, rel=0.02)
+    metrics = json.loads((trained / "metrics.json").read_text())
+    assert metrics["loss"].startswith("output (noise is")
+    assert metrics["E_u"]["test"] < 0.01
+    assert "is zero on the interior" in metrics["not_evaluated"]["noise"]
+    assert metrics["deviation"]["mu"] > 0
+    settings = tomllib.loads((trained / "train.toml").read_text())["train"]
+    assert settings["horizon"] == 2.5
+    assert settings["data"] == str(data)
+    assert "config" not in settings
+
+
+def test_a_run_is_repeated_from_its_settings(trained, tmp_path, capsys):
+    again = answer(capsys, "train", "--config", trained / "train.toml", "--out", tmp_path)
+    first = json.loads((trained / "metrics.json").read_text())["mu"]
+    assert again["mu"] == pytest.approx(first, rel=1e-12)
+    # The line goes before the file.
+    other = answer(
+        capsys, "train", "--config", trained / "train.toml", "--out", tmp_path, "--degree", "2"
+    )
+    assert load_model(tmp_path / "model.json").degree == 2
+    assert other["mu"] != again["mu"]
+
+
+def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
+    model_file = trained / "model.json"
+    proven = answer(capsys, "certify", model_file)["1 Å"]
+    assert proven["holds"] is True
+    assert proven["symbol_bound"] > 0.01
+    assert answer(capsys, "certify", model_file, "--spacing", "1", "0.8").keys() == {
+        "1 Å",
+        "0.8 Å",
+    }
+    errors = answer(capsys, "evaluate", model_file, data, "--set", "test")
+    out = tmp_path / "solved.h5"
+    answer(capsys, "solve", model_file, data, "--out", out)
+    test = load_dataset(data)["test"]
+    u = solve(load_model(model_file), test, test.b, test.u)
+    np.testing.assert_allclose(load_dataset(out)["test"].u, u)
+    assert answer(capsys, "info", model_file)["certified_on"] == [1.0]
+    sets = answer(capsys, "info", data)["sets"]
+    assert sets["noise"]["samples"] == 8
+    assert errors["test"]["E_u"] < 0.01
+
+
+def test_people_read_lines(trained, data, capsys):
+    assert main(["info", str(trained / "model.json")]) == 0
+    text = capsys.readouterr().out
+    assert "certified_on: 1" in text
+    assert main(["evaluate", str(trained / "model.json"), str(data), "--set", "test"]) == 0
+    assert "E_u [%]" in capsys.readouterr().out
+
+
+def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
+    words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
+    found = answer(capsys, *words, "--horizons", "2.5", "--degrees", "0", "1")
+    assert found["fits"] == 2
+    assert json.loads((tmp_path / "sweep.json").read_text()) == found
+    settings = tomllib.loads((tmp_path / "sweep.toml").read_text())["sweep"]
+    assert settings["degrees"] == [0, 1]
+
+
+def dump(path, positions):
+    lines = ["ITEM: TIMESTEP", "0", "ITEM: NUMBER OF ATOMS", f"{len(positions)}"]
+    lines += ["ITEM: BOX BOUNDS pp pp pp", "0 40", "0 40", "-5 5", "ITEM: ATOMS id type x y z"]
+    lines += [f"{i} 1 {x:.12f} {y:.12f} 0" for i, (x, y) in enumerate(positions, start=1)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_dumps_become_sets_of_one_file(tmp_path, capsys):
+    grid = np.arange(0.5, 40, 1.0)
+    reference = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    moved = np.array([0.3, -0.1])
+    force = np.random.default_rng(0).normal(size=reference.shape)
+    np.save(tmp_path / "f.npy", force)
+    np.savetxt(tmp_path / "f.csv", force, delimiter=",")
+    rest, loaded = (
+        dump(tmp_path / "r.dump", reference),
+        dump(tmp_path / "l.dump", reference + moved),
+    )
+    out = tmp_path / "own.h5"
+    words = ["coarse-grain", loaded, "--reference", rest, "--out", out, "--spacing", "4"]
+    words += ["--radius", "6", "--reach", "40", "--interior", "12", "--box", "40", "40"]
+    first = answer(capsys, *words, "--force", tmp_path / "f.npy")
+    answer(capsys, *words, "--force", tmp_path / "f.csv", "--set", "val")
+    data = load_dataset(out)
+    assert sorted(data) == ["train", "val"]
+    assert first["nodes"] == 21 * 21
+    np.testing.assert_allclose(data["train"].u, np.broadcast_to(moved, (1, 441, 2)), atol=1e-9)
+    np.testing.assert_allclose(data["train"].b, data["val"].b)
+    middle = data["train"].x.mean(axis=0)
+    np.testing.assert_allclose(middle, [20, 20])
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npy"), "--thickness", "1"]) == 2
+    assert "has 3.35 Å, got 1 Å" in capsys.readouterr().err
+    np.save(tmp_path / "f.npy", force[:-1])
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npy")]) == 2
+    assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
+
+
+BAD_CONFIG = {
+    "not TOML": ("horizon = ", "expected a TOML file"),
+    "no table": ("[solve]\n", "expected a table [train]"),
+    "unknown": ("[train]\nhorizons = 3\n", "no option 'horizons'"),
+    "a list": ("[train]\nhorizon = [3, 4]\n", "not what this option takes"),
+    "not a number": ('[train]\nhorizon = "far"\n', "horizon"),
+    "not a choice": ('[train]\nloss = "huber"\n', "expected of auto"),
+    "not yes or no": ("[train]\nnormalise = 3\n", "not what this option takes"),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), BAD_CONFIG.values(), ids=BAD_CONFIG)
+def test_settings_that_make_no_sense_are_refused(text, words, data, tmp_path, capsys):
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    line = ["train", str(data), "--out", str(tmp_path / "out"), "--config", str(path)]
+    assert main(line) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["info", "nowhere.h5"], 2, "no such data set"),
+        (["info", "nowhere.json"], 2, "nowhere.json"),
+        (["train", "{data}", "--out", "{tmp}/o", "--set", "none"], 2, "no set 'none'"),
+        (["train", "{data}", "--out", "{tmp}/o", "--noise", "none"], 2, "no set 'none'"),
+        (["certify", "{bare}"], 2, "give --spacing"),
+        (["sweep", "{data}", "--out", "{tmp}/o"], 2, "no set 'val'"),
+    ],
+)
+def test_errors_are_one_line(words, status, message, data, tmp_path, capsys):
+    bare = tmp_path / "bare.json"
+    dataclasses.replace(kernel("1/r", HORIZON), trained_on=(), certified_on=()).save(bare)
+    places = {"data": data, "tmp": tmp_path, "bare": bare}
+    assert main([word.format(**places) for word in words]) == status
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
