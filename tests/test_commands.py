@@ -117,7 +117,7 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     reference = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     moved = np.array([0.3, -0.1])
     force = np.random.default_rng(0).normal(size=reference.shape)
-    np.save(tmp_path / "f.npy", force)
+    np.savez(tmp_path / "f.npz", force)
     np.savetxt(tmp_path / "f.csv", force, delimiter=",")
     rest, loaded = (
         dump(tmp_path / "r.dump", reference),
@@ -126,7 +126,7 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     out = tmp_path / "own.h5"
     words = ["coarse-grain", loaded, "--reference", rest, "--out", out, "--spacing", "4"]
     words += ["--radius", "6", "--reach", "40", "--interior", "12", "--box", "40", "40"]
-    first = answer(capsys, *words, "--force", tmp_path / "f.npy")
+    first = answer(capsys, *words, "--force", tmp_path / "f.npz")
     answer(capsys, *words, "--force", tmp_path / "f.csv", "--set", "val")
     data = load_dataset(out)
     assert sorted(data) == ["train", "val"]
@@ -135,10 +135,10 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     np.testing.assert_allclose(data["train"].b, data["val"].b)
     middle = data["train"].x.mean(axis=0)
     np.testing.assert_allclose(middle, [20, 20])
-    assert main([*map(str, words), "--force", str(tmp_path / "f.npy"), "--thickness", "1"]) == 2
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npz"), "--thickness", "1"]) == 2
     assert "has 3.35 Å, got 1 Å" in capsys.readouterr().err
-    np.save(tmp_path / "f.npy", force[:-1])
-    assert main([*map(str, words), "--force", str(tmp_path / "f.npy")]) == 2
+    np.savez(tmp_path / "f.npz", force[:-1])
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npz")]) == 2
     assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
 
 

@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         nargs="+",
         type=Path,
-        help="external forces on the atoms of each load [eV/Å], by id: .npy or .csv",
+        help="external forces on the atoms of each load [eV/Å], by id: .npz or .csv",
     )
     one.add_argument("--unloaded", nargs="+", type=Path, help="dump without load, one or one each")
     one.add_argument("--out", required=True, type=Path, metavar="DATA.h5")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.archive import read_arrays
 from warp_peri.certificate import certify
 from warp_peri.coarse_graining import smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
@@ -72,19 +73,19 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
-    """External forces on the atoms [eV/Å] from an .npy or .csv file, shape [A, 2], by id.
+    """External forces on the atoms [eV/Å], shape [A, 2], by id.
+
+    From the one array of an .npz file (numpy.savez), or from text with commas.
 
     Raises InputError for a file that cannot be read or of another shape.
     """
     try:
-        if path.suffix == ".npy":
-            force = np.load(path, allow_pickle=False)
+        if path.suffix == ".npz":
+            (force,) = read_arrays(path).values()
         else:
             force = np.loadtxt(path, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path}: expected forces as .npy or comma-separated text ({error})"
-        ) from None
+        raise InputError(f"{path}: expected one array in .npz, or a .csv file ({error})") from None
     if force.ndim != 2 or force.shape[0] != atoms or force.shape[1] not in (2, 3):
         raise InputError(f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}")
     return np.asarray(force[:, :2], dtype=float)
