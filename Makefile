@@ -1,10 +1,11 @@
 # make graphene: everything from a fresh clone to the report of the main job.
 # make test:     the same set-up, then the test suite.
+# make docs:     the pages in docs/ as a site, in site/.
 PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: graphene test lint clean
+.PHONY: graphene test lint docs clean
 
 graphene: $(VENV)/.installed
 	$(BIN)/python examples/train_graphene.py
@@ -17,6 +18,10 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[docs]' --constraint constraints.txt
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; name one with make PYTHON=python3.x")'
 	$(PYTHON) -m venv $(VENV)
@@ -24,4 +29,4 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info
+	rm -rf $(VENV) build dist site *.egg-info

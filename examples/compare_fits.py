@@ -96,13 +96,16 @@ def _numbers(found: Fit) -> dict[str, Any]:
     }
 
 
-def _errors(model: Model, sets: dict[str, PointSet]) -> dict[str, float]:
-    """E_res and E_u of each set."""
-    out: dict[str, float] = {}
+def _errors(model: Model, sets: dict[str, PointSet]) -> dict[str, float | None]:
+    """E_res and E_u of each set; None where the operator is indefinite and nothing is solved."""
+    out: dict[str, float | None] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an uncertified grid is what some rows are about
         for name, points in sets.items():
-            table = warp_peri.evaluate(model, points, allow_uncertified=True)
+            try:
+                table = warp_peri.evaluate(model, points, allow_uncertified=True)
+            except InputError:
+                table = {"E_res": None, "E_u": None}
             out |= {f"E_res {name}": table["E_res"], f"E_u {name}": table["E_u"]}
     return out
 
@@ -151,7 +154,8 @@ def report(one: list[dict[str, Any]], two: list[dict[str, Any]], dense: float) -
         "|---|---|---|---|---|---|",
     ]
     for row in two:
-        cells = [f"{100 * row[f'E_u {name}']:.2f}" for name in ("h = 5 Å", "h = 2.5 Å", "h = 4 Å")]
+        errors = [row[f"E_u {name}"] for name in ("h = 5 Å", "h = 2.5 Å", "h = 4 Å")]
+        cells = ["refused" if error is None else f"{100 * error:.2f}" for error in errors]
         bounds = ", ".join(f"{value:.4f}" for value in [*row["c"], row["c on the unseen grid"]])
         lines.append(f"| {row['fit']} | {' | '.join(cells)} | {bounds} | {row['seconds']:.0f} |")
     printed = " | ".join(f"{value:.2f}" for value in PRINTED_TABLE_6.values())
