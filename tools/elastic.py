@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from warp_peri.coarse_graining import EV_PER_CUBIC_ANGSTROM
 STRAIN = 1e-4
 
 
-def elastic_constants(bond: float, *, potential: str | Path | None = None) -> dict[str, float]:
+def elastic_constants(
+    bond: float, *, potential: str | Path | None = None, elements: Sequence[str] = ("C",)
+) -> dict[str, float]:
     """Plane elastic constants of the sheet, its atoms free to relax inside the strained cell.
 
     Stress by central differences of a uniform strain along x and along y; in the plane
@@ -22,7 +25,7 @@ def elastic_constants(bond: float, *, potential: str | Path | None = None) -> di
 
     Args:
         bond: stress-free bond length [Å].
-        potential: as in LammpsSession.
+        potential, elements: as in LammpsSession.
 
     Returns:
         `lambda`, `mu` and `E` [TPa] for the thickness THICKNESS, and `nu`.
@@ -32,7 +35,8 @@ def elastic_constants(bond: float, *, potential: str | Path | None = None) -> di
     stiffness = np.empty((2, 2))
     for axis in range(2):
         strain = STRAIN * np.eye(2)[axis]
-        change = _stress(bond, strain, potential) - _stress(bond, -strain, potential)
+        plus, minus = (_stress(bond, s * strain, potential, elements) for s in (1, -1))
+        change = plus - minus
         stiffness[:, axis] = change / (2 * STRAIN)
     c11 = np.trace(stiffness) / 2
     lame = (stiffness[0, 1] + stiffness[1, 0]) / 2
@@ -45,11 +49,13 @@ def lame_constants(lam: float, mu: float) -> dict[str, float]:
     return {"lambda": lam, "mu": mu, "E": 4 * mu * (lam + mu) / c11, "nu": lam / c11}
 
 
-def _stress(bond: float, strain: np.ndarray, potential: str | Path | None) -> np.ndarray:
+def _stress(
+    bond: float, strain: np.ndarray, potential: str | Path | None, elements: Sequence[str]
+) -> np.ndarray:
     """Normal stresses σxx, σyy [TPa] of the sheet under strains εxx, εyy."""
     positions, periods = sheet(bond, cells=(3, 2))
     positions = positions * (1 + strain)
     box = (periods[0] * (1 + strain[0]), periods[1] * (1 + strain[1]))
-    with LammpsSession(positions, box=box, potential=potential) as session:
+    with LammpsSession(positions, box=box, potential=potential, elements=elements) as session:
         session.forces(Statics(positions, box=box, session=session).reference)
         return np.diag(session.membrane_stress()) * EV_PER_CUBIC_ANGSTROM / THICKNESS

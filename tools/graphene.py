@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import ase
@@ -25,7 +26,7 @@ def area_per_atom(bond: float) -> float:
     return 3 * math.sqrt(3) / 4 * bond**2
 
 
-def bond_length(potential: str | Path | None = None) -> float:
+def bond_length(potential: str | Path | None = None, *, elements: Sequence[str] = ("C",)) -> float:
     """Bond length at which the sheet is free of stress, its minimum of energy per atom [Å].
 
     Raises what LammpsSession raises, ValueError when there is no minimum from 1.3 to 1.6 Å.
@@ -33,7 +34,7 @@ def bond_length(potential: str | Path | None = None) -> float:
 
     def tension(bond: float) -> float:
         positions, box = sheet(bond, cells=(3, 2))
-        with LammpsSession(positions, box=box, potential=potential) as session:
+        with LammpsSession(positions, box=box, potential=potential, elements=elements) as session:
             session.forces(positions)
             return float(np.trace(session.membrane_stress()))
 
@@ -54,7 +55,7 @@ def sheet(
         cells: number of cells, √3 bond × 3 bond each, along x and y.
 
     Returns:
-        Positions [Å], shape [A, 2], and periods (Lx, Ly) [Å].
+        Positions [Å], shape [A, 2], bonds between even and odd numbers, and periods (Lx, Ly) [Å].
     """
     positions, box = _crystal(bond, cells)
     return positions - positions.mean(axis=0), (float(box[0]), float(box[1]))

