@@ -49,7 +49,7 @@ class Dirichlet:
 
     Args:
         domain: where the nodes lie.
-        A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1].
+        A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1], on the processor.
         method: a name in PRECONDITIONERS; "sine" is for rectangles.
 
     Raises InputError for an operator that is not proven positive definite: singular or indefinite.
@@ -58,7 +58,6 @@ class Dirichlet:
     def __init__(self, domain: Domain, A: torch.Tensor, method: str) -> None:
         if method == "sine" and not domain.is_rectangle:
             raise InputError("method: sine is for rectangles of nodes; try multigrid")
-        A = A.detach()
         self.domain, self.method = domain, method
         self.scale = float(A[0, 0, A.shape[-1] // 2, A.shape[-1] // 2])
         self.symbol = domain.torus.symbol(A)

@@ -49,11 +49,16 @@ def sine(domain: Domain, A: torch.Tensor) -> Preconditioner:
 
 
 def dst(field: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
-    """DST-I over the last two axes; on a GPU through the transform of the odd continuation."""
+    """DST-I over the last two axes."""
     if field.device.type == "cpu":
         transform = scipy.fft.idstn if inverse else scipy.fft.dstn
         found = transform(field.numpy(), type=1, axes=(1, 2), workers=threads())
         return torch.from_numpy(found)
+    return odd_dst(field, inverse=inverse)
+
+
+def odd_dst(field: torch.Tensor, *, inverse: bool) -> torch.Tensor:
+    """The same through the Fourier transform of the odd continuation, by torch."""
     for axis in (1, 2):
         size = field.shape[axis]
         zero = torch.zeros_like(field.narrow(axis, 0, 1))

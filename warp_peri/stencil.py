@@ -96,7 +96,7 @@ class Torus:
         reach = A.shape[-1] // 2
         folded = torch.zeros(3, *self.shape, dtype=A.dtype, device=self.device)
         corner = folded[:, : 2 * reach + 1, : 2 * reach + 1]
-        corner[:] = torch.stack([A[0, 0], A[1, 1], A[0, 1]])
+        corner[:] = torch.stack([A[0, 0], A[1, 1], A[0, 1]]).to(self.device)
         d11, d22, d12 = self.forward(folded.roll((-reach, -reach), dims=(1, 2))).real.contiguous()
         return d11, d22, d12
 

@@ -16,7 +16,7 @@ from warp_peri.families import families_of
 from warp_peri.kernels import influence as influence_kernels
 from warp_peri.kernels import lps
 from warp_peri.kernels.bonds import bonds
-from warp_peri.launch import floats, ints, launch, launch_slices, zeros
+from warp_peri.launch import DEVICE, floats, ints, known_device, launch, launch_slices, zeros
 from warp_peri.quadrature import DEGREE
 
 PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
@@ -54,6 +54,8 @@ class Sweeps:
         bond_based: λ = μ without a dilatation (theory.md, 42).
         quadrature_degree: of the polynomials that the weights are exact for.
         precision: "float64" or "float32".
+        device: where the arrays lie and the kernels run, as Warp names it: "cpu", "cuda:0". The
+            families are found on the processor.
 
     Attributes:
         families: families of all nodes.
@@ -61,7 +63,7 @@ class Sweeps:
         full: nodes within δ of them, where dilatations are needed.
         links: the arrays that lead every kernel from a node to its bonds.
 
-    Raises InputError for what families_of refuses, and for another precision.
+    Raises InputError for what families_of refuses, another precision, and an unknown device.
     """
 
     def __init__(
@@ -74,10 +76,12 @@ class Sweeps:
         bond_based: bool = False,
         quadrature_degree: int = DEGREE,
         precision: str = "float64",
+        device: str = DEVICE,
     ) -> None:
         if precision not in PRECISIONS:
             raise InputError(f"precision: expected one of {list(PRECISIONS)}, got {precision!r}")
         self.scalar = PRECISIONS[precision]
+        self.device = known_device(device)
         types = bonds(self.scalar)
         self.vec, self.mat = types.vec, types.mat
         self.kernels = lps.sweeps(self.scalar)
@@ -91,9 +95,10 @@ class Sweeps:
         )
         families = self.families
         self.horizon, self.bond_based = float(horizon), bond_based
-        self.rows, self.whole, self.cut = map(ints, (families.rows, families.whole, families.cut))
-        self.full = ints(np.sort(np.concatenate([families.whole, families.cut])))
-        self.row, self.reverse = ints(families.row), ints(families.reverse)
+        self.rows, self.whole = self.ints(families.rows), self.ints(families.whole)
+        self.cut = self.ints(families.cut)
+        self.full = self.ints(np.sort(np.concatenate([families.whole, families.cut])))
+        self.row, self.reverse = self.ints(families.row), self.ints(families.reverse)
         self.r, self.weight = self.floats(families.r), self.floats(families.weight)
         lattice = families.lattice
         bond_class = np.zeros(1) if lattice is None else lattice.bond_class
@@ -105,10 +110,10 @@ class Sweeps:
         self.links = (
             self.lattice,
             self.row,
-            ints(families.neighbour),
-            ints(bond_class),
-            floats(np.hstack([pattern, inverse_square]), types.bond),
-            floats(x, self.vec),
+            self.ints(families.neighbour),
+            self.ints(bond_class),
+            floats(np.hstack([pattern, inverse_square]), types.bond, self.device),
+            floats(x, self.vec, self.device),
             types.box(*(self.scalar(value) for value in (*(box or (0.0, 0.0)), *inverse))),
         )
 
@@ -118,8 +123,12 @@ class Sweeps:
         return len(self.row) - 1
 
     def floats(self, values: np.ndarray) -> wp.array:
-        """A Warp array in the precision of the sweeps."""
-        return floats(values, self.scalar)
+        """A Warp array in the precision of the sweeps, where they run."""
+        return floats(values, self.scalar, self.device)
+
+    def ints(self, values: np.ndarray) -> wp.array:
+        """A Warp array of int32, where the sweeps run."""
+        return ints(values, self.device)
 
     def influence_inputs(self, degree: int) -> tuple[Any, ...]:
         """What the influence kernels of a degree read before α and D."""
@@ -196,7 +205,8 @@ class Sweeps:
 
     def zeros(self, *shape: int, dtype: Any = None, gradient: bool = False) -> wp.array:
         """A Warp array of zeros."""
-        return zeros(*shape, dtype=dtype or self.scalar, gradient=gradient)
+        dtype = dtype or self.scalar
+        return zeros(*shape, dtype=dtype, gradient=gradient, device=self.device)
 
     @staticmethod
     def _launch(
