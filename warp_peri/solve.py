@@ -54,8 +54,8 @@ def solve(
             handed through.
         method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
             conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
-            with an incomplete LU for many scattered points, whose operator is not symmetric. "fft" (the
-            inverse symbol) and "cg" (plain) are there to compare.
+            with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
+            (the inverse symbol) and "cg" (plain) are there to compare.
         tolerance: of conjugate gradients, true residual over right-hand side.
         allow_uncertified: warn about an uncertified spacing instead of raising.
         records: takes one Record for each sample that conjugate gradients solved.

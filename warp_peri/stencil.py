@@ -1,7 +1,7 @@
 """The operator of a lattice as one stencil, and its products on a torus of nodes by FFT.
 
 With full families everywhere (9) is the convolution (L u)_i = Σ_n A(n) u_{i+n}, A(n) = A(−n). On
-any finite set of unknowns the operator is a block of the same convolution on a torus large enough that
+any finite set of unknowns the operator is a block of the same convolution on a torus so large that
 nothing reaches around it (theory.md, 49–50).
 """
 
