@@ -1,7 +1,8 @@
 """Dirichlet solves from 64² to 2000² nodes: time, iterations, memory, and the exponent of cost.
 
 Run by `python tools/benchmark.py solve`. The model is the learned one that the repository ships,
-or another file. Right-hand sides: a smooth load, a point load and noise; the worst counts.
+or another file. Right-hand sides: a smooth load, a point load and noise, zero collar, the worst
+counts.
 """
 
 from __future__ import annotations
