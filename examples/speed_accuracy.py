@@ -230,7 +230,9 @@ def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
     """Rows that no other beats in both error and solve time, fastest first."""
     best, found = np.inf, []
     for row in sorted(rows, key=lambda row: (row[f"{name}_solve"], row[f"{name}_error"])):
-        if row[f"{name}_error"] < best:
+        if row[f"{name}_error"] < best * (
+            1 - 1e-3
+        ):  # the same model by another solver is no better
             best = row[f"{name}_error"]
             found.append(row)
     return found
@@ -254,7 +256,7 @@ def chart(rows: list[dict[str, Any]], file: Path) -> None:
         ax.step(x, y, "k--", lw=0.8, where="post", label="Pareto front")
         for n, (row, a, b) in enumerate(zip(best, x, y)):
             ax.annotate(
-                row["label"], (a, b), (6, 8 if n % 2 else -12), textcoords="offset points", size=7
+                row["label"], (a, b), (6, 8 if n % 2 else -12), textcoords="offset points", size=6
             )
         ax.set(xlabel="time of one solve [ms]", ylabel="displacement error [%]", title=title)
         ax.margins(0.25, 0.1)
