@@ -146,7 +146,7 @@ def fitted(data: Any, out: Path, spacing: float, horizon: float, degree: int) ->
 
 
 def molecular() -> dict[str, float]:
-    """Seconds of the atoms: set-up (reference and Hessian) and one load, for disk and sheet."""
+    """Seconds of the atoms, one load of three with its share of the set-up, for disk and sheet."""
     found: dict[str, float] = {}
     potential = making.potential_file()
     bond = making.bond_length(potential)
@@ -158,15 +158,13 @@ def molecular() -> dict[str, float]:
     }
     for name, (body, loads) in cases.items():
         seconds = []
-        for count in (1, 1, 4):  # the first loads LAMMPS
+        for count in (1, 3):  # the first loads LAMMPS
             with tempfile.TemporaryDirectory() as folder:
                 start = time.perf_counter()
                 making.solve_samples(body, list(loads[:count]), Path(folder))
                 seconds.append(time.perf_counter() - start)
-        each = (seconds[2] - seconds[1]) / 3
-        if not 0 < each < seconds[1]:
-            raise RuntimeError(f"the times of the atoms make no sense: {seconds} s")
-        found |= {f"{name}_solve": each, f"{name}_setup": seconds[1] - each}
+        each = seconds[1] / 3
+        found |= {f"{name}_solve": each, f"{name}_setup": 0.0}
     return found
 
 
@@ -219,7 +217,7 @@ def measure(data: Any, out: Path) -> list[dict[str, Any]]:
 
         add(label, f"FEM Q{order}", spacing, 0.0, f"Q{order}", elements)
     atoms: dict[str, Any] = {
-        "label": "atoms (LAMMPS, Newton)",
+        "label": "atoms (LAMMPS), set-up shared by 3 loads",
         "kind": "atoms",
         "spacing": 0.0,
         "horizon": 0.0,
@@ -232,7 +230,9 @@ def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
     """Rows that no other beats in both error and solve time, fastest first."""
     best, found = np.inf, []
     for row in sorted(rows, key=lambda row: (row[f"{name}_solve"], row[f"{name}_error"])):
-        if row[f"{name}_error"] < best:
+        if row[f"{name}_error"] < best * (
+            1 - 1e-3
+        ):  # the same model by another solver is no better
             best = row[f"{name}_error"]
             found.append(row)
     return found
@@ -256,7 +256,7 @@ def chart(rows: list[dict[str, Any]], file: Path) -> None:
         ax.step(x, y, "k--", lw=0.8, where="post", label="Pareto front")
         for n, (row, a, b) in enumerate(zip(best, x, y)):
             ax.annotate(
-                row["label"], (a, b), (6, 8 if n % 2 else -12), textcoords="offset points", size=7
+                row["label"], (a, b), (6, 8 if n % 2 else -12), textcoords="offset points", size=6
             )
         ax.set(xlabel="time of one solve [ms]", ylabel="displacement error [%]", title=title)
         ax.margins(0.25, 0.1)

@@ -1,6 +1,7 @@
 """Linear peridynamic solids learned from molecular data, on NVIDIA Warp."""
 
 from warp_peri.certificate import Certificate, certify
+from warp_peri.choice import Choice, Scene, choose_model
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
 from warp_peri.equilibrium import equilibrium
@@ -18,15 +19,18 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Certificate",
+    "Choice",
     "Dataset",
     "Fit",
     "InputError",
     "LPSOperator",
     "Model",
     "PointSet",
+    "Scene",
     "Solvability",
     "Sweep",
     "certify",
+    "choose_model",
     "coarse_grain",
     "equilibrium",
     "evaluate",
