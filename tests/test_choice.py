@@ -8,6 +8,7 @@ from warp_peri.choice import Scene, choose_model, shipped_table
 
 def row(method, spacing, horizon, error, seconds):
     return {
+        "kind": "learned",
         "method": method,
         "spacing": spacing,
         "horizon": horizon,

@@ -91,7 +91,7 @@ def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None
     name = "waves" if short else "disks"
     found = []
     for row in table["rows"]:
-        if row["method"] not in ("lu", "lu32", "multigrid"):
+        if row["method"] not in ("lu", "lu32", "multigrid") or row["kind"] == "positive kernel":
             continue
         nodes = math.prod(length / row["spacing"] for length in scene.size)
         growth = nodes / row["disks_nodes"]
