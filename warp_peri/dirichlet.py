@@ -109,7 +109,8 @@ class Dirichlet:
         raise InputError(
             f"the solve stalled: residual {record.residual:.1e} of the right-hand side after "
             f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator on these "
-            f"{len(self.domain.free)} nodes is singular to working precision, or nearly so"
+            f"{len(self.domain.free)} nodes is nearly singular, or so nearly incompressible "
+            f"that {self.method} does not come close to it: try lu"
         )
 
     def _descend(self, r: torch.Tensor, goal: float, record: Record) -> torch.Tensor:

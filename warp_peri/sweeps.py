@@ -107,6 +107,7 @@ class Sweeps:
         x = points.x if lattice is None else np.zeros((1, 2))
         inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
         self.lattice = int(lattice is not None)
+        self._kept: dict[tuple[bytes, bytes], tuple[wp.array, wp.array]] = {}
         self.links = (
             self.lattice,
             self.row,
@@ -136,11 +137,14 @@ class Sweeps:
         return (self.scalar(self.horizon), binomial, self.r, self.weight)
 
     def influence(self, alpha: wp.array, D: wp.array, *, gradient: bool) -> tuple[wp.array, ...]:
-        """K W of each class, shape [C], and weighted volumes m.
+        """K W of each class, shape [C], and weighted volumes m; kept while only u changes.
 
         m has shape [N], 0 where not needed; on a lattice shape [1], the same for all nodes.
         """
         degree = len(D) - 1
+        key = (alpha.numpy().tobytes(), D.numpy().tobytes())
+        if not gradient and key in self._kept:
+            return self._kept[key]
         kw = self.zeros(len(self.r), gradient=gradient)
         volumes = 1 if self.lattice else self.nodes
         m = self.zeros(volumes, gradient=gradient)
@@ -151,7 +155,15 @@ class Sweeps:
         count = 1 if self.lattice else len(self.full)
         self._launch(gradient, kernel, len(self.r), table, kw)
         self._launch(gradient, self.kernels.weighted_volume, count, inputs, m)
+        if not gradient:
+            if len(self._kept) > 1:  # those of the last model: at most two functions
+                self._kept.clear()
+            self._kept[key] = kw, m
         return kw, m
+
+    def forget(self) -> None:
+        """Drop K W and m of the last model, so that the next evaluation computes them anew."""
+        self._kept.clear()
 
     def shape(self, kd: wp.array, *, gradient: bool = False) -> wp.array:
         """S of the nodes with broken bonds, (40), shape [N]."""
