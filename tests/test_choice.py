@@ -24,11 +24,12 @@ def row(method, spacing, horizon, error, seconds):
 TABLE = {
     "short_wave": 14.0,
     "long_wave": 25.0,
+    "seconds_per_node": {"sine": 2e-6, "multigrid": 3e-6},
     "rows": [
         row("lu", 5.0, 12.5, 0.03, 0.02),
         row("lu", 5.0, 20.0, 0.01, 0.05),
         row("lu", 2.5, 12.5, 0.008, 0.3),
-        row("multigrid", 5.0, 20.0, 0.01, 0.2),
+        row("multigrid", 5.0, 20.0, 0.001, 0.2),
         row("Q1", 5.0, 0.0, 0.001, 0.001),
     ],
 }
@@ -50,9 +51,13 @@ def test_short_waves_need_more_than_long_ones():
 
 
 def test_large_scenes_take_conjugate_gradients_by_shape():
-    for rectangle, method in ((True, "sine"), (False, "multigrid")):
+    for rectangle, method, each in ((True, "sine", 2e-6), (False, "multigrid", 3e-6)):
         scene = Scene((2000.0, 2000.0), 50.0, rectangle)
-        assert choose_model(tolerance=0.05, scene=scene, table=TABLE).method == method
+        found = choose_model(tolerance=0.05, scene=scene, table=TABLE)
+        assert found.method == method
+        assert (found.spacing, found.horizon) == (5.0, 20.0)  # as cheap as 12.5, and better
+        assert found.seconds == pytest.approx(each * 400**2)
+    assert choose_model(tolerance=0.009, scene=scene, table=TABLE).spacing == 2.5
 
 
 def test_what_was_not_measured_is_refused():
