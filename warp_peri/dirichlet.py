@@ -93,6 +93,16 @@ class Dirichlet:
 
         Raises InputError when a direction has no positive energy, or CG stalls above the tolerance.
         """
+        # Where cores are shared, torch's threads wait for one another at every small operation (5 to
+        # 20 times as long in all); transforms and kernels, most of the work, have their own.
+        count = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            return self._solve(right, tolerance)
+        finally:
+            torch.set_num_threads(count)
+
+    def _solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, Record]:
         size, record = float(right.norm()), Record()
         u = torch.zeros_like(right)
         if size == 0:
