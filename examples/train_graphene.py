@@ -21,6 +21,7 @@ sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
 import warp_peri
 from examples import graphene_report as report
 from examples import sweep_report
+from warp_peri.cluster import scheduler
 from warp_peri.dataset import Dataset, PointSet
 from warp_peri.errors import InputError
 from warp_peri.files import locked, write_json
@@ -223,6 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=4000, help="of each thermal run")
     parser.add_argument("--seed", type=int, default=0, help="of the initial influence function")
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
     parser.add_argument(
         "--sweep",
         action="store_true",
@@ -246,11 +248,12 @@ def main(arguments: list[str] | None = None) -> int:
     given.command = shlex.join(["python", "examples/train_graphene.py", *words])
     try:
         if given.sweep:
-            run_sweep(given)
+            with scheduler(given.scheduler):
+                run_sweep(given)
             print((given.out / "sweep.md").read_text(encoding="utf-8").split("## All")[0])
             print(f"everything is in {given.out}/ (start with sweep.md)")
             return 0
-        with locked(given.out):
+        with locked(given.out), scheduler(given.scheduler):
             numbers = run(given)
     except KeyboardInterrupt:
         print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)

@@ -8,7 +8,8 @@ import torch
 
 from tests.clouds import cloud
 from tests.problems import difference, ell, kernel, lattice, manufactured, noise
-from warp_peri import InputError, LPSOperator, Model, equilibrium, solve
+from tools.solve_study import TABLE
+from warp_peri import InputError, LPSOperator, Model, equilibrium, load_model, solve
 from warp_peri.dirichlet import Dirichlet
 from warp_peri.domain import domain
 from warp_peri.multigrid import prolong, restrict
@@ -77,12 +78,14 @@ def test_restriction_is_the_transpose_of_interpolation(shape):
     assert abs(float(a - b)) < 1e-12
 
 
-def test_iterations_do_not_grow_with_the_domain():
-    model = kernel("1/r", HORIZON)
+@pytest.mark.parametrize("name", ["1/r", "learned"])
+def test_iterations_do_not_grow_with_the_domain(name):
+    model = load_model(TABLE) if name == "learned" else kernel(name, HORIZON)
     for method, mask in (("sine", lambda n: np.ones((n, n), bool)), ("multigrid", notched)):
         iterations = []
         for n in (64, 192):
-            nodes = domain(lattice(mask(n), HORIZON), HORIZON, device=CPU)
+            points = lattice(mask(n), model.horizon, spacing=model.certified_on[0])
+            nodes = domain(points, model.horizon, device=CPU)
             system = Dirichlet(nodes, stencil(nodes.classes, *numbers(model)), method)
             random = torch.Generator().manual_seed(0)
             b = torch.randn(2, *nodes.mask.shape, dtype=torch.float64, generator=random)

@@ -64,9 +64,11 @@ def ours(sweeps: Sweeps, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callab
     alpha, D = (torch.as_tensor(MODEL[key], dtype=dtype) for key in ("alpha", "D"))
 
     def forward() -> np.ndarray:
+        sweeps.forget()  # the rivals compute K every time
         return lps_force(sweeps, u, lam, mu, alpha, D).numpy()
 
     def both() -> list[np.ndarray]:
+        sweeps.forget()
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
         Lu = lps_force(sweeps, leaves[0], lam, mu, leaves[2], leaves[1])
         return [found.numpy() for found in torch.autograd.grad(Lu, leaves, g)]

@@ -27,6 +27,7 @@ from tools.lammps_session import CARBON_MASS, potential_file
 from tools.loads import TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.samples import Body, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
+from warp_peri.cluster import scheduler
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, save_dataset
 from warp_peri.errors import InputError
@@ -343,6 +344,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
     )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
     parser.add_argument(
         "--cache", type=Path, metavar="FOLDER", help="finished samples (default: beside FILE)"
     )
@@ -355,13 +357,14 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"--jobs: expected a number of processes ≥ 1, or -1, got {given.jobs}")
     warnings.showwarning = short_warning
     try:
-        path = make_graphene(
-            given.out,
-            jobs=given.jobs,
-            cache=given.cache,
-            smoothing_radius=given.smoothing_radius,
-            progress=not given.quiet,
-        )
+        with scheduler(given.scheduler):
+            path = make_graphene(
+                given.out,
+                jobs=given.jobs,
+                cache=given.cache,
+                smoothing_radius=given.smoothing_radius,
+                progress=not given.quiet,
+            )
     except KeyboardInterrupt:
         print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
         return 130

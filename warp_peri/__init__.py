@@ -1,6 +1,7 @@
 """Linear peridynamic solids learned from molecular data, on NVIDIA Warp."""
 
 from warp_peri.certificate import Certificate, certify
+from warp_peri.choice import Choice, Scene, choose_model
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
 from warp_peri.dynamics import Motion, critical_time_step, velocity_verlet
@@ -20,6 +21,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Certificate",
+    "Choice",
     "Dataset",
     "Fit",
     "InputError",
@@ -27,10 +29,12 @@ __all__ = [
     "Model",
     "Motion",
     "PointSet",
+    "Scene",
     "Solvability",
     "Sweep",
     "Uncertainty",
     "certify",
+    "choose_model",
     "coarse_grain",
     "critical_time_step",
     "equilibrium",

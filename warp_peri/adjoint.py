@@ -16,7 +16,7 @@ import warp as wp
 
 from warp_peri.kernels import influence as influence_kernels
 from warp_peri.kernels.adjoint import adjoints
-from warp_peri.launch import DEVICE, at_once, empty, launch, launch_slices
+from warp_peri.launch import at_once, empty, launch, launch_slices
 from warp_peri.sweeps import State, Sweeps
 
 BLOCKS = 8
@@ -81,7 +81,7 @@ def gradient(
         launch_slices(kernels.dilatation_adjoint, len(sweeps.full), inputs, (tau,), samples=samples)
     u_bar = None
     if displacement:
-        u_bar = empty(samples, nodes, dtype=sweeps.vec)
+        u_bar = empty(samples, nodes, dtype=sweeps.vec, device=sweeps.device)
         inputs = (*links, sweeps.reverse, state.kw, state.kd, mu, h, tau)
         launch_slices(kernels.displacement_adjoint, nodes, inputs, (u_bar,), samples=samples)
     if not parameters:
@@ -115,11 +115,11 @@ class _Tables:
             at[-1] = row[-1]
             self.spans = list(pairwise(at))
         self.kernel = adjoints(sweeps.scalar).table_adjoint
-        self.kernel.module.load(wp.get_device(DEVICE))
+        self.kernel.module.load(wp.get_device(sweeps.device))
         self.backwards, self.sums = [], []
         for D in coefficients:
             kernel = influence_kernels.influence_adjoint(len(D) - 1, sweeps.scalar)
-            kernel.module.load(wp.get_device(DEVICE))
+            kernel.module.load(wp.get_device(sweeps.device))
             self.backwards.append((kernel, sweeps.influence_inputs(len(D) - 1), D))
             self.sums.append(sweeps.zeros(BLOCKS, len(D) + 1))
         self.by_pattern = [np.zeros((BLOCKS, len(sweeps.families.pattern))) for _ in coefficients]

@@ -49,7 +49,7 @@ class Dirichlet:
 
     Args:
         domain: where the nodes lie.
-        A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1].
+        A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1], on the processor.
         method: a name in PRECONDITIONERS; "sine" is for rectangles.
 
     Raises InputError for an operator that is not proven positive definite: singular or indefinite.
@@ -58,7 +58,6 @@ class Dirichlet:
     def __init__(self, domain: Domain, A: torch.Tensor, method: str) -> None:
         if method == "sine" and not domain.is_rectangle:
             raise InputError("method: sine is for rectangles of nodes; try multigrid")
-        A = A.detach()
         self.domain, self.method = domain, method
         self.scale = float(A[0, 0, A.shape[-1] // 2, A.shape[-1] // 2])
         self.symbol = domain.torus.symbol(A)
@@ -94,6 +93,16 @@ class Dirichlet:
 
         Raises InputError when a direction has no positive energy, or CG stalls above the tolerance.
         """
+        # Where cores are shared, torch's threads wait for one another at every small operation (5
+        # to 20 times as long in all); transforms and kernels, most of the work, have their own.
+        count = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            return self._solve(right, tolerance)
+        finally:
+            torch.set_num_threads(count)
+
+    def _solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, Record]:
         size, record = float(right.norm()), Record()
         u = torch.zeros_like(right)
         if size == 0:
@@ -110,7 +119,8 @@ class Dirichlet:
         raise InputError(
             f"the solve stalled: residual {record.residual:.1e} of the right-hand side after "
             f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator on these "
-            f"{len(self.domain.free)} nodes is singular to working precision, or nearly so"
+            f"{len(self.domain.free)} nodes is nearly singular, or so nearly incompressible "
+            f"that {self.method} does not come close to it: try lu"
         )
 
     def _descend(self, r: torch.Tensor, goal: float, record: Record) -> torch.Tensor:

@@ -146,7 +146,8 @@ def equilibrium(
 
     Args:
         points: a lattice, or for the method lu any points.
-        b: body force density [TPa/Å], shape [S, N, 2] or [N, 2]; only interior values count.
+        b: body force density [TPa/Å], shape [S, N, 2] or [N, 2]; only interior values count. The
+            iterative methods run on its device, "lu" on the processor.
         u_collar: displacement [Å], same shape; only collar values count.
         horizon: δ [Å].
         lam, mu, alpha, D, D_dilatation: as for lps_force. Where lam and mu are equal numbers the
@@ -162,18 +163,19 @@ def equilibrium(
     or indefinite.
     """
     numbers = [
-        torch.as_tensor(value, dtype=torch.float64).reshape(-1)
+        torch.as_tensor(value, dtype=torch.float64).reshape(-1).cpu()
         for value in (lam, mu, alpha, D, D_dilatation)
         if value is not None
     ]
     shape = b.shape
     b, u = (field.double().reshape(-1, len(points.x), 2) for field in (b, u_collar))
-    inside = torch.from_numpy(points.interior)[:, None]
+    inside = torch.from_numpy(points.interior)[:, None].to(b.device)
     b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
     bond_based = bool(numbers[0] == numbers[1])
     if method == "lu":
         sweeps = Sweeps(points, horizon, bond_based=bond_based)
-        return _ByLU.apply(sweeps, points, b, u, *numbers).reshape(shape)
+        found = _ByLU.apply(sweeps, points, b.cpu(), u.cpu(), *numbers)
+        return found.reshape(shape).to(b.device)
     if method not in PRECONDITIONERS:
         raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")
     if points.spacing == 0:
@@ -194,5 +196,6 @@ def on_domain(
     """The same on a lattice laid out before; b is zero on the collar, u on the interior."""
     lam, mu, alpha, D = numbers[:4]
     A = stencil(nodes.classes, lam[0], mu[0], alpha[0], D, numbers[-1])
-    system = Dirichlet(nodes, A, method)
+    system = Dirichlet(nodes, A.detach(), method)
+    A = A.to(b.device)
     return _OnLattice.apply(system, tolerance, [] if records is None else records, A, b, u)

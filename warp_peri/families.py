@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import warp as wp
@@ -126,6 +127,14 @@ def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> Bon
 
     Raises InputError when the horizon is below one spacing or the weights do not exist.
     """
+    found = _bond_classes(float(spacing), float(horizon), degree)
+    arrays = (found.steps, found.bond_class, found.r, found.weight)
+    return BondClasses(found.spacing, found.horizon, *(array.copy() for array in arrays))
+
+
+@lru_cache(maxsize=64)
+def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
+    """The same, once for each pattern: the weights take a decomposition of all bonds."""
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
     if not (np.isfinite(horizon) and horizon >= spacing):
@@ -150,7 +159,7 @@ def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> Bon
     weights = quadrature_weights(spacing * steps, horizon, degree=degree)
     weight = np.bincount(bond_class, weights) / np.bincount(bond_class)
     r = spacing * np.hypot(*orbit[new].T)
-    return BondClasses(float(spacing), float(horizon), steps, bond_class, r, weight)
+    return BondClasses(spacing, horizon, steps, bond_class, r, weight)
 
 
 def families_of(

@@ -14,6 +14,7 @@ import warp as wp
 from warp_peri.errors import InputError
 
 DEVICE = "cpu"
+"""Where arrays are made unless a device is named."""
 SLICE = 2000
 """Least number of nodes a thread is worth starting for."""
 
@@ -63,9 +64,19 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
             raise failure
 
 
-def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any] = ()) -> None:
-    """Launch a kernel once; on the active tape, if there is one."""
-    wp.launch(kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=DEVICE)
+def known_device(device: str) -> str:
+    """The device's name in Warp, as "cuda:0" for "cuda"; InputError for one that is not there."""
+    try:
+        return str(wp.get_device(device))
+    except (RuntimeError, ValueError):
+        there = ", ".join(str(one) for one in wp.get_devices())
+        raise InputError(f"device: expected one of {there}, got {device!r}") from None
+
+
+def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+    """Launch a kernel once, where its first output lies; on the active tape, if there is one."""
+    device = outputs[0].device
+    wp.launch(kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=device)
 
 
 def launch_slices(
@@ -73,9 +84,11 @@ def launch_slices(
 ) -> None:
     """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count.
 
-    With samples the dimensions are (samples, slice). Must not be called while a tape records.
+    With samples the dimensions are (samples, slice). Must not be called while a tape records. A GPU
+    takes all of them at once.
     """
-    slices = max(1, min(_count, count * max(samples, 1) // SLICE))
+    device = outputs[0].device
+    slices = max(1, min(_count, count * max(samples, 1) // SLICE)) if device.is_cpu else 1
     ends = [count * n // slices for n in range(slices + 1)]
 
     def job(first: int, last: int) -> Callable[[], None]:
@@ -83,26 +96,28 @@ def launch_slices(
         return lambda: launch(kernel, dim, [first, *inputs], outputs)
 
     if slices > 1:
-        kernel.module.load(wp.get_device(DEVICE))  # not from two threads at once
+        kernel.module.load(device)  # not from two threads at once
     at_once([job(first, last) for first, last in pairwise(ends)])
 
 
-def zeros(*shape: int, dtype: Any = wp.float64, gradient: bool = False) -> wp.array:
+def zeros(
+    *shape: int, dtype: Any = wp.float64, gradient: bool = False, device: str = DEVICE
+) -> wp.array:
     """A Warp array of zeros."""
-    return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=DEVICE)
+    return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=device)
 
 
-def empty(*shape: int, dtype: Any) -> wp.array:
+def empty(*shape: int, dtype: Any, device: str = DEVICE) -> wp.array:
     """A Warp array that a kernel is about to fill."""
-    return wp.empty(shape, dtype=dtype, device=DEVICE)
+    return wp.empty(shape, dtype=dtype, device=device)
 
 
-def ints(values: np.ndarray) -> wp.array:
+def ints(values: np.ndarray, device: str = DEVICE) -> wp.array:
     """An int32 Warp array; shares memory with an int32 NumPy array where the device can."""
     values = np.ascontiguousarray(values, dtype=np.int32)
-    return wp.array(values, dtype=wp.int32, device=DEVICE, copy=False)
+    return wp.array(values, dtype=wp.int32, device=device, copy=False)
 
 
-def floats(values: np.ndarray, dtype: Any = wp.float64) -> wp.array:
+def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array:
     """A Warp array of scalars or vectors; shares memory with `values` where it can."""
-    return wp.array(values, dtype=dtype, device=DEVICE, copy=False)
+    return wp.array(values, dtype=dtype, device=device, copy=False)

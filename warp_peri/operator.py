@@ -26,7 +26,9 @@ class _Force(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, sweeps: Sweeps, *inputs: torch.Tensor) -> torch.Tensor:
         ctx.sweeps = sweeps
-        ctx.gathers = len(sweeps.cut) == 0  # the gathering adjoint knows no broken bonds
+        # The gathering adjoint knows no broken bonds, and its few blocks are no work for a GPU,
+        # where the tape's atomic sums are right.
+        ctx.gathers = len(sweeps.cut) == 0 and sweeps.device == DEVICE
         ctx.save_for_backward(*inputs)  # the arrays share their memory
         taped = any(ctx.needs_input_grad) and not ctx.gathers
         types = [sweeps.vec] + (len(inputs) - 1) * [sweeps.scalar]
@@ -82,6 +84,7 @@ class LPSOperator:
         quadrature_degree: of the polynomials that the weights are exact for.
         allow_uncertified: warn instead of raising when the model holds no certificate for this
             spacing.
+        device: where the kernels run, as for Sweeps.
 
     A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough.
 
@@ -101,6 +104,7 @@ class LPSOperator:
         outside: ArrayLike | None = None,
         quadrature_degree: int = DEGREE,
         allow_uncertified: bool = False,
+        device: str = DEVICE,
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
         self.model = model
@@ -111,6 +115,7 @@ class LPSOperator:
             outside=outside,
             bond_based=model.lam == model.mu,
             quadrature_degree=quadrature_degree,
+            device=device,
         )
         self.sweeps.check_volumes(model)
 
@@ -120,12 +125,13 @@ class LPSOperator:
     def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
     def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
         model = self.model
-        tensor = (
-            u if isinstance(u, torch.Tensor) else torch.from_numpy(np.require(u, float, ["C", "W"]))
-        )
+        if isinstance(u, torch.Tensor):
+            tensor = u
+        else:
+            tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.sweeps.device)
         numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
         Lu = lps_force(self.sweeps, tensor, *numbers)
-        return Lu if isinstance(u, torch.Tensor) else Lu.numpy()
+        return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
 
 
 def lps_force(
@@ -152,13 +158,15 @@ def lps_force(
     derivative to λ is zero: (42) is a function of μ.
     """
     nodes, dtype = sweeps.nodes, getattr(torch, sweeps.scalar.__name__)
+    if u.device != torch.device(sweeps.device):
+        raise InputError(f"u: expected a tensor on {sweeps.device}, got one on {u.device}")
     if u.dtype != dtype or u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
         raise InputError(
             f"u: expected {sweeps.scalar.__name__} of shape [S, {nodes}, 2] or [{nodes}, 2], "
             f"got {u.dtype} of shape {list(u.shape)}"
         )
     numbers = [
-        torch.as_tensor(value, dtype=dtype).reshape(-1)
+        torch.as_tensor(value, dtype=dtype, device=u.device).reshape(-1)
         for value in (lam, mu, alpha, D, D_dilatation)
         if value is not None
     ]

@@ -18,8 +18,8 @@ from warp_peri.stencil import long_wave
 
 SINE_SHIFT = 0.4
 """Of the short-range filter beside the sine transform, in units of C44."""
-SHIFT, LONG = 0.1, 0.7
-"""Of the filter beside multigrid, and the share of multigrid."""
+SHIFT = 1.0
+"""Of the filter beside multigrid at the longest waves, in units of C44."""
 
 Preconditioner = Callable[[torch.Tensor], torch.Tensor]
 
@@ -49,11 +49,16 @@ def sine(domain: Domain, A: torch.Tensor) -> Preconditioner:
 
 
 def dst(field: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
-    """DST-I over the last two axes; on a GPU through the transform of the odd continuation."""
+    """DST-I over the last two axes."""
     if field.device.type == "cpu":
         transform = scipy.fft.idstn if inverse else scipy.fft.dstn
         found = transform(field.numpy(), type=1, axes=(1, 2), workers=threads())
         return torch.from_numpy(found)
+    return odd_dst(field, inverse=inverse)
+
+
+def odd_dst(field: torch.Tensor, *, inverse: bool) -> torch.Tensor:
+    """The same through the Fourier transform of the odd continuation, by torch."""
     for axis in (1, 2):
         size = field.shape[axis]
         zero = torch.zeros_like(field.narrow(axis, 0, 1))
@@ -64,16 +69,18 @@ def dst(field: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
     return field
 
 
-def torus_inverse(domain: Domain, A: torch.Tensor, *, shift: float = 0.0) -> Preconditioner:
+def torus_inverse(
+    domain: Domain, A: torch.Tensor, *, shift: float | torch.Tensor = 0.0
+) -> Preconditioner:
     """(D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them.
 
-    Without a shift the mean, which has no inverse, is left as it is.
+    A mean that has no inverse is left as it is.
     """
     torus = domain.torus
     d11, d22, d12 = (part.clone() for part in torus.symbol(A))
     d11 += shift
     d22 += shift
-    if shift == 0:
+    if not d11[0, 0] > 1e-12 * d11.max():
         d11[0, 0] = d22[0, 0] = 1
     determinant = d11 * d22 - d12**2
     blocks = tuple((part / determinant).float() for part in (d22, d11, -d12))
@@ -89,12 +96,18 @@ def torus_inverse(domain: Domain, A: torch.Tensor, *, shift: float = 0.0) -> Pre
 def additive(domain: Domain, A: torch.Tensor) -> Preconditioner:
     """Short waves by a filter on the torus, long ones by multigrid for the local limit, added.
 
-    z = mask (H ∗ r + LONG P V(Pᵗ r)), H(k) = (D(k) + SHIFT C44 I)⁻¹, V the V-cycle on every second
-    node. The inverse symbol alone needs more and more iterations as a domain grows: nearly constant
-    modes jump at its boundary.
+    z = mask (H ∗ r + P V(Pᵗ r)), H(k) = (D(k) + SHIFT C44 p(k) I)⁻¹, V the V-cycle on every second
+    node, and p = Π (1 + cos k_a h)/2 what P makes of a wave: where the coarser nodes see nothing H
+    is the whole inverse. The inverse symbol alone needs more and more iterations as a domain grows:
+    nearly constant modes jump at its boundary.
     """
     C11, C44, mixed = long_wave(A, 1.0)
-    filtered = torus_inverse(domain, A, shift=SHIFT * C44)
+    one, two = (
+        (1 + torch.cos(2 * torch.pi * torch.arange(size, dtype=A.dtype) / size)) / 2
+        for size in domain.torus.shape
+    )
+    seen = torch.outer(one, two[: len(two) // 2 + 1]).to(domain.mask.device)
+    filtered = torus_inverse(domain, A, shift=SHIFT * C44 * seen)
     mask = domain.mask
     coarse = coarser(mask)
     if not coarse.any():
@@ -104,7 +117,7 @@ def additive(domain: Domain, A: torch.Tensor) -> Preconditioner:
     def apply(r: torch.Tensor) -> torch.Tensor:
         r = r.float()
         long = prolong(cycle(restrict(r) * coarse), r.shape[1:])
-        return filtered(r).add_(long * mask, alpha=LONG)
+        return filtered(r).add_(long * mask)
 
     return apply
 

@@ -78,14 +78,20 @@ class Features:
         points: the lattice.
         horizon: δ [Å].
         quadrature_degree: of the polynomials that the weights are exact for.
+        device: where the sweeps run, as for Sweeps.
 
     Raises InputError for a set that does not carry the horizon.
     """
 
     def __init__(
-        self, points: PointSet, horizon: float, *, quadrature_degree: int = DEGREE
+        self,
+        points: PointSet,
+        horizon: float,
+        *,
+        quadrature_degree: int = DEGREE,
+        device: str = DEVICE,
     ) -> None:
-        self.sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree)
+        self.sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree, device=device)
         self.classes = self.sweeps.families.classes
         number = len(self.classes.r)
         self.pairs = class_pairs(number)
@@ -94,34 +100,39 @@ class Features:
             self.pairs.shape[1]
         )
         self.width = number + self.pairs.shape[1]
-        self._columns: wp.array = wp.array(column, dtype=wp.int32, device=DEVICE)
+        self._columns: wp.array = wp.array(column, dtype=wp.int32, device=self.sweeps.device)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Features of u [Å], shape [S, N, 2], on the interior nodes: shape [S, I, F, 2]."""
         samples, nodes, _ = u.shape
-        sweeps = self.sweeps
-        field: wp.array = wp.array(u, dtype=wp.vec2d, device=DEVICE)
-        theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=DEVICE)
-        out = wp.zeros((samples, len(sweeps.rows), self.width), dtype=wp.vec2d, device=DEVICE)
+        sweeps, device = self.sweeps, self.sweeps.device
+        field: wp.array = wp.array(u, dtype=wp.vec2d, device=device)
+        theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=device)
+        out = wp.zeros((samples, len(sweeps.rows), self.width), dtype=wp.vec2d, device=device)
         wp.launch(
             kernels.class_dilatation,
             dim=(samples, len(sweeps.full)),
             inputs=[sweeps.full, *sweeps.links, field],
             outputs=[theta],
-            device=DEVICE,
+            device=device,
         )
         wp.launch(
             kernels.class_force,
             dim=(samples, len(sweeps.rows)),
             inputs=[sweeps.rows, *sweeps.links, self._columns, field, theta],
             outputs=[out],
-            device=DEVICE,
+            device=device,
         )
         return out.numpy()
 
 
 def reduce(
-    points: PointSet, horizon: float, weight: np.ndarray, *, quadrature_degree: int = DEGREE
+    points: PointSet,
+    horizon: float,
+    weight: np.ndarray,
+    *,
+    quadrature_degree: int = DEGREE,
+    device: str = DEVICE,
 ) -> ReducedLoss:
     """Sweep a lattice data set once and factorise its features.
 
@@ -130,11 +141,12 @@ def reduce(
         horizon: δ [Å].
         weight: of each sample in the loss, shape [S]; see sample_weights.
         quadrature_degree: of the polynomials that the weights are exact for.
+        device: where the sweeps run, as for Sweeps.
 
     Raises InputError for a set that does not carry the horizon.
     """
     factor = np.sqrt(weight)
-    features = Features(points, horizon, quadrature_degree=quadrature_degree)
+    features = Features(points, horizon, quadrature_degree=quadrature_degree, device=device)
     columns = features.width + 1
     block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))
     R = np.zeros((0, columns))

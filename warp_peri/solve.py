@@ -14,6 +14,7 @@ from warp_peri.domain import domain
 from warp_peri.equilibrium import TOLERANCE, equilibrium
 from warp_peri.errors import InputError
 from warp_peri.families import bond_classes, lattice_steps
+from warp_peri.launch import DEVICE, known_device
 from warp_peri.matrices import matrices
 from warp_peri.model import Model
 from warp_peri.quadrature import DEGREE
@@ -43,6 +44,7 @@ def solve(
     tolerance: float = TOLERANCE,
     allow_uncertified: bool = False,
     records: list[Record] | None = None,
+    device: str = DEVICE,
 ) -> np.ndarray:
     """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
 
@@ -55,11 +57,13 @@ def solve(
             handed through.
         method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
             conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
-            with an incomplete LU for many scattered points, whose operator is not symmetric.
-            "fft" (the inverse symbol) and "cg" (plain) are there to compare.
+            with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
+            (the inverse symbol) and "cg" (plain) are there to compare.
         tolerance: of conjugate gradients, true residual over right-hand side.
         allow_uncertified: warn about an uncertified spacing instead of raising.
         records: takes one Record for each sample that conjugate gradients solved.
+        device: where conjugate gradients run, as Warp names it; factorisations stay on the
+            processor.
 
     Returns:
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
@@ -91,17 +95,24 @@ def solve(
                 "quadrature of the usual degree; try lu or gmres"
             )
         numbers = {name: getattr(model, name) for name in ("horizon", "lam", "mu", "alpha", "D")}
-        fields = (torch.from_numpy(np.ascontiguousarray(field)) for field in (b, u))
+        fields = (
+            torch.from_numpy(np.ascontiguousarray(field)).to(known_device(device))
+            for field in (b, u)
+        )
         with torch.no_grad():
-            found = equilibrium(
-                points,
-                *fields,
-                **numbers,
-                D_dilatation=model.dilatation,
-                method=method,
-                tolerance=tolerance,
-                records=records,
-            ).numpy()
+            found = (
+                equilibrium(
+                    points,
+                    *fields,
+                    **numbers,
+                    D_dilatation=model.dilatation,
+                    method=method,
+                    tolerance=tolerance,
+                    records=records,
+                )
+                .cpu()
+                .numpy()
+            )
         u[..., free, :] = found[..., free, :]
         warn_beyond(model, points, u)
         return u

@@ -1,8 +1,8 @@
 """The operator of a lattice as one stencil, and its products on a torus of nodes by FFT.
 
 With full families everywhere (9) is the convolution (L u)_i = Σ_n A(n) u_{i+n}, A(n) = A(−n). On
-any finite set of unknowns the operator is a block of the same convolution on a torus large enough
-that nothing reaches around it (theory.md, 53–54).
+any finite set of unknowns the operator is a block of the same convolution on a torus so large that
+nothing reaches around it (theory.md, 53–54).
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Torus:
         reach = A.shape[-1] // 2
         folded = torch.zeros(3, *self.shape, dtype=A.dtype, device=self.device)
         corner = folded[:, : 2 * reach + 1, : 2 * reach + 1]
-        corner[:] = torch.stack([A[0, 0], A[1, 1], A[0, 1]])
+        corner[:] = torch.stack([A[0, 0], A[1, 1], A[0, 1]]).to(self.device)
         d11, d22, d12 = self.forward(folded.roll((-reach, -reach), dims=(1, 2))).real.contiguous()
         return d11, d22, d12
 

@@ -17,7 +17,7 @@ from warp_peri.influence import CANCELLED
 from warp_peri.kernels import influence as influence_kernels
 from warp_peri.kernels import lps
 from warp_peri.kernels.bonds import bonds
-from warp_peri.launch import floats, ints, launch, launch_slices, zeros
+from warp_peri.launch import DEVICE, floats, ints, known_device, launch, launch_slices, zeros
 from warp_peri.model import Model
 from warp_peri.quadrature import DEGREE
 
@@ -56,6 +56,8 @@ class Sweeps:
         bond_based: λ = μ without a dilatation (theory.md, 42).
         quadrature_degree: of the polynomials that the weights are exact for.
         precision: "float64" or "float32".
+        device: where the arrays lie and the kernels run, as Warp names it: "cpu", "cuda:0". The
+            families are found on the processor.
 
     Attributes:
         families: families of all nodes.
@@ -63,7 +65,7 @@ class Sweeps:
         full: nodes within δ of them, where dilatations are needed.
         links: the arrays that lead every kernel from a node to its bonds.
 
-    Raises InputError for what families_of refuses, and for another precision.
+    Raises InputError for what families_of refuses, another precision, and an unknown device.
     """
 
     def __init__(
@@ -76,10 +78,12 @@ class Sweeps:
         bond_based: bool = False,
         quadrature_degree: int = DEGREE,
         precision: str = "float64",
+        device: str = DEVICE,
     ) -> None:
         if precision not in PRECISIONS:
             raise InputError(f"precision: expected one of {list(PRECISIONS)}, got {precision!r}")
         self.scalar = PRECISIONS[precision]
+        self.device = known_device(device)
         types = bonds(self.scalar)
         self.vec, self.mat = types.vec, types.mat
         self.kernels = lps.sweeps(self.scalar)
@@ -93,9 +97,10 @@ class Sweeps:
         )
         families = self.families
         self.horizon, self.bond_based = float(horizon), bond_based
-        self.rows, self.whole, self.cut = map(ints, (families.rows, families.whole, families.cut))
-        self.full = ints(np.sort(np.concatenate([families.whole, families.cut])))
-        self.row, self.reverse = ints(families.row), ints(families.reverse)
+        self.rows, self.whole = self.ints(families.rows), self.ints(families.whole)
+        self.cut = self.ints(families.cut)
+        self.full = self.ints(np.sort(np.concatenate([families.whole, families.cut])))
+        self.row, self.reverse = self.ints(families.row), self.ints(families.reverse)
         self.r, self.weight = self.floats(families.r), self.floats(families.weight)
         lattice = families.lattice
         bond_class = np.zeros(1) if lattice is None else lattice.bond_class
@@ -104,13 +109,14 @@ class Sweeps:
         x = points.x if lattice is None else np.zeros((1, 2))
         inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
         self.lattice = int(lattice is not None)
+        self._kept: dict[tuple[bytes, bytes], tuple[wp.array, wp.array]] = {}
         self.links = (
             self.lattice,
             self.row,
-            ints(families.neighbour),
-            ints(bond_class),
-            floats(np.hstack([pattern, inverse_square]), types.bond),
-            floats(x, self.vec),
+            self.ints(families.neighbour),
+            self.ints(bond_class),
+            floats(np.hstack([pattern, inverse_square]), types.bond, self.device),
+            floats(x, self.vec, self.device),
             types.box(*(self.scalar(value) for value in (*(box or (0.0, 0.0)), *inverse))),
         )
 
@@ -120,8 +126,12 @@ class Sweeps:
         return len(self.row) - 1
 
     def floats(self, values: np.ndarray) -> wp.array:
-        """A Warp array in the precision of the sweeps."""
-        return floats(values, self.scalar)
+        """A Warp array in the precision of the sweeps, where they run."""
+        return floats(values, self.scalar, self.device)
+
+    def ints(self, values: np.ndarray) -> wp.array:
+        """A Warp array of int32, where the sweeps run."""
+        return ints(values, self.device)
 
     def influence_inputs(self, degree: int) -> tuple[Any, ...]:
         """What the influence kernels of a degree read before α and D."""
@@ -129,11 +139,14 @@ class Sweeps:
         return (self.scalar(self.horizon), binomial, self.r, self.weight)
 
     def influence(self, alpha: wp.array, D: wp.array, *, gradient: bool) -> tuple[wp.array, ...]:
-        """K W of each class, shape [C], and weighted volumes m.
+        """K W of each class, shape [C], and weighted volumes m; kept while only u changes.
 
         m has shape [N], 0 where not needed; on a lattice shape [1], the same for all nodes.
         """
         degree = len(D) - 1
+        key = (alpha.numpy().tobytes(), D.numpy().tobytes())
+        if not gradient and key in self._kept:
+            return self._kept[key]
         kw = self.zeros(len(self.r), gradient=gradient)
         volumes = 1 if self.lattice else self.nodes
         m = self.zeros(volumes, gradient=gradient)
@@ -144,6 +157,10 @@ class Sweeps:
         count = 1 if self.lattice else len(self.full)
         self._launch(gradient, kernel, len(self.r), table, kw)
         self._launch(gradient, self.kernels.weighted_volume, count, inputs, m)
+        if not gradient:
+            if len(self._kept) > 1:  # those of the last model: at most two functions
+                self._kept.clear()
+            self._kept[key] = kw, m
         return kw, m
 
     def check_volumes(self, model: Model) -> None:
@@ -172,6 +189,10 @@ class Sweeps:
                     f"influence function: its weighted volume m (theory.md, 5) is zero at {where}: "
                     f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
                 )
+
+    def forget(self) -> None:
+        """Drop K W and m of the last model, so that the next evaluation computes them anew."""
+        self._kept.clear()
 
     def shape(self, kd: wp.array, *, gradient: bool = False) -> wp.array:
         """S of the nodes with broken bonds, (40), shape [N]."""
@@ -225,7 +246,8 @@ class Sweeps:
 
     def zeros(self, *shape: int, dtype: Any = None, gradient: bool = False) -> wp.array:
         """A Warp array of zeros."""
-        return zeros(*shape, dtype=dtype or self.scalar, gradient=gradient)
+        dtype = dtype or self.scalar
+        return zeros(*shape, dtype=dtype, gradient=gradient, device=self.device)
 
     @staticmethod
     def _launch(

@@ -1,0 +1,79 @@
+"""Plane linear elasticity by finite elements of scikit-fem, on the nodes of a lattice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from warp_peri import InputError, PointSet
+
+
+def elastic_solver(
+    points: PointSet, *, order: int, lam: float, mu: float
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Assemble and factorise; the result solves for u [Å] on the interior, shape [I, 2].
+
+    Args:
+        points: a lattice. With order 2 the nodes are those of elements two spacings wide, so that
+            the unknowns are the same nodes.
+        order: 1 or 2 of the quadrilateral elements.
+        lam, mu: plane Lamé parameters [TPa].
+
+    The load is interpolated by the elements (consistent mass matrix).
+
+    Raises InputError when scikit-fem is missing.
+    """
+    try:
+        import skfem
+        from skfem.models.elasticity import linear_elasticity
+    except ImportError:
+        raise InputError(
+            "finite elements need scikit-fem: pip install 'warp_peri[compare]'"
+        ) from None
+
+    @skfem.BilinearForm
+    def mass(u, v, w):
+        return u[0] * v[0] + u[1] * v[1]
+
+    h = points.spacing
+    step = np.rint((points.x - points.x.min(axis=0)) / h).astype(int)
+    number = np.full(step.max(axis=0) + 2 * order, -1)
+    number[tuple(step.T)] = np.arange(len(step))
+    corners = step[(step % order == 0).all(axis=1)]
+    sides = [
+        number[tuple((corners + shift).T)]
+        for shift in order * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    ]
+    whole = (np.array(sides) >= 0).all(axis=0)
+    mesh_nodes, cells = np.unique(np.array(sides)[:, whole], return_inverse=True)
+    mesh = skfem.MeshQuad(points.x[mesh_nodes].T.copy(), cells.reshape(4, -1))
+    element = skfem.ElementQuad1() if order == 1 else skfem.ElementQuad2()
+    basis = skfem.Basis(mesh, skfem.ElementVector(element), intorder=2 * order)
+    K = linear_elasticity(lam, mu).assemble(basis)
+    M = mass.assemble(basis)
+    component = np.zeros(basis.N, int)
+    for dofs in (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs):
+        if dofs.size:
+            component[dofs[1]] = 1
+    distance, node = cKDTree(points.x).query(basis.doflocs.T)
+    if distance.max() > 1e-6 * h:
+        raise InputError("points: elements of two spacings need nodes at their middles")
+    free = points.interior[node]
+    if 2 * np.count_nonzero(points.interior) != np.count_nonzero(free):
+        raise InputError("points: some interior nodes are not nodes of the elements")
+    place = np.cumsum(points.interior)[node[free]] - 1
+    factors = splu(sp.csc_matrix(K[free][:, free]))
+    collar = K[free][:, ~free]
+
+    def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        load, given = b[node, component], u[node, component]
+        solution = factors.solve((M @ load)[free] - collar @ given[~free])
+        found = np.empty((np.count_nonzero(points.interior), 2))
+        found[place, component[free]] = solution
+        return found
+
+    return solve

@@ -1,0 +1,77 @@
+"""The cheapest measured way within a tolerance, and how it explains itself."""
+
+import pytest
+
+from warp_peri import InputError
+from warp_peri.choice import Scene, choose_model, shipped_table
+
+
+def row(method, spacing, horizon, error, seconds):
+    return {
+        "kind": "learned",
+        "method": method,
+        "spacing": spacing,
+        "horizon": horizon,
+        "degree": 10,
+        "disks_nodes": 300,
+        "disks_setup": 0.9 * seconds,
+        "disks_solve": 0.1 * seconds,
+        "disks_error": error,
+        "waves_error": 2 * error,
+    }
+
+
+TABLE = {
+    "short_wave": 14.0,
+    "long_wave": 25.0,
+    "seconds_per_node": {"sine": 2e-6, "multigrid": 3e-6},
+    "rows": [
+        row("lu", 5.0, 12.5, 0.03, 0.02),
+        row("lu", 5.0, 20.0, 0.01, 0.05),
+        row("lu", 2.5, 12.5, 0.008, 0.3),
+        row("multigrid", 5.0, 20.0, 0.001, 0.2),
+        row("Q1", 5.0, 0.0, 0.001, 0.001),
+    ],
+}
+SMALL = Scene((100.0, 100.0), 50.0)
+
+
+def test_the_cheapest_within_the_tolerance_is_chosen():
+    assert choose_model(tolerance=0.05, scene=SMALL, table=TABLE).horizon == 12.5
+    found = choose_model(tolerance=0.02, scene=SMALL, table=TABLE)
+    assert (found.spacing, found.horizon, found.method) == (5.0, 20.0, "lu")
+    assert found.seconds == pytest.approx(0.05 * (400 / 300) ** 1.5)
+    assert "δ = 20 Å" in found.reason
+    assert found.reason.count(".") >= 1
+
+
+def test_short_waves_need_more_than_long_ones():
+    short = Scene((100.0, 100.0), 15.0)
+    assert choose_model(tolerance=0.05, scene=short, table=TABLE).horizon == 20.0
+
+
+def test_large_scenes_take_conjugate_gradients_by_shape():
+    for rectangle, method, each in ((True, "sine", 2e-6), (False, "multigrid", 3e-6)):
+        scene = Scene((2000.0, 2000.0), 50.0, rectangle)
+        found = choose_model(tolerance=0.05, scene=scene, table=TABLE)
+        assert found.method == method
+        assert (found.spacing, found.horizon) == (5.0, 20.0)  # as cheap as 12.5, and better
+        assert found.seconds == pytest.approx(each * 400**2)
+    assert choose_model(tolerance=0.009, scene=scene, table=TABLE).spacing == 2.5
+
+
+def test_what_was_not_measured_is_refused():
+    with pytest.raises(InputError, match="waves of 10 Å were not measured"):
+        choose_model(tolerance=0.05, scene=Scene((100.0, 100.0), 10.0), table=TABLE)
+    with pytest.raises(InputError, match="no measured model comes within 0.1 %"):
+        choose_model(tolerance=0.001, scene=SMALL, table=TABLE)
+    with pytest.raises(InputError, match="scene: expected lengths > 0"):
+        Scene((100.0, 0.0), 20.0)
+
+
+def test_the_shipped_table_serves_a_real_scene():
+    table = shipped_table()
+    assert table["short_wave"] < table["long_wave"]
+    found = choose_model(tolerance=0.05, scene=SMALL)
+    errors = [r["disks_error"] for r in table["rows"] if r["method"] == "lu"]
+    assert min(errors) <= found.error <= 0.05

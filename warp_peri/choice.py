@@ -1,0 +1,125 @@
+"""No more than a scene needs: the cheapest measured model and solver within a tolerance."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from warp_peri.errors import InputError
+from warp_peri.solve import DIRECT
+
+LU_POWER = 1.5
+"""Cost of a sparse factorisation in two dimensions grows with this power of the unknowns."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is to be solved.
+
+    Attributes:
+        size: extents of the domain [Å].
+        shortest_wave: shortest wavelength of the load [Å].
+        rectangle: whether the unknown nodes fill the box of that size.
+    """
+
+    size: tuple[float, float]
+    shortest_wave: float
+    rectangle: bool = False
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(v) and v > 0 for v in (*self.size, self.shortest_wave)):
+            raise InputError(
+                f"scene: expected lengths > 0 Å, got size {self.size}, wave {self.shortest_wave}"
+            )
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to use, and why in one sentence.
+
+    Attributes:
+        spacing, horizon: h and δ [Å].
+        degree: M of the influence function.
+        precision: "float64" or "float32" of the factorisation.
+        method: of `solve`.
+        error: measured displacement error, a fraction.
+        seconds: expected for set-up and one solve on the machine that measured.
+        reason: the sentence.
+    """
+
+    spacing: float
+    horizon: float
+    degree: int
+    precision: str
+    method: str
+    error: float
+    seconds: float
+    reason: str
+
+
+def shipped_table() -> dict[str, Any]:
+    """What examples/speed_accuracy.py measured on graphene: rows and the waves they hold for."""
+    text = (files("warp_peri") / "speed_accuracy.json").read_text(encoding="utf-8")
+    return json.loads(text)
+
+
+def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None = None) -> Choice:
+    """The cheapest spacing, horizon, degree, precision and solver for a scene.
+
+    Args:
+        tolerance: largest displacement error, a fraction.
+        scene: domain and load.
+        table: of examples/speed_accuracy.py; that of the project when None.
+
+    Loads at least as long as `long_wave` of the table are held to the errors on the disks, shorter
+    ones to those on the short waves. Costs are the measured ones: of LU grown with
+    the power 1.5 of the unknowns, of conjugate gradients in proportion to them from a large domain,
+    where the horizon hardly matters. Of two that cost the same the more accurate is taken.
+
+    Raises InputError for a wave shorter than any that was measured, or a tolerance that nothing in
+    the table keeps.
+    """
+    table = shipped_table() if table is None else table
+    if scene.shortest_wave < table["short_wave"]:
+        raise InputError(
+            f"scene: waves of {scene.shortest_wave:g} Å were not measured; the shortest are "
+            f"{table['short_wave']:.3g} Å"
+        )
+    short = scene.shortest_wave < table["long_wave"]
+    name = "waves" if short else "disks"
+    found = []
+    for row in table["rows"]:
+        if row["method"] not in ("lu", "lu32") or row["kind"] == "positive kernel":
+            continue
+        nodes = math.prod(length / row["spacing"] for length in scene.size)
+        if nodes <= DIRECT:
+            method = "lu"
+            growth = nodes / row["disks_nodes"]
+            seconds = (row["disks_setup"] + row["disks_solve"]) * growth**LU_POWER
+        elif row["method"] == "lu":  # conjugate gradients have no single precision to choose
+            method = "sine" if scene.rectangle else "multigrid"
+            seconds = table["seconds_per_node"][method] * nodes
+        else:
+            continue
+        found.append((seconds, row[f"{name}_error"], row, method, nodes))
+    good = [one for one in found if one[1] <= tolerance]
+    if not good:
+        best = min((one[1] for one in found), default=math.inf)
+        raise InputError(
+            f"tolerance: no measured model comes within {100 * tolerance:g} % on such loads; the "
+            f"best has {100 * best:.2g} %"
+        )
+    seconds, error, row, method, nodes = min(good, key=lambda one: one[:2])
+    kind = "short waves" if short else "long waves"
+    reason = (
+        f"h = {row['spacing']:g} Å, δ = {row['horizon']:g} Å, M = {row['degree']} by {method} is "
+        f"the cheapest of {len(good)} measured ways within {100 * tolerance:g} % on {kind}: "
+        f"{100 * error:.2g} %, about {seconds:.2g} s for {nodes:.0f} nodes."
+    )
+    precision = "float32" if row["method"] == "lu32" else "float64"
+    return Choice(
+        row["spacing"], row["horizon"], row["degree"], precision, method, error, seconds, reason
+    )
