@@ -93,8 +93,8 @@ class Dirichlet:
 
         Raises InputError when a direction has no positive energy, or CG stalls above the tolerance.
         """
-        # Where cores are shared, torch's threads wait for one another at every small operation (5
-        # to 20 times as long in all); transforms and kernels, most of the work, have their own.
+        # On shared cores torch's threads wait for one another at every small operation (3 to 20
+        # times as long in all); transforms and kernels, most of the work, have their own.
         count = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
