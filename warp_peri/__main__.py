@@ -137,6 +137,20 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--method", default="auto", help="of the solver")
     _uncertified(one)
 
+    one = command("export", commands.run_export, "for ParaView and other codes")
+    one.add_argument("what", choices=("fields", "influence", "operator"))
+    one.add_argument("model", type=Path, metavar="MODEL.json")
+    one.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        help="folder of .vtu files for fields, .csv for influence, .npz for operator",
+    )
+    one.add_argument("--data", type=Path, metavar="DATA.h5", help="nodes, loads and collar")
+    one.add_argument("--set", default="test")
+    one.add_argument("--spacing", type=float, help="influence: of the lattice [Å]")
+    _uncertified(one)
+
     one = command("sweep", commands.run_sweep, "choose horizon and degree")
     one.add_argument("data", type=Path, metavar="DATA.h5")
     one.add_argument("--out", required=True, type=Path, metavar="FOLDER")

@@ -17,6 +17,7 @@ from warp_peri.coarse_graining import smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
 from warp_peri.dumps import coarse_grain_dumps, dump_positions
 from warp_peri.errors import InputError
+from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.files import locked, write_json
 from warp_peri.model import Model, load_model
 from warp_peri.run_file import keep
@@ -220,6 +221,24 @@ def run_solve(given: argparse.Namespace) -> Result:
         )
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
     return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
+
+
+def run_export(given: argparse.Namespace) -> Result:
+    """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
+    model = load_model(given.model)
+    if given.what == "influence":
+        spacing = given.spacing or (model.trained_on[0] if model.trained_on else None)
+        if spacing is None:
+            raise InputError("spacing: the model names no training lattice; give --spacing")
+        return {"files": [str(write_influence(given.out, model, spacing))]}
+    if given.data is None:
+        raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
+    points = load_dataset(given.data)[given.set]
+    if given.what == "operator":
+        return {"files": [str(write_operator(given.out, model, points))]}
+    u = solve(model, points, points.b, points.u, allow_uncertified=given.allow_uncertified)
+    with locked(given.out):
+        return {"files": [str(path) for path in write_fields(given.out, model, points, u)]}
 
 
 def run_sweep(given: argparse.Namespace) -> Result:
