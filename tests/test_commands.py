@@ -185,3 +185,50 @@ def test_errors_are_one_line(words, status, message, data, tmp_path, capsys):
     assert message in err
     assert err.startswith("error: ")
     assert err.count("\n") == 1
+
+
+def test_a_shape_is_trained_by_name(data, tmp_path, capsys):
+    words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--influence", "gaussian"]
+    found = answer(capsys, *words, "--loss", "residual")
+    model = load_model(tmp_path / "model.json")
+    width = found["influence"]["parameters"]["width"]
+    assert found["influence"] == model.provenance["influence"]
+    assert model.influence(2.0) == pytest.approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
+    settings = tomllib.loads((tmp_path / "train.toml").read_text())["train"]
+    assert settings["influence"] == "gaussian"
+    again = answer(capsys, "train", "--config", tmp_path / "train.toml")
+    assert again["mu"] == pytest.approx(found["mu"], rel=1e-12)
+
+
+def test_a_table_is_trained_from_a_file(data, tmp_path, capsys):
+    K = tmp_path / "K.csv"
+    K.write_text("# r, K\n0.5, 1.0\n2.5, 0.2\n")
+    words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
+    assert answer(capsys, *words, "--loss", "residual")["influence"]["function"] == "table"
+    model = load_model(tmp_path / "run" / "model.json")
+    np.testing.assert_allclose(model.influence([1.0, 2.0]), [0.8, 0.4], rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1.0, 2.0, 3.0\n", "expected two columns r, K, got 3"),
+        ("r, K\n1.0, 2.0\n", "expected two columns r, K with a comma"),
+        ("2.0, 1.0\n1.0, 1.0\n", "expected finite K at rising finite r"),
+        (None, "K.csv: expected two columns"),
+    ],
+)
+def test_tables_that_cannot_be_used(content, message, data, tmp_path, capsys):
+    K = tmp_path / "K.csv"
+    if content is not None:
+        K.write_text(content)
+    words = ["train", str(data), "--out", str(tmp_path / "run"), "--influence", str(K)]
+    assert main([*words, "--horizon", "2.5"]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_no_shape_of_that_name(data, tmp_path, capsys):
+    words = ["train", str(data), "--out", str(tmp_path / "run"), "--influence", "gausian"]
+    assert main(words) == 2
+    assert "expected gaussian, exponential, conical or a .csv file" in capsys.readouterr().err

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from examples import manufactured, train_graphene
+from examples import influence_shapes, manufactured, train_graphene
+from warp_peri import load_dataset
 from warp_peri.sweep import sweep
 
 
@@ -41,3 +42,15 @@ def test_manufactured_loss_falls_with_degree_and_spacing(tmp_path):
     assert (np.diff(residual, axis=0) < 0).all()  # finer is better at every degree
     assert found["fixed_alpha"]["kernel_order"] > 2
     assert np.all(np.diff(found["fixed_alpha"]["kernel_error"]) < 0)
+
+
+def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_path):
+    data = load_dataset(graphene)
+    found = influence_shapes.fits(data["train"])
+    rows = [influence_shapes.row(name, *one, data) for name, one in found.items()]
+    disks = {one["shape"]: one["E_u test"] for one in rows}
+    assert disks["damped wave"] < 1.2
+    assert min(disks[name] for name in ("gaussian", "exponential", "conical")) > 10
+    assert {one["shape"]: round(one["E"], 2) for one in rows}["gaussian"] == 0.04
+    influence_shapes.picture(found, rows, tmp_path / "shapes.png")
+    assert (tmp_path / "shapes.png").stat().st_size > 10_000

@@ -10,6 +10,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
 from warp_peri.model import Model, load_model
 from warp_peri.operator import LPSOperator
+from warp_peri.shapes import InfluenceFunction
 from warp_peri.solvability import Solvability, solvability
 from warp_peri.solve import solve, solve_periodic
 from warp_peri.sweep import Sweep, sweep
@@ -24,6 +25,7 @@ __all__ = [
     "Choice",
     "Dataset",
     "Fit",
+    "InfluenceFunction",
     "InputError",
     "LPSOperator",
     "Model",

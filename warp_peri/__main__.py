@@ -105,7 +105,13 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--set", default="train", help="what to learn from")
     one.add_argument("--noise", help="set with fields of noise alone")
     one.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
-    one.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    one.add_argument("--degree", type=int, help="M of the Bernstein polynomials; default: 10")
+    one.add_argument(
+        "--influence",
+        metavar="SHAPE",
+        help="in their place gaussian, exponential or conical, whose length is learned, or a .csv "
+        "file with columns r [Å], K to be taken as it is",
+    )
     one.add_argument("--method", choices=METHODS, default="optimum")
     one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
     one.add_argument("--loss", choices=LOSSES, default="auto")

@@ -21,6 +21,7 @@ from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.files import locked, write_json
 from warp_peri.model import Model, load_model
 from warp_peri.run_file import keep
+from warp_peri.shapes import InfluenceFunction, named, table
 from warp_peri.solve import solve
 from warp_peri.sweep import sweep
 from warp_peri.training import fit
@@ -28,6 +29,9 @@ from warp_peri.uncertainty import fit_uncertainty
 from warp_peri.validation import evaluate
 
 Result = dict[str, Any]
+
+DEGREE = 10
+"""M of the Bernstein polynomials that are learned where nothing else was asked for."""
 
 
 def run_coarse_grain(given: argparse.Namespace) -> Result:
@@ -115,11 +119,14 @@ def run_train(given: argparse.Namespace) -> Result:
     data = load_dataset(given.data)
     train = data[given.set]
     noise = data[given.noise] if given.noise else None
+    influence = shape_of(given.influence, given.horizon) if given.influence else None
+    degree = DEGREE if influence is None and given.degree is None else given.degree
     with locked(given.out):
         found = fit(
             train,
             horizon=given.horizon,
-            degree=given.degree,
+            degree=degree,
+            influence=influence,
             method=given.method,
             conditions=given.conditions,
             normalise=given.normalise,
@@ -147,6 +154,8 @@ def run_train(given: argparse.Namespace) -> Result:
             "E_u": {name: table["E_u"] for name, table in tables.items()},
             "not_evaluated": errors,
         }
+        if found.influence is not None:
+            result |= found.model.provenance
         if noise is not None:
             sure = fit_uncertainty(found, train, noise)
             result["deviation"] = {
@@ -158,6 +167,7 @@ def run_train(given: argparse.Namespace) -> Result:
             found.model,
             errors={key: result[key] for key in ("E_res", "E_u")},
             provenance={
+                **found.model.provenance,
                 "data": given.data.name,
                 "sha256": hashlib.sha256(given.data.read_bytes()).hexdigest(),
                 "data_provenance": data.provenance,
@@ -167,6 +177,22 @@ def run_train(given: argparse.Namespace) -> Result:
         write_json(given.out / "metrics.json", result)
         keep(given, given.out)
     return {**result, "model": str(given.out / "model.json")}
+
+
+def shape_of(name: str, horizon: float) -> InfluenceFunction:
+    """The influence function of a name, or of a table in a .csv file."""
+    if not name.endswith(".csv"):
+        return named(name, horizon)
+    try:
+        values = np.loadtxt(name, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: expected two columns r, K with a comma ({error})") from None
+    if values.shape[1] != 2:
+        raise InputError(f"{name}: expected two columns r, K, got {values.shape[1]}")
+    try:
+        return table(*values.T)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
 
 
 def run_certify(given: argparse.Namespace) -> Result:

@@ -15,9 +15,10 @@ import numpy as np
 
 from warp_peri.families import BondClasses
 from warp_peri.influence import bernstein_basis
-from warp_peri.parameters import Parameters
+from warp_peri.parameters import LARGEST_ALPHA, Parameters
 
 RANK_TOLERANCE = 1e-11
+SMALLEST_ALPHA = -6.0
 ALPHA_IN_SIGHT = (-12.0, 6.0)
 
 
@@ -30,6 +31,7 @@ class Point:
         mu: μ [TPa]; dmu its derivative, shape [Y].
         v, z: stiffnesses of the deviatoric part and of the dilatation on each lattice [TPa/Å²].
         dv, dz: their derivatives, each of shape [C, Y].
+        limits: what must not be negative for y to be within its bounds; dlimits its derivative.
     """
 
     kappa: float
@@ -40,6 +42,8 @@ class Point:
     z: list[np.ndarray]
     dv: list[np.ndarray]
     dz: list[np.ndarray]
+    limits: np.ndarray
+    dlimits: np.ndarray
 
 
 class Coordinates:
@@ -110,7 +114,12 @@ class Coordinates:
                 tables[number], slopes[number] = _scaled(
                     tables[number], slopes[number], self._sigma[number], mu, dmu
                 )
-        return Point(float(y[0]), alpha, mu, dmu, v, z, dv, dz)
+        limits, dlimits = np.zeros(0), np.zeros((0, len(y)))
+        if self.free_alpha:
+            limits = np.array([LARGEST_ALPHA - alpha, alpha - SMALLEST_ALPHA])
+            dlimits = np.zeros((2, len(y)))
+            dlimits[:, -1] = (-1, 1)
+        return Point(float(y[0]), alpha, mu, dmu, v, z, dv, dz, limits, dlimits)
 
     def _kernels(
         self, y: np.ndarray, alpha: float, part: slice

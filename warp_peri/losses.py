@@ -36,7 +36,7 @@ def choose_loss(
     noise: Sequence[np.ndarray],
     conditions: Sequence[Conditions],
     horizon: float,
-    degree: int,
+    start: Parameters,
     *,
     responds: bool = True,
 ) -> LossChoice:
@@ -48,7 +48,8 @@ def choose_loss(
         grids: their reduced losses; none for scattered points.
         noise: what noise adds to each (see noise_loss); empty when nothing is known of it.
         conditions: what the model is to keep.
-        horizon, degree: of the model.
+        horizon: of the model.
+        start: where its optimum is looked for from.
         responds: whether the method can take the output-error loss.
 
     Raises InputError for a loss that these data or the method cannot have.
@@ -65,7 +66,7 @@ def choose_loss(
         return LossChoice(asked, "asked for")
     if not noise:
         return LossChoice("residual", "no fields of noise were given")
-    share = noise_share(grids, noise, conditions, horizon, degree)
+    share = noise_share(grids, noise, conditions, horizon, start)
     found = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
     if share < SMALL_SHARE:
         return LossChoice("residual", found)
@@ -79,10 +80,9 @@ def noise_share(
     noise: Sequence[np.ndarray],
     conditions: Sequence[Conditions],
     horizon: float,
-    degree: int,
+    start: Parameters,
 ) -> float:
     """Part of the squared residual that is noise, at the optimum of the residual."""
-    start = Parameters(0.0, 1.0, 2.0, np.ones(degree + 1))
     at = constrained_optimum(grids, start, conditions).parameters
     model = Model(at.lam, at.mu, at.alpha, at.D, horizon)
     c = [products(model, grid.classes) for grid in grids]

@@ -14,8 +14,10 @@ from scipy.optimize import minimize
 
 from warp_peri.conditions import Conditions, ZoneSearch
 from warp_peri.coordinates import Coordinates, Point
-from warp_peri.parameters import LARGEST_ALPHA, Parameters
+from warp_peri.families import BondClasses
+from warp_peri.parameters import Parameters
 from warp_peri.reduced import ReducedLoss
+from warp_peri.shape_coordinates import ShapeCoordinates
 from warp_peri.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 
 FIRST_CUTS = 12
@@ -29,7 +31,6 @@ HEADROOM = 1.01
 """A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
 SEARCH_TOLERANCE = 1e-9
 """Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
-SMALLEST_ALPHA = -6.0
 ISOTROPIC = "isotropic"
 SMOOTHNESS = 1e-10
 """Weight of the second differences of D beside the relative residual. It costs an ordinary fit
@@ -74,7 +75,7 @@ def constrained_optimum(
             None to learn all of them.
     """
     classes = [grid.classes for grid in grids]
-    coordinates = Coordinates(classes, start.alpha, len(start.D) - 1, two_functions=two_functions)
+    coordinates = coordinates_of(classes, start, two_functions=two_functions)
     problem = Problem(grids, conditions, coordinates, moduli)
     searches = [ZoneSearch(one) for one in conditions]
     cuts = [zone_wedge(one.spacing, FIRST_CUTS) for one in classes]
@@ -96,6 +97,16 @@ def constrained_optimum(
     return Optimum(parameters, loss, margin, sum(map(len, cuts)), kept)
 
 
+def coordinates_of(
+    lattices: Sequence[BondClasses], start: Parameters, *, two_functions: bool
+) -> Coordinates | ShapeCoordinates:
+    """Coordinates of the kernels that a fit from `start` can reach."""
+    if start.shape is not None:
+        return ShapeCoordinates(lattices, start.shape)
+    degree = len(start.D) - 1
+    return Coordinates(lattices, start.alpha, degree, two_functions=two_functions)
+
+
 class Problem:
     """The loss and the constraints as functions of the coordinates y, with exact derivatives."""
 
@@ -103,7 +114,7 @@ class Problem:
         self,
         grids: Sequence[ReducedLoss],
         conditions: Sequence[Conditions],
-        coordinates: Coordinates,
+        coordinates: Coordinates | ShapeCoordinates,
         moduli: tuple[float, float] | str | None,
     ) -> None:
         self.grids, self.coordinates, self.moduli = grids, coordinates, moduli
@@ -211,12 +222,8 @@ class Problem:
             values.append(one.margins(table, v, z, kappa).ravel())
             by = one.gradients(table, v, z, kappa).reshape(-1, 1 + 2 * len(v))
             slopes.append(by @ np.concatenate([dkappa[None], dv, dz]))
-        if self.coordinates.free_alpha:
-            bounds = [LARGEST_ALPHA - point.alpha, point.alpha - SMALLEST_ALPHA]
-            by_alpha = np.zeros((2, len(dmu)))
-            by_alpha[:, -1] = (-1, 1)
-            values.append(np.array(bounds))
-            slopes.append(by_alpha)
+        values.append(point.limits)
+        slopes.append(point.dlimits)
         return np.concatenate(values), np.concatenate(slopes)
 
     def departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import torch
 from warp_peri.families import BondClasses
 from warp_peri.full_loss import FullLoss
 from warp_peri.reduced import ReducedLoss, class_weights
+from warp_peri.shapes import InfluenceFunction
 
 SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 """μ and λ + μ [TPa] stay above the first, α below the second."""
@@ -22,7 +23,8 @@ PARAMETRISATIONS = ("projected", "relu")
 class Parameters:
     """λ, μ [TPa], α, D of one stage, inside their bounds, and the loss on the way there.
 
-    D_dilatation holds the coefficients of the dilatation's own influence function, if it has one.
+    D_dilatation holds the coefficients of the dilatation's own influence function, if it has one;
+    shape is the influence function that D stands for, if its parameters are what is learned.
     """
 
     lam: float
@@ -31,6 +33,7 @@ class Parameters:
     D: np.ndarray
     losses: list[float] = field(default_factory=list, repr=False)
     D_dilatation: np.ndarray | None = None
+    shape: InfluenceFunction | None = None
 
     @property
     def dilatation(self) -> np.ndarray:

@@ -24,6 +24,7 @@ from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
 from warp_peri.full_loss import FullLoss, sample_weights
+from warp_peri.influence import bernstein_basis
 from warp_peri.losses import LossChoice, choose_loss
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
@@ -33,6 +34,7 @@ from warp_peri.output_error import output_optimum
 from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
 from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.response import responses_of
+from warp_peri.shapes import InfluenceFunction
 from warp_peri.strain import largest_strain
 from warp_peri.symbol import moduli as moduli_of
 from warp_peri.two_stage import positive_stage, sign_changing_stage
@@ -44,6 +46,8 @@ AGREEMENT = 1e-10
 gradient's norm at the start."""
 ROUNDING = 1e-13
 SAME_LOSS = 1e-6
+CHECKED_DEGREE = 10
+"""Of the kernel that reduced and full loss are compared at first, where none was asked for."""
 PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
 """Kernels r^(−α) that the method "optimum" starts from."""
 
@@ -84,6 +88,7 @@ class Fit:
         starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
         loss: which loss was minimised, and why.
         settings: what was asked for.
+        influence: the influence function with its learned parameters, where one was given.
     """
 
     model: Model
@@ -93,6 +98,7 @@ class Fit:
     starts: dict[str, float]
     loss: LossChoice
     settings: Settings
+    influence: InfluenceFunction | None = None
 
     @property
     def certificate(self) -> Certificate:
@@ -104,7 +110,8 @@ def fit(
     points: PointSet | Sequence[PointSet],
     *,
     horizon: float,
-    degree: int,
+    degree: int | None = None,
+    influence: InfluenceFunction | Sequence[InfluenceFunction] | None = None,
     method: str = "constrained",
     conditions: str = "direct",
     zeta: float = 0.01,
@@ -128,7 +135,10 @@ def fit(
             (each sample on its own if need be); interior nodes need the 2δ collar. Scattered
             points train on the full loss, by the two-stage method.
         horizon: δ [Å], at least one spacing.
-        degree: M ≥ 0 of the Bernstein polynomials.
+        degree: M ≥ 0 of the Bernstein polynomials of the influence function.
+        influence: in their place, a function of the bond length whose parameters are learned; on
+            lattices, from the values it has, straight to the optimum. Several are several starts,
+            of one function or of different ones, and the best of them is kept.
         method: "two-stage" is Algorithm 1 of You et al. (2021); "constrained" goes on from it to
             the constrained optimum; "optimum" starts at the optimum, from plain kernels.
         conditions: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
@@ -159,8 +169,16 @@ def fit(
     """
     if method not in METHODS:
         raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-    if not (isinstance(degree, (int, np.integer)) and degree >= 0):
+    shapes = [influence] if isinstance(influence, InfluenceFunction) else list(influence or [])
+    if (degree is None) != bool(shapes):
+        raise InputError("degree, influence: expected one of the two")
+    if degree is not None and not (isinstance(degree, (int, np.integer)) and degree >= 0):
         raise InputError(f"degree: expected a whole number ≥ 0, got {degree!r}")
+    if shapes and (method == "two-stage" or two_functions):
+        raise InputError(
+            "influence: a function of its own is learned by method='constrained' or 'optimum', "
+            "one for both parts"
+        )
     if not (isinstance(seed, (int, np.integer)) and seed >= 0):
         raise InputError(f"seed: expected a whole number ≥ 0, got {seed!r}")
     if parametrisation not in PARAMETRISATIONS:
@@ -192,6 +210,8 @@ def fit(
             raise InputError("lattice_spacing: only for scattered points")
         grids = [reduce(one, horizon, weight) for one, weight in zip(sets, weights)]
         spacings = [one.spacing for one in sets]
+    elif shapes:
+        raise InputError("influence: a function of its own is learned on lattices only")
     elif method == "two-stage" and constraints == "symbol" and lattice_spacing is not None:
         spacings = [lattice_spacing]
     else:
@@ -208,11 +228,25 @@ def fit(
         for one, points, weight in zip(unloaded, sets if grids else [], weights)
     ]
     responds = method != "two-stage"
-    choice = choose_loss(loss, sets, grids, added, asked, horizon, degree, responds=responds)
+    terms = 1 + (CHECKED_DEGREE if degree is None else degree)
+    random = np.random.default_rng(seed)
+    D = random.uniform(size=terms)
+    own = random.uniform(size=terms) if two_functions else None
+    rough = Parameters(0.0, 1.0, 1.0, D, D_dilatation=own)
+    plain = {f"r^-{a:.3g}": Parameters(0.0, 1.0, a, np.ones(terms)) for a in PLAIN_EXPONENTS}
+    if shapes:
+        lengths = np.concatenate([one.classes.r for one in asked])
+        begin = [(shape, shape.coefficients(lengths, horizon)[0]) for shape in shapes]
+        plain = {
+            f"{number} {shape.name}": Parameters(0.0, 1.0, 0.0, D, shape=shape)
+            for number, (shape, D) in enumerate(begin)
+        }
+    probe = plain[next(iter(plain))]
+    choice = choose_loss(loss, sets, grids, added, asked, horizon, probe, responds=responds)
     oracle = _Oracle(grids, full)
     if added and choice.name != "residual":
         grids = [corrected(grid, R) for grid, R in zip(grids, added)]
-    terms: Sequence[ReducedLoss | FullLoss] = grids or full
+    losses: Sequence[ReducedLoss | FullLoss] = grids or full
     history: list[Stage] = []
 
     def stage(name: str, run: Callable[[Callable[[float], None]], Parameters]) -> Parameters:
@@ -231,13 +265,9 @@ def fit(
         history.append(Stage(name, found, error, seconds, found.losses))
         return found
 
-    random = np.random.default_rng(seed)
-    D = random.uniform(size=degree + 1)
-    own = random.uniform(size=degree + 1) if two_functions else None
-    rough = Parameters(0.0, 1.0, 1.0, D, D_dilatation=own)
     oracle.check(rough)
-    starts: dict[str, Parameters] = {}
-    if method != "optimum":
+    starts = plain
+    if method != "optimum" and not shapes:
         margins = DenseMargins(sets, horizon) if constraints == "dense" else SymbolMargins(asked)
         kept_in = None
         if checkpoint is not None:
@@ -246,12 +276,12 @@ def fit(
             kept_in = Checkpoint(checkpoint, key)
         first = stage(
             "1 positive",
-            lambda tick: positive_stage(terms, rough, parametrisation=parametrisation, tick=tick),
+            lambda tick: positive_stage(losses, rough, parametrisation=parametrisation, tick=tick),
         )
         final = second = stage(
             "2 sign-changing",
             lambda tick: sign_changing_stage(
-                terms,
+                losses,
                 first,
                 margins,
                 parametrisation=parametrisation,
@@ -259,11 +289,10 @@ def fit(
                 tick=tick,
             ),
         )
-        starts = {"stage 2": second, "stage 1": first}
+        bare = dataclasses.replace(probe, alpha=second.alpha)
+        starts = {"stage 2": second, "stage 1": first, f"r^-{second.alpha:.3g}": bare}
     reached: dict[str, float] = {}
     if method != "two-stage":
-        for alpha in (second.alpha,) if starts else PLAIN_EXPONENTS:
-            starts[f"r^-{alpha:.3g}"] = Parameters(0.0, 1.0, alpha, np.ones(degree + 1))
 
         def best(tick: Callable[[float], None]) -> Parameters:
             run = joblib.Parallel(n_jobs=jobs, prefer="threads")
@@ -304,29 +333,31 @@ def fit(
                 ),
             )
     oracle.check(final)
-    bare = Model(
-        final.lam, final.mu, final.alpha, final.D, horizon, D_dilatation=final.D_dilatation
-    )
+    numbers = (final.lam, final.mu, final.alpha, final.D)
+    uncertified = Model(*numbers, horizon, D_dilatation=final.D_dilatation)
     if scattered:
-        certificates = [certify(bare, spacing=h) for h in spacings]
+        certificates = [certify(uncertified, spacing=h) for h in spacings]
     else:
-        certificates = [certify(bare, spacing=one.spacing, points=one) for one in sets]
+        certificates = [certify(uncertified, spacing=one.spacing, points=one) for one in sets]
     certified = tuple(
         one.spacing
         for one in certificates
         if one.holds and (conditions != "paper" or bool(one.schwarz))
     )
     model = dataclasses.replace(
-        bare,
+        uncertified,
         trained_on=tuple(one.spacing for one in sets),
         certified_on=certified,
         trained_strain=max(largest_strain(one, one.u) for one in sets),
         certificate={f"{one.spacing:g}": one.figures() for one in certificates},
+        provenance={}
+        if final.shape is None
+        else {"influence": final.shape.record(lengths, horizon)},
         versions=_versions(),
     )
     found = [moduli_of(model, one.classes) for one in asked]
     settings = Settings(asked, normalise, two_functions, moduli)
-    return Fit(model, certificates, found, history, reached, choice, settings)
+    return Fit(model, certificates, found, history, reached, choice, settings, final.shape)
 
 
 def _key(sets: Sequence[PointSet], *settings: object) -> str:
@@ -361,8 +392,13 @@ class _Oracle:
             variables.loss(self.grids),
             torch.stack([one.loss(*variables.leaves) for one in self.full]).sum(),
         ):
-            parts = torch.autograd.grad(loss, variables.leaves)
-            results.append((loss.item(), torch.cat([part.reshape(-1) for part in parts])))
+            lam, mu, alpha, *kernels = torch.autograd.grad(loss, variables.leaves)
+            # The scale of D has no effect: its gradient is that by D of the volume of D = 1.
+            kernels = [
+                part * self._volume(at.alpha, D) for part, D in zip(kernels, variables.leaves[3:])
+            ]
+            parts = torch.cat([part.reshape(-1) for part in (lam, mu, alpha, *kernels)])
+            results.append((loss.item(), parts.detach()))
         (found, gradient), (expected, reference) = results
         self.gradient_size = self.gradient_size or float(reference.norm())
         # Rounding in the residual, relative to the loads, is all that is left of an exact fit.
@@ -377,6 +413,13 @@ class _Oracle:
                 f"the reduced gradient departs from Warp's tape by {difference:.1e}, "
                 f"the gradient at the start is {self.gradient_size:.1e}"
             )
+
+    def _volume(self, alpha: float, D: torch.Tensor) -> float:
+        """Weighted volume of a kernel over that of K = r^(−α)."""
+        one = self.grids[0].classes
+        terms = one.count * one.weight * one.r ** (2 - alpha)
+        basis = bernstein_basis(one.r, one.horizon, len(D) - 1)
+        return float(abs(terms @ (basis @ D.detach().numpy())) / terms.sum())
 
 
 def _versions() -> dict[str, str]:

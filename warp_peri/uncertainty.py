@@ -15,13 +15,12 @@ import scipy.linalg
 from scipy.special import ndtri
 
 from warp_peri.conditions import ZoneSearch
-from warp_peri.coordinates import Coordinates
 from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.full_loss import sample_weights
 from warp_peri.model import Model
 from warp_peri.noise import check_noise, corrected, noise_loss
-from warp_peri.optimum import Problem
+from warp_peri.optimum import Problem, coordinates_of
 from warp_peri.output_error import as_model
 from warp_peri.parameters import Parameters
 from warp_peri.reduced import Features, ReducedLoss, reduce
@@ -98,13 +97,10 @@ def fit_uncertainty(
     weights = sample_weights(sets, normalise=settings.normalise)
     losses = [_linearised(found.loss.name, model, *each) for each in zip(sets, fields, weights)]
     own = model.dilatation if settings.two_functions else None
-    at = Parameters(model.lam, model.mu, model.alpha, model.D, D_dilatation=own)
-    coordinates = Coordinates(
-        [one.classes for one in losses],
-        model.alpha,
-        model.degree,
-        two_functions=settings.two_functions,
-    )
+    numbers = (model.lam, model.mu, model.alpha, model.D)
+    at = Parameters(*numbers, D_dilatation=own, shape=found.influence)
+    lattices = [one.classes for one in losses]
+    coordinates = coordinates_of(lattices, at, two_functions=settings.two_functions)
     problem = Problem(losses, settings.conditions, coordinates, settings.moduli)
     y = coordinates.start(at)
     pushes = []
