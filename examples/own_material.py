@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
+from ase.data import atomic_masses, atomic_numbers
 from tqdm import tqdm
 
 from tools.elastic import elastic_constants
@@ -71,9 +72,11 @@ def run(out: Path) -> dict[str, dict[str, float]]:
     """Dumps, then the command as it would be typed; learned and true constants."""
     dumps, forces, rest, box = make_dumps(out / "dumps")
     data, model = out / "bn.h5", out / "model"
-    lattice = ["--box", *box, "--reach", 55, "--interior", 30]
+    masses = [atomic_masses[atomic_numbers[name]] for name in ELEMENTS]
+    atoms = ["--reference", rest, "--box", *box, "--mass", *masses]
+    nodes = ["--reach", 55, "--interior", 30]
     lines = [
-        ["coarse-grain", *dumps, "--force", *forces, "--reference", rest, "--out", data, *lattice],
+        ["coarse-grain", *dumps, "--force", *forces, *atoms, *nodes, "--out", data],
         ["train", data, "--horizon", HORIZON, "--degree", DEGREE, "--out", model],
         ["certify", model / "model.json"],
     ]

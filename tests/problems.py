@@ -77,13 +77,13 @@ def smooth(x, samples, seed=0, wave_number=1.2):
     return np.einsum("swn,swa->sna", waves, amplitude)
 
 
-def manufactured(model, points, samples, seed=0, wave_number=1.2):
+def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
     from warp_peri import LPSOperator
 
     u = smooth(points.x, samples, seed, wave_number)
     b = np.zeros_like(u)
-    b[:, points.interior] = LPSOperator(model, points)(u)
+    b[:, points.interior] = LPSOperator(model, points, **options)(u)
     return replace(points, u=u, b=b)
 
 

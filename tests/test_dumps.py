@@ -9,7 +9,12 @@ import pytest
 from tests.problems import lattice
 from warp_peri import InputError
 from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.dumps import coarse_grain_dumps, dump_displacement, dump_positions
+from warp_peri.dumps import (
+    coarse_grain_dumps,
+    dump_displacement,
+    dump_masses,
+    dump_positions,
+)
 
 BOX = (12.0, 9.0)
 random = np.random.default_rng(0)
@@ -136,3 +141,21 @@ def test_options_without_sense_are_refused(tmp_path):
             dump_displacement(path, REFERENCE, **options)
     with pytest.raises(InputError, match="no such dump"):
         dump_displacement(tmp_path / "none.dump", REFERENCE)
+
+
+def test_masses_by_type_in_the_order_of_ids(tmp_path):
+    path = tmp_path / "types.dump"
+    text = frame(REFERENCE, 3, columns="type id x y z").splitlines()
+    text[9:] = [f"{1 + (i % 3 == 0)} {i + 1} 0 0 0" for i in (4, 3, 2, 1, 0)]
+    text[3] = "5"
+    path.write_text("\n".join(text) + "\n")
+    np.testing.assert_array_equal(dump_masses(path, [10.8, 14.0]), [14, 10.8, 10.8, 14, 10.8])
+    with pytest.raises(InputError, match="each of the types 1 to 2 .* got 1"):
+        dump_masses(path, [10.8])
+
+
+def test_masses_need_types(tmp_path):
+    path = tmp_path / "typeless.dump"
+    path.write_text(frame(REFERENCE, 0, columns="id element x y z").replace(" 1 ", " B "))
+    with pytest.raises(InputError, match="expected the columns id and type, got id element x y z"):
+        dump_masses(path, [10.8])

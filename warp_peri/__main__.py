@@ -94,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--reach", type=float, default=100.0, help="nodes lie within it [Å]")
     one.add_argument("--interior", type=float, default=50.0, help="half width of the interior [Å]")
     one.add_argument("--box", type=float, nargs=2, help="periods of the atoms [Å]")
+    one.add_argument("--mass", type=float, nargs="+", help="of atom types 1, 2, …; default: equal")
     one.add_argument("--thickness", type=float, default=3.35, help="of the sheet [Å]")
     one.add_argument("--density", type=float, default=2200.0, help="mass density [kg/m³]")
     one.add_argument("--skip", type=int, default=0, help="frames left out at the begin")

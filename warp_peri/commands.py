@@ -15,7 +15,7 @@ from warp_peri.archive import read_arrays
 from warp_peri.certificate import certify
 from warp_peri.coarse_graining import smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
-from warp_peri.dumps import coarse_grain_dumps, dump_positions
+from warp_peri.dumps import coarse_grain_dumps, dump_masses, dump_positions
 from warp_peri.errors import InputError
 from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.files import locked, write_json
@@ -38,6 +38,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     reference = next(dump_positions(given.reference))
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
+    mass = dump_masses(given.reference, given.mass) if given.mass else np.ones(len(reference))
     box = tuple(given.box) if given.box else None
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
@@ -50,6 +51,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
         points,
         reference=reference,
         force=force,
+        mass=mass,
         unloaded=given.unloaded or [],
         box=box,
         skip=given.skip,

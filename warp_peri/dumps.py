@@ -55,6 +55,31 @@ def dump_positions(path: str | os.PathLike[str]) -> Iterator[np.ndarray]:
         raise InputError(f"{path}: expected a LAMMPS text dump, found no '{FRAME}'")
 
 
+def dump_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
+    """Mass of every atom of the first frame of a dump, shape [A], by id.
+
+    Args:
+        path: as for dump_positions, with the column type.
+        masses: of the types 1, 2, … in any unit.
+
+    Raises InputError for a dump without the column, or a type without a mass.
+    """
+    next(dump_positions(path))  # says what is wrong with it otherwise
+    with _opened(path) as file:
+        header, _, rows = next(_frames(file)).partition("ITEM: ATOMS ")[2].partition("\n")
+    columns = header.split()
+    if "type" not in columns:
+        raise InputError(f"{path}: expected the columns id and type, got {header.strip()}")
+    wanted = [columns.index(name) for name in ("id", "type")]
+    number, kind = np.loadtxt(io.StringIO(rows), usecols=wanted, dtype=int, ndmin=2, unpack=True)
+    if kind.min() < 1 or kind.max() > len(masses):
+        raise InputError(
+            f"mass: expected one for each of the types {kind.min()} to {kind.max()} of {path}, "
+            f"got {len(masses)}"
+        )
+    return np.asarray(masses, dtype=float)[kind[np.argsort(number)] - 1]
+
+
 def dump_displacement(
     path: str | os.PathLike[str],
     reference: ArrayLike,
