@@ -16,10 +16,7 @@ from typing import Any
 
 from warp_peri import commands
 from warp_peri.errors import InputError
-from warp_peri.losses import LOSSES
 from warp_peri.run_file import parse
-from warp_peri.sweep import DEGREES, HORIZONS
-from warp_peri.training import METHODS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.showwarning = _warn
-            given = parse(_parser(), arguments)
+            words = sys.argv[1:] if arguments is None else arguments
+            given = parse(_parser(words), words)
             result = given.run(given)
     except KeyboardInterrupt:
         print("interrupted; what is finished is kept", file=sys.stderr)
@@ -58,7 +56,8 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Every command; train and sweep with their options only where they stand among the words."""
     parser = argparse.ArgumentParser(prog="warp-peri", description=__doc__)
     some = parser.add_subparsers(dest="command", required=True)
 
@@ -100,17 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--iota", type=float, help="ι of the smoothing in time; default: average")
 
     one = command("train", commands.run_train, "a data file to a certified model")
-    one.add_argument("data", type=Path, metavar="DATA.h5")
-    one.add_argument("--out", required=True, type=Path, metavar="FOLDER")
-    one.add_argument("--set", default="train", help="what to learn from")
-    one.add_argument("--noise", help="set with fields of noise alone")
-    one.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
-    one.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
-    one.add_argument("--method", choices=METHODS, default="optimum")
-    one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
-    one.add_argument("--loss", choices=LOSSES, default="auto")
-    one.add_argument("--normalise", action="store_true", help="divide samples by their loads")
-    one.add_argument("--seed", type=int, default=0)
+    if "train" in words:
+        _train_options(one)
 
     one = command("certify", commands.run_certify, "what is proven of a model")
     one.add_argument("model", type=Path, metavar="MODEL.json")
@@ -152,6 +142,36 @@ def _parser() -> argparse.ArgumentParser:
     _uncertified(one)
 
     one = command("sweep", commands.run_sweep, "choose horizon and degree")
+    if "sweep" in words:
+        _sweep_options(one)
+
+    one = command("info", commands.run_info, "what a model or data file holds")
+    one.add_argument("file", type=Path)
+    return parser
+
+
+def _train_options(one: argparse.ArgumentParser) -> None:
+    # imported here: they come with torch, which `--help` and `info` do without
+    from warp_peri.losses import LOSSES
+    from warp_peri.training import METHODS
+
+    one.add_argument("data", type=Path, metavar="DATA.h5")
+    one.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    one.add_argument("--set", default="train", help="what to learn from")
+    one.add_argument("--noise", help="set with fields of noise alone")
+    one.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    one.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    one.add_argument("--method", choices=METHODS, default="optimum")
+    one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    one.add_argument("--loss", choices=LOSSES, default="auto")
+    one.add_argument("--normalise", action="store_true", help="divide samples by their loads")
+    one.add_argument("--seed", type=int, default=0)
+
+
+def _sweep_options(one: argparse.ArgumentParser) -> None:
+    # imported here: they come with torch, which `--help` and `info` do without
+    from warp_peri.sweep import DEGREES, HORIZONS
+
     one.add_argument("data", type=Path, metavar="DATA.h5")
     one.add_argument("--out", required=True, type=Path, metavar="FOLDER")
     one.add_argument("--set", default="train", help="what to learn from")
@@ -162,10 +182,6 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES), help="M")
     one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
     one.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
-
-    one = command("info", commands.run_info, "what a model or data file holds")
-    one.add_argument("file", type=Path)
-    return parser
 
 
 def _uncertified(command: argparse.ArgumentParser) -> None:

@@ -1,4 +1,8 @@
-"""What each command does: from files to files, and a result that prints as JSON or as lines."""
+"""What each command does: from files to files, and a result that prints as JSON or as lines.
+
+What needs torch or Warp is reached through the package, which imports it on first use: `--help` and
+`info` do without.
+"""
 
 from __future__ import annotations
 
@@ -11,28 +15,21 @@ from typing import Any
 
 import numpy as np
 
+import warp_peri
 from warp_peri.archive import read_arrays
-from warp_peri.certificate import certify
 from warp_peri.coarse_graining import smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
-from warp_peri.dumps import coarse_grain_dumps, dump_positions
 from warp_peri.errors import InputError
-from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.files import locked, write_json
 from warp_peri.model import Model, load_model
 from warp_peri.run_file import keep
-from warp_peri.solve import solve
-from warp_peri.sweep import sweep
-from warp_peri.training import fit
-from warp_peri.uncertainty import fit_uncertainty
-from warp_peri.validation import evaluate
 
 Result = dict[str, Any]
 
 
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
-    reference = next(dump_positions(given.reference))
+    reference = next(warp_peri.dumps.dump_positions(given.reference))
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     box = tuple(given.box) if given.box else None
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
@@ -40,7 +37,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )
-    found = coarse_grain_dumps(
+    found = warp_peri.dumps.coarse_grain_dumps(
         given.dumps,
         omega,
         points,
@@ -116,7 +113,7 @@ def run_train(given: argparse.Namespace) -> Result:
     train = data[given.set]
     noise = data[given.noise] if given.noise else None
     with locked(given.out):
-        found = fit(
+        found = warp_peri.fit(
             train,
             horizon=given.horizon,
             degree=given.degree,
@@ -131,7 +128,7 @@ def run_train(given: argparse.Namespace) -> Result:
         tables, errors = {}, {}
         for name in data:
             try:
-                tables[name] = evaluate(found.model, data[name])
+                tables[name] = warp_peri.evaluate(found.model, data[name])
             except InputError as error:  # no load, another spacing, a collar too small
                 errors[name] = str(error)
         result: Result = {
@@ -148,7 +145,7 @@ def run_train(given: argparse.Namespace) -> Result:
             "not_evaluated": errors,
         }
         if noise is not None:
-            sure = fit_uncertainty(found, train, noise)
+            sure = warp_peri.fit_uncertainty(found, train, noise)
             result["deviation"] = {
                 "lambda": float(sure.deviation(lambda model: model.lam)),
                 "mu": float(sure.deviation(lambda model: model.mu)),
@@ -177,7 +174,7 @@ def run_certify(given: argparse.Namespace) -> Result:
         raise InputError("spacing: the model names no training lattice; give --spacing")
     found = {}
     for spacing in spacings:
-        certificate = certify(model, spacing=spacing)
+        certificate = warp_peri.certify(model, spacing=spacing)
         found[f"{spacing:g} Å"] = {
             "holds": certificate.holds,
             "statement": certificate.statement,
@@ -193,7 +190,9 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     for name in given.sets or data:
         points = data[name]
         try:
-            tables[name] = evaluate(model, points, allow_uncertified=given.allow_uncertified)
+            tables[name] = warp_peri.evaluate(
+                model, points, allow_uncertified=given.allow_uncertified
+            )
         except InputError as error:
             if given.sets:
                 raise InputError(f"set '{name}': {error}") from None
@@ -205,7 +204,7 @@ def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, its collar held: a data file with the solution."""
     model, data = load_model(given.model), load_dataset(given.data)
     points = data[given.set]
-    u = solve(
+    u = warp_peri.solve(
         model,
         points,
         points.b,
@@ -230,21 +229,27 @@ def run_export(given: argparse.Namespace) -> Result:
         spacing = given.spacing or (model.trained_on[0] if model.trained_on else None)
         if spacing is None:
             raise InputError("spacing: the model names no training lattice; give --spacing")
-        return {"files": [str(write_influence(given.out, model, spacing))]}
+        return {"files": [str(warp_peri.export.write_influence(given.out, model, spacing))]}
     if given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     points = load_dataset(given.data)[given.set]
     if given.what == "operator":
-        return {"files": [str(write_operator(given.out, model, points))]}
-    u = solve(model, points, points.b, points.u, allow_uncertified=given.allow_uncertified)
+        return {"files": [str(warp_peri.export.write_operator(given.out, model, points))]}
+    u = warp_peri.solve(
+        model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
+    )
     with locked(given.out):
-        return {"files": [str(path) for path in write_fields(given.out, model, points, u)]}
+        return {
+            "files": [
+                str(path) for path in warp_peri.export.write_fields(given.out, model, points, u)
+            ]
+        }
 
 
 def run_sweep(given: argparse.Namespace) -> Result:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
     data = load_dataset(given.data)
-    found = sweep(
+    found = warp_peri.sweep(
         data[given.set],
         data[given.val],
         given.out,
