@@ -284,7 +284,10 @@ def fit(
                 )
             lowest = min(one.loss for one in kept)
             # Equal losses are one optimum: the first start is kept, whatever the rounding.
-            return next(one for one in kept if one.loss <= lowest * (1 + SAME_LOSS)).parameters
+            found: Parameters = next(
+                one for one in kept if one.loss <= lowest * (1 + SAME_LOSS)
+            ).parameters
+            return found
 
         final = third = stage("3 constrained", best)
         if choice.name == "output":
