@@ -25,8 +25,9 @@ from warp_peri.cluster import scheduler
 from warp_peri.dataset import Dataset, PointSet
 from warp_peri.errors import InputError
 from warp_peri.files import locked, write_json
+from warp_peri.options import METHODS
 from warp_peri.sweep import sweep
-from warp_peri.training import METHODS, fit
+from warp_peri.training import fit
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0

@@ -2,7 +2,11 @@
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +16,7 @@ from tests.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, load_dataset, load_model, save_dataset, solve
 from warp_peri.__main__ import main
 
+ROOT = Path(__file__).parent.parent
 HORIZON = 2.5
 
 
@@ -93,6 +98,29 @@ def test_people_read_lines(trained, data, capsys):
     assert "certified_on: 1" in text
     assert main(["evaluate", str(trained / "model.json"), str(data), "--set", "test"]) == 0
     assert "E_u [%]" in capsys.readouterr().out
+
+
+def info_to(output, model):
+    """A command whose output goes to an open file."""
+    command = [sys.executable, "-m", "warp_peri", "info", model]
+    return subprocess.run(
+        command, stdout=output, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False
+    )
+
+
+def test_a_reader_who_has_enough_is_no_failure(trained):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as output:
+        found = info_to(output, trained / "model.json")
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_a_full_disk_behind_the_output_is_one_line(trained):
+    with open("/dev/full", "w") as output:
+        found = info_to(output, trained / "model.json")
+    assert found.returncode == 1
+    assert found.stderr == "error: [Errno 28] No space left on device\n"
 
 
 def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -16,10 +17,8 @@ from typing import Any
 
 from warp_peri import commands
 from warp_peri.errors import InputError
-from warp_peri.losses import LOSSES
+from warp_peri.options import DEGREES, HORIZONS, LOSSES, METHODS
 from warp_peri.run_file import parse
-from warp_peri.sweep import DEGREES, HORIZONS
-from warp_peri.training import METHODS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,12 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if given.json:
-        print(json.dumps(result))
-    elif given.command == "evaluate":
-        _print_table(result)
-    else:
-        print("\n".join(commands.lines_of(result)))
+    try:
+        _print(given, result)
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries at exit
+        if not isinstance(error, BrokenPipeError):  # that is a reader, as `head`, who has enough
+            print(f"error: {error}", file=sys.stderr)
+            return 1
     if given.command == "evaluate" and all("error" in table for table in result.values()):
         return 2
     return 0
@@ -181,6 +182,15 @@ def _uncertified(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use the model on spacings it holds no certificate for, with a warning",
     )
+
+
+def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
+    if given.json:
+        print(json.dumps(result))
+    elif given.command == "evaluate":
+        _print_table(result)
+    else:
+        print("\n".join(commands.lines_of(result)))
 
 
 def _print_table(tables: dict[str, dict[str, Any]]) -> None:

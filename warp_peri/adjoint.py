@@ -33,7 +33,7 @@ class Gradient:
         D, D_dilatation: shape [M + 1]; the second is None with one influence function.
     """
 
-    u: wp.array | None = None
+    u: wp.array[Any] | None = None
     lam: float = 0.0
     mu: float = 0.0
     alpha: float = 0.0
@@ -44,8 +44,8 @@ class Gradient:
 def gradient(
     sweeps: Sweeps,
     state: State,
-    arrays: Sequence[wp.array],
-    g: wp.array,
+    arrays: Sequence[wp.array[Any]],
+    g: wp.array[Any],
     *,
     displacement: bool = True,
     parameters: bool = True,
@@ -101,9 +101,9 @@ class _Tables:
         self,
         sweeps: Sweeps,
         state: State,
-        alpha: wp.array,
-        coefficients: Sequence[wp.array],
-        parts: wp.array,
+        alpha: wp.array[Any],
+        coefficients: Sequence[wp.array[Any]],
+        parts: wp.array[Any],
     ) -> None:
         self.sweeps, self.state, self.parts = sweeps, state, parts
         self.alpha, self.coefficients = alpha, coefficients
@@ -124,7 +124,7 @@ class _Tables:
             self.sums.append(sweeps.zeros(BLOCKS, len(D) + 1))
         self.by_pattern = [np.zeros((BLOCKS, len(sweeps.families.pattern))) for _ in coefficients]
 
-    def job(self, block: int, fields: Sequence[wp.array]) -> Callable[[], None]:
+    def job(self, block: int, fields: Sequence[wp.array[Any]]) -> Callable[[], None]:
         """One block: ∂/∂(K W) of its bonds; on scattered points onwards to α and D."""
         begin, end = self.ends[block : block + 2]
         first, last = (int(value) for value in self.spans[block])
@@ -146,7 +146,7 @@ class _Tables:
 
         return run
 
-    def _backward(self, n: int, block: int, first: int, last: int, bar: wp.array) -> None:
+    def _backward(self, n: int, block: int, first: int, last: int, bar: wp.array[Any]) -> None:
         kernel, inputs, D = self.backwards[n]
         launch(kernel, 1, (block, first, last, *inputs, self.alpha, D, bar), (self.sums[n],))
 

@@ -63,7 +63,8 @@ class Choice:
 def shipped_table() -> dict[str, Any]:
     """What examples/speed_accuracy.py measured on graphene: rows and the waves they hold for."""
     text = (files("warp_peri") / "speed_accuracy.json").read_text(encoding="utf-8")
-    return json.loads(text)
+    table: dict[str, Any] = json.loads(text)
+    return table
 
 
 def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None = None) -> Choice:

@@ -1,4 +1,8 @@
-"""What each command does: from files to files, and a result that prints as JSON or as lines."""
+"""What each command does: from files to files, and a result that prints as JSON or as lines.
+
+What needs torch or Warp is reached through the package, which imports it on first use: `--help` and
+`info` do without.
+"""
 
 from __future__ import annotations
 
@@ -11,22 +15,14 @@ from typing import Any
 
 import numpy as np
 
+import warp_peri
 from warp_peri.archive import read_arrays
-from warp_peri.certificate import certify
 from warp_peri.coarse_graining import smoothing_matrix
 from warp_peri.dataset import Dataset, PointSet, load_dataset, save_dataset
-from warp_peri.dumps import coarse_grain_dumps, dump_masses, dump_positions
 from warp_peri.errors import InputError
-from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.files import locked, write_json
 from warp_peri.model import Model, load_model
 from warp_peri.run_file import keep
-from warp_peri.shapes import InfluenceFunction, named, table
-from warp_peri.solve import solve
-from warp_peri.sweep import sweep
-from warp_peri.training import fit
-from warp_peri.uncertainty import fit_uncertainty
-from warp_peri.validation import evaluate
 
 Result = dict[str, Any]
 
@@ -36,16 +32,18 @@ DEGREE = 10
 
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
-    reference = next(dump_positions(given.reference))
+    reference = next(warp_peri.dumps.dump_positions(given.reference))
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
-    mass = dump_masses(given.reference, given.mass) if given.mass else np.ones(len(reference))
+    mass = np.ones(len(reference))
+    if given.mass:
+        mass = warp_peri.dumps.dump_masses(given.reference, given.mass)
     box = tuple(given.box) if given.box else None
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )
-    found = coarse_grain_dumps(
+    found = warp_peri.dumps.coarse_grain_dumps(
         given.dumps,
         omega,
         points,
@@ -124,7 +122,7 @@ def run_train(given: argparse.Namespace) -> Result:
     influence = shape_of(given.influence, given.horizon) if given.influence else None
     degree = DEGREE if influence is None and given.degree is None else given.degree
     with locked(given.out):
-        found = fit(
+        found = warp_peri.fit(
             train,
             horizon=given.horizon,
             degree=degree,
@@ -140,7 +138,7 @@ def run_train(given: argparse.Namespace) -> Result:
         tables, errors = {}, {}
         for name in data:
             try:
-                tables[name] = evaluate(found.model, data[name])
+                tables[name] = warp_peri.evaluate(found.model, data[name])
             except InputError as error:  # no load, another spacing, a collar too small
                 errors[name] = str(error)
         result: Result = {
@@ -159,7 +157,7 @@ def run_train(given: argparse.Namespace) -> Result:
         if found.influence is not None:
             result |= found.model.provenance
         if noise is not None:
-            sure = fit_uncertainty(found, train, noise)
+            sure = warp_peri.fit_uncertainty(found, train, noise)
             result["deviation"] = {
                 "lambda": float(sure.deviation(lambda model: model.lam)),
                 "mu": float(sure.deviation(lambda model: model.mu)),
@@ -181,10 +179,10 @@ def run_train(given: argparse.Namespace) -> Result:
     return {**result, "model": str(given.out / "model.json")}
 
 
-def shape_of(name: str, horizon: float) -> InfluenceFunction:
+def shape_of(name: str, horizon: float) -> warp_peri.InfluenceFunction:
     """The influence function of a name, or of a table in a .csv file."""
     if not name.endswith(".csv"):
-        return named(name, horizon)
+        return warp_peri.shapes.named(name, horizon)
     try:
         values = np.loadtxt(name, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
@@ -192,7 +190,7 @@ def shape_of(name: str, horizon: float) -> InfluenceFunction:
     if values.shape[1] != 2:
         raise InputError(f"{name}: expected two columns r, K, got {values.shape[1]}")
     try:
-        return table(*values.T)
+        return warp_peri.shapes.table(*values.T)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 
@@ -205,7 +203,7 @@ def run_certify(given: argparse.Namespace) -> Result:
         raise InputError("spacing: the model names no training lattice; give --spacing")
     found = {}
     for spacing in spacings:
-        certificate = certify(model, spacing=spacing)
+        certificate = warp_peri.certify(model, spacing=spacing)
         found[f"{spacing:g} Å"] = {
             "holds": certificate.holds,
             "statement": certificate.statement,
@@ -221,7 +219,9 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     for name in given.sets or data:
         points = data[name]
         try:
-            tables[name] = evaluate(model, points, allow_uncertified=given.allow_uncertified)
+            tables[name] = warp_peri.evaluate(
+                model, points, allow_uncertified=given.allow_uncertified
+            )
         except InputError as error:
             if given.sets:
                 raise InputError(f"set '{name}': {error}") from None
@@ -233,7 +233,7 @@ def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, its collar held: a data file with the solution."""
     model, data = load_model(given.model), load_dataset(given.data)
     points = data[given.set]
-    u = solve(
+    u = warp_peri.solve(
         model,
         points,
         points.b,
@@ -258,21 +258,27 @@ def run_export(given: argparse.Namespace) -> Result:
         spacing = given.spacing or (model.trained_on[0] if model.trained_on else None)
         if spacing is None:
             raise InputError("spacing: the model names no training lattice; give --spacing")
-        return {"files": [str(write_influence(given.out, model, spacing))]}
+        return {"files": [str(warp_peri.export.write_influence(given.out, model, spacing))]}
     if given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     points = load_dataset(given.data)[given.set]
     if given.what == "operator":
-        return {"files": [str(write_operator(given.out, model, points))]}
-    u = solve(model, points, points.b, points.u, allow_uncertified=given.allow_uncertified)
+        return {"files": [str(warp_peri.export.write_operator(given.out, model, points))]}
+    u = warp_peri.solve(
+        model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
+    )
     with locked(given.out):
-        return {"files": [str(path) for path in write_fields(given.out, model, points, u)]}
+        return {
+            "files": [
+                str(path) for path in warp_peri.export.write_fields(given.out, model, points, u)
+            ]
+        }
 
 
 def run_sweep(given: argparse.Namespace) -> Result:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
     data = load_dataset(given.data)
-    found = sweep(
+    found = warp_peri.sweep(
         data[given.set],
         data[given.val],
         given.out,

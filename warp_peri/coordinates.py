@@ -146,7 +146,8 @@ class Coordinates:
         """The smoothest D of a kernel, scaled to the weighted volume of K = r^(−α), D = 1."""
         tilt = np.exp((self.alpha - point.alpha) * self._log_r[0])
         volume = self._sigma[0] @ (tilt * (self._basis[0] @ q))
-        return self._D_of_q @ q * (self._plain_volume(point.alpha)[0] / volume)
+        D: np.ndarray = self._D_of_q @ q * (self._plain_volume(point.alpha)[0] / volume)
+        return D
 
     def roughness(self, y: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Second differences of the deviatoric D, and their derivative to y."""
@@ -175,7 +176,8 @@ class Coordinates:
 def _tables(classes: BondClasses, alpha: float, degree: int) -> np.ndarray:
     """K W of unit coefficients, with (r/δ)^(−α) for r^(−α), shape [C, M + 1]."""
     basis = bernstein_basis(classes.r, classes.horizon, degree)
-    return (classes.weight * (classes.r / classes.horizon) ** -alpha)[:, None] * basis
+    tables: np.ndarray = (classes.weight * (classes.r / classes.horizon) ** -alpha)[:, None] * basis
+    return tables
 
 
 def _scaled(

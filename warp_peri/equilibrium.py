@@ -10,7 +10,7 @@ and u, which autograd takes from the stencil to λ, μ, α and D.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,9 @@ class _OnLattice(torch.autograd.Function):
     """Stencil, load [S, N, 2] and collar [S, N, 2] to displacement [S, N, 2]."""
 
     @staticmethod
-    def forward(ctx: Any, system: Dirichlet, tolerance: float, records: list[Record], *tensors):
+    def forward(
+        ctx: Any, system: Dirichlet, tolerance: float, records: list[Record], *tensors: torch.Tensor
+    ) -> torch.Tensor:
         A, b, u = tensors
         found, domain = u.clone(), system.domain
         for s in range(len(b)):
@@ -54,7 +56,7 @@ class _OnLattice(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *upstream: torch.Tensor):
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         (g,), (found,), system = upstream, ctx.saved_tensors, ctx.system
         domain, wanted = system.domain, ctx.needs_input_grad[3:]
         by_b, by_u, by_A = torch.zeros_like(g), g.clone(), None
@@ -76,7 +78,14 @@ class _ByLU(torch.autograd.Function):
     """The same on any points: the parameters go through the gradient of the sweeps."""
 
     @staticmethod
-    def forward(ctx: Any, sweeps: Sweeps, points: PointSet, b, u, *parameters: torch.Tensor):
+    def forward(
+        ctx: Any,
+        sweeps: Sweeps,
+        points: PointSet,
+        b: torch.Tensor,
+        u: torch.Tensor,
+        *parameters: torch.Tensor,
+    ) -> torch.Tensor:
         alpha = floats(parameters[2].detach().numpy())
         coefficients = [floats(D.detach().numpy()) for D in parameters[3:]]
         tables = [sweeps.influence(alpha, D, gradient=False) for D in coefficients]
@@ -108,7 +117,7 @@ class _ByLU(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *upstream: torch.Tensor):
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         found, *parameters = ctx.saved_tensors
         flat = upstream[0].numpy().reshape(len(found), -1)
         w = ctx.factors.solve(np.ascontiguousarray(flat[:, ctx.unknown].T), "T").T
@@ -125,6 +134,10 @@ class _ByLU(torch.autograd.Function):
                 found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
         fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
         return None, None, *fields, *found_by
+
+
+_on_lattice: Callable[..., torch.Tensor] = _OnLattice.apply
+_by_lu: Callable[..., torch.Tensor] = _ByLU.apply
 
 
 def equilibrium(
@@ -174,7 +187,7 @@ def equilibrium(
     bond_based = bool(numbers[0] == numbers[1])
     if method == "lu":
         sweeps = Sweeps(points, horizon, bond_based=bond_based)
-        found = _ByLU.apply(sweeps, points, b.cpu(), u.cpu(), *numbers)
+        found = _by_lu(sweeps, points, b.cpu(), u.cpu(), *numbers)
         return found.reshape(shape).to(b.device)
     if method not in PRECONDITIONERS:
         raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")
@@ -198,4 +211,4 @@ def on_domain(
     A = stencil(nodes.classes, lam[0], mu[0], alpha[0], D, numbers[-1])
     system = Dirichlet(nodes, A.detach(), method)
     A = A.to(b.device)
-    return _OnLattice.apply(system, tolerance, [] if records is None else records, A, b, u)
+    return _on_lattice(system, tolerance, [] if records is None else records, A, b, u)

@@ -309,7 +309,8 @@ def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> 
     launch_slices(
         kernels.any_neighbour, len(flag), (ints(row), ints(neighbour), ints(flag)), (found,)
     )
-    return found.numpy() > 0
+    flagged: np.ndarray = found.numpy() > 0
+    return flagged
 
 
 def _break(row: np.ndarray, neighbour: np.ndarray, outside: np.ndarray) -> None:

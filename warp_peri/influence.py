@@ -32,4 +32,5 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
         raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
     t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
     k = np.arange(degree + 1)
-    return comb(degree, k) * t**k * (1 - t) ** (degree - k)
+    basis: np.ndarray = comb(degree, k) * t**k * (1 - t) ** (degree - k)
+    return basis

@@ -102,22 +102,22 @@ def launch_slices(
 
 def zeros(
     *shape: int, dtype: Any = wp.float64, gradient: bool = False, device: str = DEVICE
-) -> wp.array:
+) -> wp.array[Any]:
     """A Warp array of zeros."""
     return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=device)
 
 
-def empty(*shape: int, dtype: Any, device: str = DEVICE) -> wp.array:
+def empty(*shape: int, dtype: Any, device: str = DEVICE) -> wp.array[Any]:
     """A Warp array that a kernel is about to fill."""
     return wp.empty(shape, dtype=dtype, device=device)
 
 
-def ints(values: np.ndarray, device: str = DEVICE) -> wp.array:
+def ints(values: np.ndarray, device: str = DEVICE) -> wp.array[Any]:
     """An int32 Warp array; shares memory with an int32 NumPy array where the device can."""
     values = np.ascontiguousarray(values, dtype=np.int32)
     return wp.array(values, dtype=wp.int32, device=device, copy=False)
 
 
-def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array:
+def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array[Any]:
     """A Warp array of scalars or vectors; shares memory with `values` where it can."""
     return wp.array(values, dtype=dtype, device=device, copy=False)

@@ -12,11 +12,11 @@ from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.model import Model
 from warp_peri.optimum import constrained_optimum
+from warp_peri.options import LOSSES
 from warp_peri.parameters import Parameters
 from warp_peri.reduced import ReducedLoss
 from warp_peri.response import WAVE_VECTOR, products
 
-LOSSES = ("auto", "residual", "corrected", "output")
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""
 

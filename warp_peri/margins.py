@@ -48,6 +48,9 @@ class _Values(torch.autograd.Function):
         return None, kappa.reshape(()), *rest
 
 
+_values: Callable[..., torch.Tensor] = _Values.apply
+
+
 class SymbolMargins:
     """Smallest margins of the conditions over sampled wave vectors, on each lattice [TPa]."""
 
@@ -79,7 +82,7 @@ class SymbolMargins:
                     slopes.append(one.gradients(worst, v, z, float(kappa))[form, 0])
                 return margins.min(axis=1), np.array(slopes)
 
-            parts.append(_Values.apply(evaluate, kappa, mu * w, mu * p))
+            parts.append(_values(evaluate, kappa, mu * w, mu * p))
         return torch.cat(parts)
 
 
@@ -109,7 +112,7 @@ class DenseMargins:
             ) -> tuple[np.ndarray, np.ndarray]:
                 return _dense(gammas, phis, w, p)
 
-            parts.append(_Values.apply(evaluate, torch.zeros((), dtype=torch.float64), w, p))
+            parts.append(_values(evaluate, torch.zeros((), dtype=torch.float64), w, p))
         return torch.cat(parts)
 
 
@@ -120,7 +123,7 @@ def _class_matrices(points: PointSet, horizon: float) -> tuple[np.ndarray, np.nd
     ones = wp.full(len(points.x), 1.0, dtype=wp.float64, device=sweeps.row.device)
     gammas, phis = [], []
     for unit in np.eye(len(sweeps.families.classes.r)):
-        table: wp.array = wp.array(unit, dtype=wp.float64, device=sweeps.row.device)
+        table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=sweeps.row.device)
         parts = assemble(sweeps, points, (table, ones, table, ones))
         gammas.append(parts.gamma[:, unknown].toarray())
         phis.append(parts.phi[points.interior][:, unknown].toarray())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -68,7 +69,7 @@ def matrices(
     return assemble(sweeps, points, tables)
 
 
-def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array]) -> Matrices:
+def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array[Any]]) -> Matrices:
     """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
     edges = len(sweeps.families.neighbour)
     gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)
@@ -86,7 +87,9 @@ def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array]) -> Ma
     to = sweeps.families.neighbour[intact]
     a = np.arange(2)
 
-    def blocks(values: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]):
+    def blocks(
+        values: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]
+    ) -> sp.csr_array:
         return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
     value = gamma.numpy()[intact]

@@ -132,7 +132,8 @@ class Model:
 
     def _kernel(self, r: ArrayLike, D: np.ndarray) -> np.ndarray:
         r = np.asarray(r, dtype=float)
-        return r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
+        K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
+        return K
 
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -41,7 +41,8 @@ class _Force(torch.autograd.Function):
                 ctx.state = sweeps.evaluate(*ctx.arrays, gradient=True)
         else:
             ctx.state = sweeps.evaluate(*ctx.arrays)
-        return wp.to_torch(ctx.state.Lu, requires_grad=False)
+        Lu: torch.Tensor = wp.to_torch(ctx.state.Lu, requires_grad=False)
+        return Lu
 
     @staticmethod
     @once_differentiable
@@ -71,6 +72,9 @@ class _Force(torch.autograd.Function):
                 for part, tensor, asked in zip(parts, inputs[1:], wanted[1:])
             ),
         )
+
+
+_force: Callable[..., torch.Tensor] = _Force.apply
 
 
 class LPSOperator:
@@ -172,7 +176,7 @@ def lps_force(
     ]
     if sweeps.bond_based and not torch.equal(*numbers[:2]):
         raise InputError(f"lambda, mu: expected equal values (bond-based), got {lam}, {mu}")
-    Lu = _Force.apply(sweeps, u.reshape(-1, nodes, 2), *numbers)
+    Lu = _force(sweeps, u.reshape(-1, nodes, 2), *numbers)
     return Lu.reshape(*u.shape[:-2], -1, 2)
 
 

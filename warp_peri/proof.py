@@ -10,6 +10,8 @@ largest is convex, hence largest at a corner.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from warp_peri.families import BondClasses
@@ -71,7 +73,7 @@ def _slowest(C11: float, C12: float, C44: float) -> float:
     along_axis = C11 * C44
     on_diagonal = along_axis + ((C11 - C44) ** 2 - (C12 + C44) ** 2) / 4
     determinant = min(along_axis, on_diagonal)
-    return trace / 2 - np.sqrt(max(trace**2 / 4 - determinant, 0.0))
+    return trace / 2 - math.sqrt(max(trace**2 / 4 - determinant, 0.0))
 
 
 def _second_derivative(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> float:

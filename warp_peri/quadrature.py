@@ -39,7 +39,8 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
             f"quadrature: no weights are exact for a family of {len(xi)} bonds (relative residual "
             f"{residual[0]:.1e}, allowed {RESIDUAL:.0e}); a larger horizon has more bonds"
         )
-    return weights[0]
+    found: np.ndarray = weights[0]
+    return found
 
 
 def family_weights(
@@ -77,4 +78,4 @@ def _ball_integral(a: int, b: int) -> float:
     """∫ ξ₁ᵃ ξ₂ᵇ / r³ over the unit ball."""
     if a % 2 or b % 2:
         return 0.0
-    return 2 * beta((a + 1) / 2, (b + 1) / 2) / (a + b + 2 - SINGULARITY)
+    return float(2 * beta((a + 1) / 2, (b + 1) / 2) / (a + b + 2 - SINGULARITY))

@@ -8,6 +8,7 @@ With the weights w_c = K(r_c) W_c / m of each bond class, the residual is affine
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -100,13 +101,13 @@ class Features:
             self.pairs.shape[1]
         )
         self.width = number + self.pairs.shape[1]
-        self._columns: wp.array = wp.array(column, dtype=wp.int32, device=self.sweeps.device)
+        self._columns: wp.array[Any] = wp.array(column, dtype=wp.int32, device=self.sweeps.device)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Features of u [Å], shape [S, N, 2], on the interior nodes: shape [S, I, F, 2]."""
         samples, nodes, _ = u.shape
         sweeps, device = self.sweeps, self.sweeps.device
-        field: wp.array = wp.array(u, dtype=wp.vec2d, device=device)
+        field: wp.array[Any] = wp.array(u, dtype=wp.vec2d, device=device)
         theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=device)
         out = wp.zeros((samples, len(sweeps.rows), self.width), dtype=wp.vec2d, device=device)
         wp.launch(
@@ -123,7 +124,8 @@ class Features:
             outputs=[out],
             device=device,
         )
-        return out.numpy()
+        found: np.ndarray = out.numpy()
+        return found
 
 
 def reduce(

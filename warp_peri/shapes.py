@@ -241,6 +241,6 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
         raise InputError("table: expected finite K at rising finite r")
 
     def table(r: np.ndarray, K: np.ndarray = given) -> np.ndarray:
-        return np.interp(r, knots, K)
+        return np.asarray(np.interp(r, knots, K))
 
     return InfluenceFunction(table, {"K": given} if learned else {})

@@ -177,7 +177,8 @@ def _definite_by_symbol(model: Model, points: PointSet, degree: int) -> bool:
 
 
 def _lu(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
-    return splu(stiffness).solve(right)
+    found: np.ndarray = splu(stiffness).solve(right)
+    return found
 
 
 def _gmres(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:

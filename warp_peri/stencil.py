@@ -81,13 +81,15 @@ class Torus:
     def forward(self, field: torch.Tensor) -> torch.Tensor:
         """Transform of fields [..., n₁, n₂] that fill a corner of the torus, zero elsewhere."""
         if self.device.type != "cpu":
-            return torch.fft.rfft2(field, s=self.shape)
+            wave: torch.Tensor = torch.fft.rfft2(field, s=self.shape)
+            return wave
         return torch.from_numpy(scipy.fft.rfft2(field.numpy(), s=self.shape, workers=threads()))
 
     def backward(self, wave: torch.Tensor) -> torch.Tensor:
         """Fields on the torus of their transforms; what is in `wave` is lost."""
         if self.device.type != "cpu":
-            return torch.fft.irfft2(wave, s=self.shape)
+            field: torch.Tensor = torch.fft.irfft2(wave, s=self.shape)
+            return field
         found = scipy.fft.irfft2(wave.numpy(), s=self.shape, workers=threads(), overwrite_x=True)
         return torch.from_numpy(found)
 

@@ -19,12 +19,9 @@ from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
 from warp_peri.files import locked, write_json
 from warp_peri.model import load_model
+from warp_peri.options import DEGREES, HORIZONS
 from warp_peri.training import fit
 from warp_peri.validation import evaluate
-
-DEGREES = (0, 5, 10, 15, 20)
-HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
-"""[Å] (You et al. 2021, section 6.2)"""
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""

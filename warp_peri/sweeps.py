@@ -36,12 +36,12 @@ class State:
         Lu: L u on the interior nodes, shape [S, I] of vectors.
     """
 
-    kw: wp.array
-    m: wp.array
-    kd: wp.array
-    md: wp.array
-    theta: wp.array
-    Lu: wp.array
+    kw: wp.array[Any]
+    m: wp.array[Any]
+    kd: wp.array[Any]
+    md: wp.array[Any]
+    theta: wp.array[Any]
+    Lu: wp.array[Any]
 
 
 class Sweeps:
@@ -109,7 +109,7 @@ class Sweeps:
         x = points.x if lattice is None else np.zeros((1, 2))
         inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
         self.lattice = int(lattice is not None)
-        self._kept: dict[tuple[bytes, bytes], tuple[wp.array, wp.array]] = {}
+        self._kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}
         self.links = (
             self.lattice,
             self.row,
@@ -125,11 +125,11 @@ class Sweeps:
         """Number of nodes N."""
         return len(self.row) - 1
 
-    def floats(self, values: np.ndarray) -> wp.array:
+    def floats(self, values: np.ndarray) -> wp.array[Any]:
         """A Warp array in the precision of the sweeps, where they run."""
         return floats(values, self.scalar, self.device)
 
-    def ints(self, values: np.ndarray) -> wp.array:
+    def ints(self, values: np.ndarray) -> wp.array[Any]:
         """A Warp array of int32, where the sweeps run."""
         return ints(values, self.device)
 
@@ -138,7 +138,9 @@ class Sweeps:
         binomial = self.floats(comb(degree, np.arange(degree + 1)))
         return (self.scalar(self.horizon), binomial, self.r, self.weight)
 
-    def influence(self, alpha: wp.array, D: wp.array, *, gradient: bool) -> tuple[wp.array, ...]:
+    def influence(
+        self, alpha: wp.array[Any], D: wp.array[Any], *, gradient: bool
+    ) -> tuple[wp.array[Any], ...]:
         """K W of each class, shape [C], and weighted volumes m; kept while only u changes.
 
         m has shape [N], 0 where not needed; on a lattice shape [1], the same for all nodes.
@@ -194,7 +196,7 @@ class Sweeps:
         """Drop K W and m of the last model, so that the next evaluation computes them anew."""
         self._kept.clear()
 
-    def shape(self, kd: wp.array, *, gradient: bool = False) -> wp.array:
+    def shape(self, kd: wp.array[Any], *, gradient: bool = False) -> wp.array[Any]:
         """S of the nodes with broken bonds, (40), shape [N]."""
         shape = self.zeros(self.nodes, dtype=self.mat, gradient=gradient)
         inputs = (self.cut, *self.links, kd)
@@ -203,12 +205,12 @@ class Sweeps:
 
     def evaluate(
         self,
-        u: wp.array,
-        lam: wp.array,
-        mu: wp.array,
-        alpha: wp.array,
-        D: wp.array,
-        D_dilatation: wp.array | None = None,
+        u: wp.array[Any],
+        lam: wp.array[Any],
+        mu: wp.array[Any],
+        alpha: wp.array[Any],
+        D: wp.array[Any],
+        D_dilatation: wp.array[Any] | None = None,
         *,
         gradient: bool = False,
     ) -> State:
@@ -237,14 +239,14 @@ class Sweeps:
         self._launch(gradient, kernels.force, len(self.rows), inputs, Lu, samples)
         return State(kw, m, kd, md, theta, Lu)
 
-    def force(self, *arrays: wp.array, gradient: bool = False) -> wp.array:
+    def force(self, *arrays: wp.array[Any], gradient: bool = False) -> wp.array[Any]:
         """L u [TPa/Å] on the interior nodes, shape [S, I]; on the active tape, with `gradient`.
 
         The arguments are those of `evaluate`.
         """
         return self.evaluate(*arrays, gradient=gradient).Lu
 
-    def zeros(self, *shape: int, dtype: Any = None, gradient: bool = False) -> wp.array:
+    def zeros(self, *shape: int, dtype: Any = None, gradient: bool = False) -> wp.array[Any]:
         """A Warp array of zeros."""
         dtype = dtype or self.scalar
         return zeros(*shape, dtype=dtype, gradient=gradient, device=self.device)
@@ -255,7 +257,7 @@ class Sweeps:
         kernel: Any,
         count: int,
         inputs: tuple[Any, ...],
-        output: wp.array,
+        output: wp.array[Any],
         samples: int = 0,
     ) -> None:
         if tape:

@@ -40,7 +40,9 @@ class Symbol:
     def ratio(self, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin D(k) / s(k) [TPa], shape [K]."""
         d11, d22, d12 = self.entries(v, z, kappa)
-        return ((d11 + d22) / 2 - np.hypot((d11 - d22) / 2, d12)) / self.laplacian
+        smallest = (d11 + d22) / 2 - np.hypot((d11 - d22) / 2, d12)
+        found: np.ndarray = smallest / self.laplacian
+        return found
 
     def ratio_gradient(
         self, v: np.ndarray, z: np.ndarray, kappa: float

@@ -30,6 +30,7 @@ from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
 from warp_peri.noise import corrected, noise_loss
 from warp_peri.optimum import ISOTROPIC, constrained_optimum
+from warp_peri.options import METHODS
 from warp_peri.output_error import output_optimum
 from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
 from warp_peri.reduced import ReducedLoss, reduce
@@ -39,7 +40,6 @@ from warp_peri.strain import largest_strain
 from warp_peri.symbol import moduli as moduli_of
 from warp_peri.two_stage import positive_stage, sign_changing_stage
 
-METHODS = ("constrained", "two-stage", "optimum")
 CONSTRAINTS = ("symbol", "dense")
 AGREEMENT = 1e-10
 """Reduced and full loss must agree to this, relative; their gradients to this times the
@@ -313,7 +313,10 @@ def fit(
                 )
             lowest = min(one.loss for one in kept)
             # Equal losses are one optimum: the first start is kept, whatever the rounding.
-            return next(one for one in kept if one.loss <= lowest * (1 + SAME_LOSS)).parameters
+            found: Parameters = next(
+                one for one in kept if one.loss <= lowest * (1 + SAME_LOSS)
+            ).parameters
+            return found
 
         final = third = stage("3 constrained", best)
         if choice.name == "output":

@@ -192,7 +192,8 @@ def _by_seed(points: PointSet, each: np.ndarray) -> np.ndarray:
     """Gradients of samples by field of noise, [S, Y, E], as columns: one seed, one noise."""
     seeds = np.asarray(points.samples.get("seed", np.arange(len(points))))
     groups = [each[seeds == seed].sum(axis=0) for seed in np.unique(seeds)]
-    return np.concatenate(groups, axis=1) / np.sqrt(each.shape[2])
+    columns: np.ndarray = np.concatenate(groups, axis=1) / np.sqrt(each.shape[2])
+    return columns
 
 
 def _tangent(problem: Problem, y: np.ndarray) -> np.ndarray:

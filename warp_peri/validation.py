@@ -59,4 +59,5 @@ def evaluate(model: Model, points: PointSet, *, allow_uncertified: bool = False)
 
 
 def _norms(fields: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(fields.reshape(len(fields), -1), axis=1)
+    norms: np.ndarray = np.linalg.norm(fields.reshape(len(fields), -1), axis=1)
+    return norms
