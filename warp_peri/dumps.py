@@ -77,7 +77,7 @@ def dump_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
             f"mass: expected one for each of the types {kind.min()} to {kind.max()} of {path}, "
             f"got {len(masses)}"
         )
-    return np.take(masses, kind[np.argsort(number)] - 1).astype(float)
+    return np.asarray(np.take(masses, kind[np.argsort(number)] - 1), dtype=float)
 
 
 def dump_displacement(
