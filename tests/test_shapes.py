@@ -307,6 +307,20 @@ def test_functions_that_are_no_influence_function(function, message):
         InfluenceFunction(function).coefficients(LENGTHS, HORIZON)
 
 
+def test_a_function_may_change_what_it_gets_and_return_a_list():
+    def careless(r, c):
+        r *= c[0]
+        c[0] = 7.0
+        return list(r)
+
+    shape = InfluenceFunction(careless, {"c": [2, 3]})
+    assert shape.parameters["c"].dtype == float
+    before = LENGTHS.copy()
+    np.testing.assert_allclose(shape(LENGTHS), 2 * before)
+    np.testing.assert_array_equal(LENGTHS, before)
+    np.testing.assert_allclose(shape(LENGTHS), 2 * before)
+
+
 def test_a_volume_of_zero():
     classes = bond_classes(1.0, HORIZON)
     size = classes.count * classes.r**2 * classes.weight

@@ -10,6 +10,7 @@ kind of model only.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -57,10 +58,13 @@ class InfluenceFunction:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        values = {}
         for name, value in self.parameters.items():
-            array = np.asarray(value)
+            array = np.array(value)
             if array.dtype.kind not in "iuf" or array.ndim > 1 or not np.isfinite(array).all():
                 raise InputError(f"{name}: expected finite numbers, got {value!r:.60}")
+            values[name] = array.astype(float) if array.ndim else float(array)
+        object.__setattr__(self, "parameters", values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:
                 known = ", ".join(self.parameters) or "none"
@@ -97,14 +101,14 @@ class InfluenceFunction:
         values, first = {}, 0
         for name, value in self.parameters.items():
             part = vector[first : first + np.size(value)]
-            values[name] = part.copy() if np.ndim(value) else float(part[0])
+            values[name] = part if np.ndim(value) else part[0]
             first += np.size(value)
         return dataclasses.replace(self, parameters=values)
 
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """K at the distances r [Å], of the shape of r."""
         at = np.asarray(r, dtype=float)
-        K = np.asarray(self.function(at, **self.parameters), dtype=float)
+        K = np.array(self.function(at.copy(), **copy.deepcopy(self.parameters)), dtype=float)
         if K.shape != at.shape:
             raise InputError(
                 f"influence '{self.name}': expected K of shape {list(at.shape)}, the shape of r, "
