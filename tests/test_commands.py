@@ -84,6 +84,8 @@ def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
     out = tmp_path / "solved.h5"
     answer(capsys, "solve", model_file, data, "--out", out)
     test = load_dataset(data)["test"]
+    settings = tomllib.loads((tmp_path / "solved.toml").read_text())["solve"]
+    assert settings["set"] == "test"
     u = solve(load_model(model_file), test, test.b, test.u)
     np.testing.assert_allclose(load_dataset(out)["test"].u, u)
     assert answer(capsys, "info", model_file)["certified_on"] == [1.0]
@@ -158,6 +160,12 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     answer(capsys, *words, "--force", tmp_path / "f.csv", "--set", "val")
     data = load_dataset(out)
     assert sorted(data) == ["train", "val"]
+    settings = tomllib.loads((tmp_path / "own.val.toml").read_text())["coarse-grain"]
+    assert settings["box"] == [40.0, 40.0]
+    before = data["val"].b
+    line = ["coarse-grain", "--config", tmp_path / "own.val.toml"]
+    assert answer(capsys, *line)["set"] == "val"
+    np.testing.assert_array_equal(load_dataset(out)["val"].b, before)
     assert first["nodes"] == 21 * 21
     np.testing.assert_allclose(data["train"].u, np.broadcast_to(moved, (1, 441, 2)), atol=1e-9)
     np.testing.assert_allclose(data["train"].b, data["val"].b)

@@ -56,6 +56,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
         iota=given.iota,
         node_area=given.spacing**2,
         thickness=given.thickness,
+        progress=not given.json,
     )
     with locked(given.out):
         sets, provenance = {}, {"source": "warp-peri coarse-grain"}
@@ -68,6 +69,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
                 )
         sets[given.set] = found
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
+        keep(given, given.out.with_suffix(f".{given.set}.toml"))
     return {
         "file": str(given.out),
         "set": given.set,
@@ -175,7 +177,7 @@ def run_train(given: argparse.Namespace) -> Result:
         )
         model.save(given.out / "model.json")
         write_json(given.out / "metrics.json", result)
-        keep(given, given.out)
+        keep(given, given.out / f"{given.command}.toml")
     return {**result, "model": str(given.out / "model.json")}
 
 
@@ -247,6 +249,7 @@ def run_solve(given: argparse.Namespace) -> Result:
         save_dataset(
             given.out, Dataset({given.set: solved}, data.thickness, data.density, provenance)
         )
+        keep(given, given.out.with_suffix(".toml"))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
     return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
 
@@ -297,7 +300,7 @@ def run_sweep(given: argparse.Namespace) -> Result:
     }
     with locked(given.out):
         write_json(given.out / "sweep.json", result)
-        keep(given, given.out)
+        keep(given, given.out / f"{given.command}.toml")
     return result
 
 

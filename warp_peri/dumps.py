@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from ase.io.lammpsrun import read_lammps_dump_text
 from numpy.typing import ArrayLike
+from tqdm import tqdm
 
 from warp_peri.coarse_graining import coarse_grain
 from warp_peri.dataset import PointSet
@@ -135,6 +136,7 @@ def coarse_grain_dumps(
     box: tuple[float, float] | None = None,
     skip: int = 0,
     iota: float | None = None,
+    progress: bool = False,
 ) -> PointSet:
     """Samples on nodes from the dump of each load.
 
@@ -148,6 +150,7 @@ def coarse_grain_dumps(
         unloaded: a dump without load for each load, whose displacement is subtracted: runs of one
             Langevin seed share most of their noise. One alone serves every load; none is fine.
         box, skip, iota: as for dump_displacement.
+        progress: show a progress bar over the dumps.
 
     Raises InputError as its parts do, and for forces or unloaded dumps that do not fit.
     """
@@ -160,10 +163,10 @@ def coarse_grain_dumps(
     def displacement(path: str | os.PathLike[str]) -> np.ndarray:
         return dump_displacement(path, reference, box=box, skip=skip, iota=iota)
 
-    at_rest = [displacement(path) for path in unloaded]
-    fields = []
-    for number, path in enumerate(dumps):
-        u = displacement(path)
+    bar = tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress)
+    found = [displacement(path) for path in bar]
+    at_rest, fields = found[: len(unloaded)], []
+    for number, u in enumerate(found[len(unloaded) :]):
         if at_rest:
             u = u - at_rest[number if len(at_rest) > 1 else 0]
         fields.append(u)

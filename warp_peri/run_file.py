@@ -48,16 +48,14 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> a
     return parser.parse_args(arguments)
 
 
-def keep(given: argparse.Namespace, folder: str | os.PathLike[str]) -> Path:
-    """Write the settings of a command to FOLDER/<command>.toml; `--config` takes it again."""
+def keep(given: argparse.Namespace, path: str | os.PathLike[str]) -> None:
+    """Write the settings of a command to a file; `--config` takes it again."""
     table = {}
     for key, value in vars(given).items():
         if key in NOT_KEPT or value is None:
             continue
         table[key] = [_plain(item) for item in value] if isinstance(value, list) else _plain(value)
-    path = Path(folder) / f"{given.command}.toml"
     write_text(path, tomli_w.dumps({given.command: table}))
-    return path
 
 
 def _plain(value: Any) -> Any:

@@ -31,14 +31,20 @@ from warp_peri.model import Model
 from warp_peri.noise import corrected, noise_loss
 from warp_peri.optimum import ISOTROPIC, constrained_optimum
 from warp_peri.options import METHODS
-from warp_peri.output_error import output_optimum
+from warp_peri.output_error import STEPS, output_optimum
 from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
 from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.response import responses_of
 from warp_peri.shapes import InfluenceFunction
 from warp_peri.strain import largest_strain
 from warp_peri.symbol import moduli as moduli_of
-from warp_peri.two_stage import positive_stage, sign_changing_stage
+from warp_peri.two_stage import (
+    EPOCHS,
+    INNER_EPOCHS,
+    OUTER_ITERATIONS,
+    positive_stage,
+    sign_changing_stage,
+)
 
 CONSTRAINTS = ("symbol", "dense")
 AGREEMENT = 1e-10
@@ -249,9 +255,11 @@ def fit(
     losses: Sequence[ReducedLoss | FullLoss] = grids or full
     history: list[Stage] = []
 
-    def stage(name: str, run: Callable[[Callable[[float], None]], Parameters]) -> Parameters:
+    def stage(
+        name: str, most: int, run: Callable[[Callable[[float], None]], Parameters]
+    ) -> Parameters:
         begin = time.perf_counter()
-        with tqdm(desc=name, unit=" steps", disable=not progress, leave=True) as bar:
+        with tqdm(desc=name, unit=" steps", total=most, disable=not progress) as bar:
 
             def tick(loss: float) -> None:
                 bar.update()
@@ -259,6 +267,8 @@ def fit(
                     bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
             found = run(tick)
+            bar.total = bar.n  # a stage may end early
+            bar.refresh()
         seconds = time.perf_counter() - begin
         errors = [one.errors(*_numbers(found)) for one in full]
         error = float(np.concatenate(errors).mean())
@@ -276,10 +286,12 @@ def fit(
             kept_in = Checkpoint(checkpoint, key)
         first = stage(
             "1 positive",
+            EPOCHS,
             lambda tick: positive_stage(losses, rough, parametrisation=parametrisation, tick=tick),
         )
         final = second = stage(
             "2 sign-changing",
+            INNER_EPOCHS * OUTER_ITERATIONS,
             lambda tick: sign_changing_stage(
                 losses,
                 first,
@@ -318,11 +330,12 @@ def fit(
             ).parameters
             return found
 
-        final = third = stage("3 constrained", best)
+        final = third = stage("3 constrained", len(starts), best)
         if choice.name == "output":
             responses = responses_of(sets, horizon, grids)
             final = stage(
                 "4 output error",
+                STEPS,
                 lambda tick: (
                     output_optimum(
                         responses,
