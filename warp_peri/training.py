@@ -14,7 +14,6 @@ from typing import Any
 
 import joblib
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from warp_peri.certificate import Certificate, certify
@@ -24,15 +23,15 @@ from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
 from warp_peri.families import bond_classes
 from warp_peri.full_loss import FullLoss, sample_weights
-from warp_peri.influence import bernstein_basis
 from warp_peri.losses import LossChoice, choose_loss
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
 from warp_peri.noise import corrected, noise_loss
 from warp_peri.optimum import ISOTROPIC, constrained_optimum
 from warp_peri.options import METHODS
+from warp_peri.oracle import Oracle
 from warp_peri.output_error import STEPS, output_optimum
-from warp_peri.parameters import PARAMETRISATIONS, Parameters, Variables
+from warp_peri.parameters import PARAMETRISATIONS, Parameters
 from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.response import responses_of
 from warp_peri.shapes import InfluenceFunction
@@ -47,10 +46,6 @@ from warp_peri.two_stage import (
 )
 
 CONSTRAINTS = ("symbol", "dense")
-AGREEMENT = 1e-10
-"""Reduced and full loss must agree to this, relative; their gradients to this times the
-gradient's norm at the start."""
-ROUNDING = 1e-13
 SAME_LOSS = 1e-6
 CHECKED_DEGREE = 10
 """Of the kernel that reduced and full loss are compared at first, where none was asked for."""
@@ -240,6 +235,7 @@ def fit(
     own = random.uniform(size=terms) if two_functions else None
     rough = Parameters(0.0, 1.0, 1.0, D, D_dilatation=own)
     plain = {f"r^-{a:.3g}": Parameters(0.0, 1.0, a, np.ones(terms)) for a in PLAIN_EXPONENTS}
+    probe = Parameters(0.0, 1.0, 2.0, np.ones(terms))
     if shapes:
         lengths = np.concatenate([one.classes.r for one in asked])
         begin = [(shape, shape.coefficients(lengths, horizon)[0]) for shape in shapes]
@@ -247,9 +243,9 @@ def fit(
             f"{number} {shape.name}": Parameters(0.0, 1.0, 0.0, D, shape=shape)
             for number, (shape, D) in enumerate(begin)
         }
-    probe = plain[next(iter(plain))]
+        probe = next(iter(plain.values()))
     choice = choose_loss(loss, sets, grids, added, asked, horizon, probe, responds=responds)
-    oracle = _Oracle(grids, full)
+    oracle = Oracle(grids, full)
     if added and choice.name != "residual":
         grids = [corrected(grid, R) for grid, R in zip(grids, added)]
     losses: Sequence[ReducedLoss | FullLoss] = grids or full
@@ -389,53 +385,6 @@ def _numbers(at: Parameters) -> tuple[Any, ...]:
     """What lps_force takes after u."""
     own = () if at.D_dilatation is None else (at.D_dilatation,)
     return (at.lam, at.mu, at.alpha, at.D, *own)
-
-
-class _Oracle:
-    """Holds the reduced loss to the full one and to the gradients of Warp's tape."""
-
-    def __init__(self, grids: Sequence[ReducedLoss], full: Sequence[FullLoss]) -> None:
-        self.grids, self.full = grids, full
-        self.gradient_size: float | None = None
-
-    def check(self, at: Parameters) -> None:
-        """Compare at one point, on lattices; the first one sets the size of the gradient."""
-        if not self.grids:
-            return
-        variables = Variables(at, positive=False, parametrisation="projected")
-        results = []
-        for loss in (
-            variables.loss(self.grids),
-            torch.stack([one.loss(*variables.leaves) for one in self.full]).sum(),
-        ):
-            lam, mu, alpha, *kernels = torch.autograd.grad(loss, variables.leaves)
-            # The scale of D has no effect: its gradient is that by D of the volume of D = 1.
-            kernels = [
-                part * self._volume(at.alpha, D) for part, D in zip(kernels, variables.leaves[3:])
-            ]
-            parts = torch.cat([part.reshape(-1) for part in (lam, mu, alpha, *kernels)])
-            results.append((loss.item(), parts.detach()))
-        (found, gradient), (expected, reference) = results
-        self.gradient_size = self.gradient_size or float(reference.norm())
-        # Rounding in the residual, relative to the loads, is all that is left of an exact fit.
-        allowed = AGREEMENT * expected + ROUNDING * np.sqrt(expected) + ROUNDING**2
-        if abs(found - expected) > allowed:
-            raise RuntimeError(
-                f"the reduced loss {found:.15e} departs from the full {expected:.15e}"
-            )
-        difference = float((gradient - reference).norm())
-        if difference > AGREEMENT * self.gradient_size:
-            raise RuntimeError(
-                f"the reduced gradient departs from Warp's tape by {difference:.1e}, "
-                f"the gradient at the start is {self.gradient_size:.1e}"
-            )
-
-    def _volume(self, alpha: float, D: torch.Tensor) -> float:
-        """Weighted volume of a kernel over that of K = r^(−α)."""
-        one = self.grids[0].classes
-        terms = one.count * one.weight * one.r ** (2 - alpha)
-        basis = bernstein_basis(one.r, one.horizon, len(D) - 1)
-        return float(abs(terms @ (basis @ D.detach().numpy())) / terms.sum())
 
 
 def _versions() -> dict[str, str]:
