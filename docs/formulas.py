@@ -4,7 +4,14 @@ import html
 import re
 
 from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 
+# What the converter leaves as it was typed behind \big and \Big.
+DELIMITERS = dict(zip((r"\lvert", r"\rvert", r"\lVert", r"\rVert", r"\{", r"\}"), "||‖‖{}"))
+# A bar is a bracket here, of its own height and without the space that an operator has around it.
+BAR = re.compile(r"<mo>(&#x0007C;|&#x02016;)</mo>")
+SIZED = re.compile(r"<mo (minsize=.*?)</mo>")
+OVERLINE = re.compile(r'<mover>((?:(?!<mover>).)*?)<mo accent="true">&#x02015;</mo></mover>')
 FORMULA = re.compile(
     r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL
 )
@@ -22,6 +29,13 @@ def _drawn(found: re.Match) -> str:
     drawn = convert(
         re.sub(r"\\tag\{\d+\}", "", latex), display="inline" if inline is not None else "block"
     )
+    for typed, sign in DELIMITERS.items():
+        drawn = drawn.replace(f">{typed}<", f">{sign}<")
+    drawn = BAR.sub(r'<mo lspace="0" rspace="0" stretchy="false">\1</mo>', drawn)
+    drawn = SIZED.sub(r'<mrow><mo lspace="0" rspace="0" stretchy="true" \1</mo></mrow>', drawn)
+    drawn = OVERLINE.sub(r'<mrow class="overline">\1</mrow>', drawn)
+    if re.search(r"[\\$]", drawn):
+        raise PluginError(f"formula: expected LaTeX that can be drawn, got {latex}")
     if inline is not None:
         return drawn
     label = f'<span class="number">({number[1]})</span>' if number else ""
