@@ -152,7 +152,13 @@ def _parser() -> argparse.ArgumentParser:
         "--out",
         required=True,
         type=Path,
-        help="folder of .vtu files for fields, .csv for influence, .npz for operator",
+        help="folder for fields, .csv for influence, .npz for operator",
+    )
+    one.add_argument(
+        "--format",
+        choices=("vtu", "xdmf"),
+        default="vtu",
+        help="fields: a .vtu file a sample, or one .xdmf file with samples as time steps",
     )
     one.add_argument("--data", type=Path, metavar="DATA.h5", help="nodes, loads and collar")
     one.add_argument("--set", default="test")

@@ -271,11 +271,8 @@ def run_export(given: argparse.Namespace) -> Result:
         model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
     )
     with locked(given.out):
-        return {
-            "files": [
-                str(path) for path in warp_peri.export.write_fields(given.out, model, points, u)
-            ]
-        }
+        paths = warp_peri.export.write_fields(given.out, model, points, u, format=given.format)
+    return {"files": [str(path) for path in paths]}
 
 
 def run_sweep(given: argparse.Namespace) -> Result:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from xml.etree.ElementTree import Element, ElementTree, SubElement
 
+import h5py
 import numpy as np
 import scipy.sparse as sp
 
@@ -16,49 +18,46 @@ from warp_peri.matrices import matrices
 from warp_peri.model import Model
 from warp_peri.stress import node_fields
 
+FORMATS = ("vtu", "xdmf")
+"""What write_fields writes."""
+
+XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
+XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components
+
 
 def write_fields(
-    folder: str | os.PathLike[str], model: Model, points: PointSet, u: np.ndarray
+    folder: str | os.PathLike[str],
+    model: Model,
+    points: PointSet,
+    u: np.ndarray,
+    *,
+    format: str = "vtu",
 ) -> list[Path]:
-    """One VTU file a sample, for ParaView: what a displacement does, and how far off it is.
+    """What a displacement does, and how far off it is, for ParaView.
 
     Points are the nodes; four neighbours on a lattice make a quadrilateral, other points stand
-    alone. Displacement [Å], its error against the set's own u [Å], body force density [TPa/Å], and
-    on interior nodes (NaN elsewhere) stress [TPa], strain, dilatation, energy density [TPa].
+    alone. On all nodes displacement [Å], its error against the set's own u [Å], body_force (a
+    density) [TPa/Å], and interior (1 or 0). On interior nodes, NaN elsewhere: stress [TPa] and
+    strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ with zeros out of the plane, dilatation,
+    energy density [TPa].
 
     Args:
-        folder: for sample_0000.vtu and so on; it is made if it is not there.
+        folder: for the files; it is made if it is not there.
         model: the model.
         points: the set, with b and, to compare, u.
         u: displacement [Å], shape [S, N, 2].
+        format: "vtu" for one file a sample, sample_0000.vtu and so on; "xdmf" for one file with
+            the samples as time steps 0 to S - 1, samples.xdmf, and its arrays in samples.h5.
 
-    Raises InputError without meshio (the extra `export`), or as node_fields does.
+    Raises InputError for another format, for "vtu" without meshio (the extra `export`) or into a
+    folder where more samples than S lie already, which ParaView would show as one group, or as
+    node_fields does.
     """
-    try:
-        import meshio
-    except ImportError:
-        raise InputError("meshio is not installed: pip install 'warp_peri[export]'") from None
-    found = node_fields(model, points, u)
+    if format not in FORMATS:
+        raise InputError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    write = _write_vtu if format == "vtu" else _write_xdmf
     x = np.column_stack([points.x, np.zeros(len(points.x))])
-    cells = _cells(points)
-    paths = []
-    for s, one in enumerate(u):
-        data = {
-            "displacement": _vector(one),
-            "error": _vector(one - points.u[s]),
-            "body_force": _vector(points.b[s]),
-            "interior": points.interior.astype(float),
-        }
-        for name in ("stress", "strain"):
-            tensor = getattr(found, name)[s]
-            for key, i, j in (("xx", 0, 0), ("yy", 1, 1), ("xy", 0, 1)):
-                data[f"{name}_{key}"] = _everywhere(points, tensor[:, i, j])
-        for name in ("dilatation", "energy"):
-            data[name] = _everywhere(points, getattr(found, name)[s])
-        paths.append(Path(folder) / f"sample_{s:04d}.vtu")
-        with whole_file(paths[-1]) as temporary:
-            meshio.Mesh(x, cells, point_data=data).write(temporary)
-    return paths
+    return write(Path(folder), x, *_cells(points), _samples(model, points, u))
 
 
 def write_influence(path: str | os.PathLike[str], model: Model, spacing: float) -> Path:
@@ -98,20 +97,119 @@ def write_operator(path: str | os.PathLike[str], model: Model, points: PointSet)
     return Path(path)
 
 
+def _write_vtu(
+    folder: Path, x: np.ndarray, kind: str, cells: np.ndarray, samples: list[dict[str, np.ndarray]]
+) -> list[Path]:
+    try:
+        import meshio
+    except ImportError:
+        raise InputError(
+            "meshio is not installed: pip install 'warp_peri[export]', or take xdmf"
+        ) from None
+    paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(samples))]
+    left = sorted(set(folder.glob("sample_*.vtu")) - set(paths))
+    if left:
+        raise InputError(
+            f"{folder}: expected a folder without samples of another export, "
+            f"got {left[0].name}; remove it or name another folder"
+        )
+    for path, data in zip(paths, samples):
+        with whole_file(path) as temporary:
+            meshio.Mesh(x, [(kind, cells)], point_data=data).write(temporary)
+    return paths
+
+
+def _write_xdmf(
+    folder: Path, x: np.ndarray, kind: str, cells: np.ndarray, samples: list[dict[str, np.ndarray]]
+) -> list[Path]:
+    """The samples as time steps; there is never a samples.xdmf beside another export's arrays.
+
+    Every step names nodes and cells again, though they are stored once: where steps include them
+    from one place, as meshio writes it, one of ParaView's readers shows each mesh twice.
+    """
+    light, heavy = folder / "samples.xdmf", folder / "samples.h5"
+    root = Element("Xdmf", Version="3.0")
+    steps = SubElement(
+        SubElement(root, "Domain"),
+        "Grid",
+        Name="samples",
+        GridType="Collection",
+        CollectionType="Temporal",
+    )
+    with whole_file(light) as xml, whole_file(heavy) as hdf, h5py.File(hdf, "w") as arrays:
+
+        def item(parent: Element, name: str, values: np.ndarray) -> None:
+            if name not in arrays:
+                arrays[name] = values
+            SubElement(
+                parent,
+                "DataItem",
+                Format="HDF",
+                DataType="Float" if values.dtype.kind == "f" else "Int",
+                Precision=str(values.dtype.itemsize),
+                Dimensions=" ".join(map(str, values.shape)),
+            ).text = f"{heavy.name}:/{name}"
+
+        for s, data in enumerate(samples):
+            grid = SubElement(steps, "Grid", Name=f"sample_{s:04d}", GridType="Uniform")
+            SubElement(grid, "Time", Value=str(s))
+            item(SubElement(grid, "Geometry", GeometryType="XYZ"), "nodes", x)
+            topology = SubElement(
+                grid, "Topology", TopologyType=XDMF_CELLS[kind], NumberOfElements=str(len(cells))
+            )
+            if kind == "vertex":
+                topology.set("NodesPerElement", "1")
+            item(topology, "cells", cells)
+            for name, values in data.items():
+                columns = values.size // len(x)
+                attribute = SubElement(
+                    grid, "Attribute", Name=name, Center="Node", AttributeType=XDMF_TYPES[columns]
+                )
+                item(attribute, f"sample_{s:04d}/{name}", values)
+        ElementTree(root).write(xml)
+        light.unlink(missing_ok=True)  # an old one must not meet the new arrays
+    return [light, heavy]
+
+
+def _samples(model: Model, points: PointSet, u: np.ndarray) -> list[dict[str, np.ndarray]]:
+    """The point data of each sample."""
+    found = node_fields(model, points, u)
+    return [
+        {
+            "displacement": _vector(one),
+            "error": _vector(one - points.u[s]),
+            "body_force": _vector(points.b[s]),
+            "stress": _everywhere(points, _tensor(found.stress[s])),
+            "strain": _everywhere(points, _tensor(found.strain[s])),
+            "dilatation": _everywhere(points, found.dilatation[s]),
+            "energy": _everywhere(points, found.energy[s]),
+            "interior": points.interior.astype(float),
+        }
+        for s, one in enumerate(u)
+    ]
+
+
+def _tensor(field: np.ndarray) -> np.ndarray:
+    """ParaView's symmetric tensors have six components: XX, YY, ZZ, XY, YZ, XZ."""
+    out = np.zeros((len(field), 6))
+    out[:, 0], out[:, 1], out[:, 3] = field[:, 0, 0], field[:, 1, 1], field[:, 0, 1]
+    return out
+
+
 def _vector(field: np.ndarray) -> np.ndarray:
     """ParaView's vectors have three components."""
     return np.column_stack([field, np.zeros(len(field))])
 
 
 def _everywhere(points: PointSet, values: np.ndarray) -> np.ndarray:
-    out = np.full(len(points.x), np.nan)
+    out = np.full((len(points.x), *values.shape[1:]), np.nan)
     out[points.interior] = values
     return out
 
 
-def _cells(points: PointSet) -> list[tuple[str, np.ndarray]]:
+def _cells(points: PointSet) -> tuple[str, np.ndarray]:
     """Quadrilaterals of a lattice along the axes whose four corners are there, else vertices."""
-    vertices = [("vertex", np.arange(len(points.x))[:, None])]
+    vertices = "vertex", np.arange(len(points.x))[:, None]
     if points.spacing == 0:
         return vertices
     place = (points.x - points.x.min(axis=0)) / points.spacing
@@ -123,4 +221,4 @@ def _cells(points: PointSet) -> list[tuple[str, np.ndarray]]:
     corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
     quads = np.stack([corner.ravel() for corner in corners], axis=1)
     quads = quads[(quads >= 0).all(axis=1)]
-    return [("quad", quads)] if len(quads) else vertices
+    return ("quad", quads) if len(quads) else vertices
