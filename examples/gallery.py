@@ -78,6 +78,13 @@ FIGURES = (
         "graphene_0K/disks.png",
     ),
     Figure(
+        "The worst of them",
+        "The disk of the largest error among these four.",
+        (TRAIN,),
+        "disk.png",
+        "graphene_0K/disk.png",
+    ),
+    Figure(
         "Stress on a held-out disk",
         "Stress that the model predicts inside the first disk, displacement magnified "
         f"{MAGNIFIED} times; the grey mesh is the collar, where displacement is given.",
@@ -112,6 +119,7 @@ FIGURES = (
         "kernels that keep their sign fail ([more](influence.md)).",
         ("python examples/influence_shapes.py",),
         "influence.png",
+        "influence_shapes/shapes.png",
     ),
     Figure(
         "Does it find a kernel that is known?",

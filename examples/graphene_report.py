@@ -68,16 +68,24 @@ def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = 
     save_figure(figure, folder / "loss.png")
 
 
-def draw_disks(path: Path, model: Model, points: PointSet, table: dict[str, Any]) -> None:
-    """u₁ on the disks: molecular data, model and error, a row a disk."""
+def draw_disks(
+    path: Path,
+    model: Model,
+    points: PointSet,
+    table: dict[str, Any],
+    *,
+    worst: bool = False,
+) -> None:
+    """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
     solved = solve(model, points, points.b, points.u, allow_uncertified=True)
-    inside = points.interior
-    rows = len(points)
+    errors, inside = table["E_u_samples"], points.interior
+    samples = [int(np.argmax(errors))] if worst else list(range(len(points)))
+    rows = len(samples)
     figure, axes = plt.subplots(
         rows, 3, figsize=(9.5, 2.7 * rows + 0.4), squeeze=False, layout="constrained"
     )
-    names = points.samples.get("load_id", np.arange(1, rows + 1))
-    for s, row in enumerate(axes):
+    names = points.samples.get("load_id", np.arange(1, len(points) + 1))
+    for s, row in zip(samples, axes):
         truth, predicted = points.u[s, inside, 0], solved[s, inside, 0]
         error = 1000 * (predicted - truth)
         limit, small = np.abs([truth, predicted]).max(), np.abs(error).max()
@@ -89,8 +97,9 @@ def draw_disks(path: Path, model: Model, points: PointSet, table: dict[str, Any]
         for ax, title in zip(row, ("molecular data", "model", "model − molecular")):
             ax.set_title(title, fontsize="medium")
             ax.set_xlabel("x₁ [Å]")
-        row[0].set_ylabel(f"{names[s]}: E_u = {100 * table['E_u_samples'][s]:.2f} %\nx₂ [Å]")
-    figure.suptitle("Displacement on disks the fit never saw (interior nodes)")
+        row[0].set_ylabel(f"{names[s]}: E_u = {100 * errors[s]:.2f} %\nx₂ [Å]")
+    disk = "disks" if rows > 1 else "a disk"
+    figure.suptitle(f"Displacement on {disk} the fit never saw (interior nodes)")
     save_figure(figure, path)
 
 
@@ -214,7 +223,7 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
         "",
         ", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
         "",
-        "Figures: `influence.png`, `loss.png`, `disks.png`, `waves.png`.",
+        "Figures: `influence.png`, `loss.png`, `disks.png`, `disk.png` (the worst), `waves.png`.",
     ]
     write_text(path, "\n".join(lines) + "\n")
 

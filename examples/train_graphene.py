@@ -81,7 +81,10 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     with phase("figures", seconds):
         report.draw_fit(given.out, found, given.spacing, sure)
         if "test" in sets:
-            report.draw_disks(given.out / "disks.png", model, sets["test"], tables["test"])
+            for name, worst in (("disks.png", False), ("disk.png", True)):
+                report.draw_disks(
+                    given.out / name, model, sets["test"], tables["test"], worst=worst
+                )
         if "wave_number" in sets["train"].samples:
             report.draw_waves(given.out / "waves.png", sets["train"], tables["train"])
     model.save(given.out / "model.json")
