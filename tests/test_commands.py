@@ -84,7 +84,7 @@ def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
     out = tmp_path / "solved.h5"
     answer(capsys, "solve", model_file, data, "--out", out)
     test = load_dataset(data)["test"]
-    settings = tomllib.loads((tmp_path / "solved.toml").read_text())["solve"]
+    settings = tomllib.loads((tmp_path / "solved.solve.toml").read_text())["solve"]
     assert settings["set"] == "test"
     u = solve(load_model(model_file), test, test.b, test.u)
     np.testing.assert_allclose(load_dataset(out)["test"].u, u)
@@ -160,10 +160,10 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     answer(capsys, *words, "--force", tmp_path / "f.csv", "--set", "val")
     data = load_dataset(out)
     assert sorted(data) == ["train", "val"]
-    settings = tomllib.loads((tmp_path / "own.val.toml").read_text())["coarse-grain"]
+    settings = tomllib.loads((tmp_path / "own.val.coarse-grain.toml").read_text())["coarse-grain"]
     assert settings["box"] == [40.0, 40.0]
     before = data["val"].b
-    line = ["coarse-grain", "--config", tmp_path / "own.val.toml"]
+    line = ["coarse-grain", "--config", tmp_path / "own.val.coarse-grain.toml"]
     assert answer(capsys, *line)["set"] == "val"
     np.testing.assert_array_equal(load_dataset(out)["val"].b, before)
     assert first["nodes"] == 21 * 21

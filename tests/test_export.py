@@ -172,6 +172,8 @@ def test_the_command(model, points, tmp_path, capsys):
     np.testing.assert_allclose(data["displacement"][:, :2], u[1], atol=1e-12)
     assert main(["export", "influence", m, "--out", str(tmp_path / "K.csv")]) == 0
     assert main(["export", "operator", m, "--data", d, "--out", str(tmp_path / "L.npz")]) == 0
+    for settings in ("vtu/export.toml", "K.export.toml", "L.export.toml"):
+        assert main(["export", "--config", str(tmp_path / settings)]) == 0
     capsys.readouterr()
     assert main(["export", "operator", m, "--out", str(tmp_path / "L.npz")]) == 2
     assert "needs the nodes of a data file" in capsys.readouterr().err

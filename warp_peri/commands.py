@@ -69,7 +69,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
                 )
         sets[given.set] = found
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
-        keep(given, given.out.with_suffix(f".{given.set}.toml"))
+        keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
     return {
         "file": str(given.out),
         "set": given.set,
@@ -249,29 +249,35 @@ def run_solve(given: argparse.Namespace) -> Result:
         save_dataset(
             given.out, Dataset({given.set: solved}, data.thickness, data.density, provenance)
         )
-        keep(given, given.out.with_suffix(".toml"))
+        keep(given, given.out.with_suffix(".solve.toml"))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
     return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
 
 
 def run_export(given: argparse.Namespace) -> Result:
     """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
-    model = load_model(given.model)
+    model, settings = load_model(given.model), given.out.with_suffix(".export.toml")
     if given.what == "influence":
         spacing = given.spacing or (model.trained_on[0] if model.trained_on else None)
         if spacing is None:
             raise InputError("spacing: the model names no training lattice; give --spacing")
-        return {"files": [str(warp_peri.export.write_influence(given.out, model, spacing))]}
-    if given.data is None:
+        paths = [warp_peri.export.write_influence(given.out, model, spacing)]
+    elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
-    points = load_dataset(given.data)[given.set]
-    if given.what == "operator":
-        return {"files": [str(warp_peri.export.write_operator(given.out, model, points))]}
-    u = warp_peri.solve(
-        model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
-    )
-    with locked(given.out):
-        paths = warp_peri.export.write_fields(given.out, model, points, u, format=given.format)
+    else:
+        points = load_dataset(given.data)[given.set]
+        if given.what == "operator":
+            paths = [warp_peri.export.write_operator(given.out, model, points)]
+        else:
+            settings = given.out / "export.toml"
+            u = warp_peri.solve(
+                model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
+            )
+            with locked(given.out):
+                paths = warp_peri.export.write_fields(
+                    given.out, model, points, u, format=given.format
+                )
+    keep(given, settings)
     return {"files": [str(path) for path in paths]}
 
 
