@@ -39,4 +39,4 @@ def _drawn(found: re.Match) -> str:
     if inline is not None:
         return drawn
     label = f'<span class="number">({number[1]})</span>' if number else ""
-    return f'<div class="formula">{drawn}{label}</div>'
+    return f'<div class="formula"><div>{drawn}</div>{label}</div>'

@@ -91,7 +91,7 @@ FIGURES = (
         (
             TRAIN,
             "warp-peri export fields runs/graphene_0K/model.json --data data/graphene_0K.h5 "
-            "--set test --out runs/graphene_0K/fields",
+            "\\\n    --set test --out runs/graphene_0K/fields",
             "python examples/gallery.py",
         ),
         "gallery/stress.png",

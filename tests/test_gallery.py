@@ -29,7 +29,7 @@ def figures():
     for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
         (picture,) = re.findall(r"!\[.+\]\((.+)\)", part)
         (fence,) = re.findall(r"```\n(.*?)```", part.split(picture)[1], re.DOTALL)
-        found.append((part.splitlines()[0], picture, fence.splitlines()))
+        found.append((part.splitlines()[0], picture, fence.replace("\\\n", "").splitlines()))
     assert text.count("![") == len(found)
     return found
 

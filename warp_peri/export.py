@@ -18,9 +18,6 @@ from warp_peri.matrices import matrices
 from warp_peri.model import Model
 from warp_peri.stress import node_fields
 
-FORMATS = ("vtu", "xdmf")
-"""What write_fields writes."""
-
 XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
 XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components
 
@@ -53,11 +50,11 @@ def write_fields(
     folder where more samples than S lie already, which ParaView would show as one group, or as
     node_fields does.
     """
-    if format not in FORMATS:
-        raise InputError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    write = _write_vtu if format == "vtu" else _write_xdmf
+    writers = {"vtu": _write_vtu, "xdmf": _write_xdmf}
+    if format not in writers:
+        raise InputError(f"format: expected one of {', '.join(writers)}, got {format!r}")
     x = np.column_stack([points.x, np.zeros(len(points.x))])
-    return write(Path(folder), x, *_cells(points), _samples(model, points, u))
+    return writers[format](Path(folder), x, *_cells(points), _samples(model, points, u))
 
 
 def write_influence(path: str | os.PathLike[str], model: Model, spacing: float) -> Path:
