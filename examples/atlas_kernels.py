@@ -211,7 +211,7 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
         ax.semilogy(ratio, 100 * np.array(values), style, color=f"C{number // 2}", label=label)
     ax.set_xlabel("spacing of the nodes / 5 Å")
     ax.set_ylabel("E_u on held-out disks [%]")
-    ax.legend(frameon=False)
+    ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     one, two = (table[f"δ = 20 Å, trained on {name}"] for name in ("5 Å", "5 and 2.5 Å"))
     short = table["δ = 12.5 Å, trained on 5 and 2.5 Å"]
     text = f"""A kernel learned on one lattice knows $K$ at the bond lengths of that lattice only. At δ = 20 Å, trained on
