@@ -240,7 +240,7 @@ def test_a_table_is_trained_from_a_file(data, tmp_path, capsys):
     K = tmp_path / "K.csv"
     K.write_text("# r, K\n0.5, 1.0\n2.5, 0.2\n")
     words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
-    assert answer(capsys, *words, "--loss", "residual")["influence"]["function"] == "table"
+    assert answer(capsys, *words, "--loss", "residual")["influence"]["function"] == "tabulated"
     model = load_model(tmp_path / "run" / "model.json")
     np.testing.assert_allclose(model.influence([1.0, 2.0]), [0.8, 0.4], rtol=1e-7)
 

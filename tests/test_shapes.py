@@ -1,6 +1,7 @@
 """Influence functions given as callables: their polynomial, their fit, their gradients."""
 
 import dataclasses
+import pickle
 import re
 
 import numpy as np
@@ -44,7 +45,7 @@ SHAPES = {
     "conical": InfluenceFunction(conical, {"reach": 3.7}),
     "sign-changing": InfluenceFunction(
         humps,
-        {"width": 1.6, "ratio": 1.5, "size": 0.3},
+        {"width": 1.6, "ratio": 2.0, "size": 0.1},
         {"width": (0.5, 4.0), "ratio": (1.1, 3.0), "size": (0.0, 0.9)},
     ),
     "table": InfluenceFunction(lines, {"K": [1.0, 0.7, -0.1, 0.2]}),
@@ -267,6 +268,80 @@ def test_noise_and_how_sure_a_shape_is():
     assert abs(found.model.mu - true.mu) < 4 * sure.deviation(lambda model: model.mu)
 
 
+@pytest.mark.parametrize("start", [1e-300, 1e-12, 1e-6])
+def test_a_start_beside_zero_is_no_trap(start):
+    def falling(r, a):
+        return np.exp(-a * r**2)
+
+    true = InfluenceFunction(falling, {"a": 0.28})
+    points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
+    found = fit(points, horizon=HORIZON, influence=true.at(np.array([start])))
+    assert found.influence is not None
+    assert found.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
+
+
+def test_derivatives_beside_zero_and_at_the_bounds():
+    def wave(r, phase):
+        return np.cos(r + phase)
+
+    for phase in (1e-12, 0.0, 0.4, 1.0):
+        shape = InfluenceFunction(wave, {"phase": phase}, {"phase": (0.0, 1.0)})
+        expected = -np.sin(LENGTHS + phase)[:, None]
+        np.testing.assert_allclose(shape.slopes(LENGTHS), expected, atol=1e-10)
+
+
+def test_a_function_is_never_asked_beyond_its_bounds():
+    def root(r, a):
+        if a < 0:
+            raise ValueError("outside")
+        return 1 + np.sqrt(a) * r
+
+    true = InfluenceFunction(root, {"a": 0.0}, {"a": (0.0, 5.0)})
+    points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
+    start = InfluenceFunction(root, {"a": 0.5}, {"a": (0.0, 5.0)})
+    found = fit(points, horizon=HORIZON, influence=start)
+    assert found.influence is not None
+    assert 0 <= found.influence.parameters["a"] < 1e-4
+
+
+def test_a_start_that_leaves_its_domain_is_passed_over():
+    def logarithm(r, a):
+        with np.errstate(invalid="ignore"):
+            return np.log(a - r)
+
+    points = manufactured(solid(SHAPES["gaussian"], 1.0), lattice(4, HORIZON), 2)
+    bad = InfluenceFunction(logarithm, {"a": 3.01})
+    found = fit(points, horizon=HORIZON, influence=[bad, off(SHAPES["gaussian"])])
+    assert list(found.starts) == ["1 gaussian"]
+    with pytest.raises(InputError, match="'logarithm': K is not finite"):
+        fit(points, horizon=HORIZON, influence=bad)
+
+
+@pytest.mark.parametrize("moduli", [(-0.2, 0.7), "isotropic"])
+def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
+    shape = table([0.5, 3.0], [1.0, 0.1])
+    points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
+    with pytest.raises(RuntimeError, match="moduli to be held missed by"):
+        fit(points, horizon=HORIZON, influence=shape, moduli=moduli)
+
+
+def test_moduli_are_held_by_a_shape_that_can():
+    def two(r, a, b):
+        return 1 / r + a + b * r
+
+    shape = InfluenceFunction(two, {"a": 0.1, "b": 0.1})
+    points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
+    found = fit(points, horizon=HORIZON, influence=shape, moduli=(0.1, 0.6))
+    assert found.moduli[0]["C44"] == pytest.approx(0.6, abs=1e-6)
+    assert (found.model.lam, found.model.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
+
+
+def test_a_fit_with_a_table_travels():
+    shape = table([0.5, 1.5, 3.0], [1.0, 0.6, 0.1], learned=True)
+    again = pickle.loads(pickle.dumps(shape))
+    np.testing.assert_array_equal(again(LENGTHS), shape(LENGTHS))
+
+
 # What is refused
 
 
@@ -275,6 +350,16 @@ def test_noise_and_how_sure_a_shape_is():
     [
         ({"function": gaussian, "parameters": {"width": np.nan}}, "width: expected finite numbers"),
         ({"function": gaussian, "parameters": {"width": "2"}}, "width: expected finite numbers"),
+        ({"function": 3}, "expected a function of r, got 3"),
+        ({"function": gaussian, "parameters": [8.0]}, "parameters: expected a dict, got [8.0]"),
+        (
+            {"function": gaussian, "parameters": {"width": 2.0}, "bounds": {"width": 5}},
+            "bounds of width: expected (lowest, highest), got 5",
+        ),
+        (
+            {"function": gaussian, "parameters": {"width": 2.0}, "bounds": {"width": (1, None)}},
+            "bounds of width: expected (lowest, highest), got (1, None)",
+        ),
         (
             {"function": gaussian, "parameters": {"width": 2.0}, "bounds": {"reach": (0, 1)}},
             "no parameter 'reach'; there are: width",
@@ -300,6 +385,7 @@ def test_parameters_that_make_no_sense(options, message):
         (lambda r: r[0], r"expected K of shape \[6\], the shape of r, got \[\]"),
         (lambda r: np.where(r > 2, np.nan, 1.0), "K is not finite at r = 2.23607"),
         (lambda r: 0 * r, "K is zero at every bond length"),
+        (lambda r: 1j * r, "expected real K, got complex128"),
     ],
 )
 def test_functions_that_are_no_influence_function(function, message):
@@ -336,6 +422,12 @@ def test_a_volume_of_zero():
         ({"degree": 3, "influence": SHAPES["gaussian"]}, "expected one of the two"),
         ({"influence": SHAPES["gaussian"], "method": "two-stage"}, "one for both parts"),
         ({"influence": SHAPES["gaussian"], "two_functions": True}, "one for both parts"),
+        ({"influence": gaussian}, r"f\(r, width\) is InfluenceFunction\(f, "),
+        ({"influence": "gaussian"}, "expected an InfluenceFunction or a list of them"),
+        ({"influence": [gaussian]}, "expected an InfluenceFunction or a list of them"),
+        ({"degree": 1, "moduli": 0.7}, r"expected \(λ, μ\)"),
+        ({"degree": 1, "moduli": (0.7,)}, r"expected \(λ, μ\)"),
+        ({"degree": 1, "moduli": (0.1, 0.7, 0.2)}, r"expected \(λ, μ\)"),
     ],
 )
 def test_what_a_fit_refuses(options, message):

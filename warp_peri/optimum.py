@@ -32,6 +32,8 @@ HEADROOM = 1.01
 SEARCH_TOLERANCE = 1e-9
 """Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
 ISOTROPIC = "isotropic"
+MODULI_TOLERANCE = 1e-6
+"""Distance [TPa] from moduli to be held that counts as none."""
 SMOOTHNESS = 1e-10
 """Weight of the second differences of D beside the relative residual. It costs an ordinary fit
 nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
@@ -45,13 +47,15 @@ class Optimum:
         parameters: λ, μ, α, D.
         loss: at the optimum, relative to the loads.
         margin: smallest margin over the searched zones [TPa].
+        departure: farthest that a modulus is from what was to be held [TPa].
         cuts: number of wave vectors the conditions were kept on.
-        converged: whether no violation was left.
+        converged: whether no violation was left, and the moduli are those to be held.
     """
 
     parameters: Parameters
     loss: float
     margin: float
+    departure: float
     cuts: int
     converged: bool
 
@@ -93,8 +97,10 @@ def constrained_optimum(
                 cuts[number], kept = np.concatenate([cuts[number], worst]), False
         if kept:
             break
+    departure = problem.farthest(y)
+    kept = kept and departure <= MODULI_TOLERANCE
     parameters = coordinates.parameters(y, losses)
-    return Optimum(parameters, loss, margin, sum(map(len, cuts)), kept)
+    return Optimum(parameters, loss, margin, departure, sum(map(len, cuts)), kept)
 
 
 def coordinates_of(
@@ -225,6 +231,12 @@ class Problem:
         values.append(point.limits)
         slopes.append(point.dlimits)
         return np.concatenate(values), np.concatenate(slopes)
+
+    def farthest(self, y: np.ndarray) -> float:
+        """Largest departure [TPa] from the moduli that are to be held; 0 where none are."""
+        if self.moduli is None:
+            return 0.0
+        return float(np.abs(self.departure(self.coordinates.point(y))[0]).max())
 
     def departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """C44 − μ of every lattice, and μ and κ less what was asked for; derivative to y."""

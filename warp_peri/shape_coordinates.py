@@ -29,7 +29,9 @@ class ShapeCoordinates:
         self._sigma = [one.count * one.r**2 for one in lattices]
         self._ends = shape.ends
         self._first = shape.vector
-        self._size = np.where(self._first == 0, 1.0, np.abs(self._first))
+        self._size = np.maximum(1.0, np.abs(self._first))
+        width = self._ends[1] - self._ends[0]
+        self._room = np.where(np.isfinite(width), width, self._size)
         for one, sigma in zip(lattices, self._sigma):
             terms = sigma * one.weight * shape(one.r)
             if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
@@ -64,11 +66,11 @@ class ShapeCoordinates:
         return Point(float(y[0]), 0.0, mu, dmu, v, v, dv, dv, limits, dlimits)
 
     def _limits(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distances from the bounds, in sizes of the parameters, and their derivative."""
+        """Distances from the bounds, in parts of what lies between, and their derivative."""
         signed = np.concatenate([(y[2:] - self._ends[0]), (self._ends[1] - y[2:])])
         slopes = np.concatenate([np.eye(len(y))[2:], -np.eye(len(y))[2:]])
         bounded = np.isfinite(signed)
-        size = np.concatenate([self._size, self._size])[bounded]
+        size = np.concatenate([self._room, self._room])[bounded]
         return signed[bounded] / size, slopes[bounded] / size[:, None]
 
     def roughness(self, y: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,9 +36,14 @@ BOND_WEIGHT = 1e5
 """Of an error at a bond length beside one between them."""
 BETWEEN = 1000
 """Distances between the bond lengths that a polynomial is fitted at."""
-STEP = 1e-4
-"""Of the differences in a parameter, relative; of fourth order, hence exact to about 1e-12. Two
-steps beyond its bounds a function must still be defined."""
+STEP, SEEN = 1e-4, 1e-7
+"""A derivative is taken with a step of this times the parameter, or with a larger one, up to this
+itself, where K changes by less than SEEN of its size; of fourth order, hence exact to 1e-12."""
+
+
+CENTRAL = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+FORWARD = {1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
+"""Differences of fourth order from the value itself, by steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +64,11 @@ class InfluenceFunction:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise InputError(f"influence: expected a function of r, got {self.function!r:.60}")
+        for name in ("parameters", "bounds"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise InputError(f"{name}: expected a dict, got {getattr(self, name)!r:.60}")
         values = {}
         for name, value in self.parameters.items():
             array = np.array(value)
@@ -69,7 +80,7 @@ class InfluenceFunction:
             if name not in self.parameters:
                 known = ", ".join(self.parameters) or "none"
                 raise InputError(f"bounds: no parameter {name!r}; there are: {known}")
-            if not (len(ends) == 2 and ends[0] < ends[1]):
+            if not _is_interval(ends):
                 raise InputError(f"bounds of {name}: expected (lowest, highest), got {ends!r}")
         lowest, highest = self.ends
         if not ((lowest <= self.vector) & (self.vector <= highest)).all():
@@ -78,7 +89,8 @@ class InfluenceFunction:
     @property
     def name(self) -> str:
         """Name of the function."""
-        return str(getattr(self.function, "__name__", type(self.function).__name__))
+        inner = getattr(self.function, "func", self.function)  # of a functools.partial
+        return str(getattr(inner, "__name__", type(inner).__name__))
 
     @property
     def vector(self) -> np.ndarray:
@@ -108,7 +120,10 @@ class InfluenceFunction:
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """K at the distances r [Å], of the shape of r."""
         at = np.asarray(r, dtype=float)
-        K = np.array(self.function(at.copy(), **copy.deepcopy(self.parameters)), dtype=float)
+        K = np.array(self.function(at.copy(), **copy.deepcopy(self.parameters)))
+        if K.dtype.kind not in "iufb":
+            raise InputError(f"influence '{self.name}': expected real K, got {K.dtype}")
+        K = K.astype(float)
         if K.shape != at.shape:
             raise InputError(
                 f"influence '{self.name}': expected K of shape {list(at.shape)}, the shape of r, "
@@ -123,14 +138,29 @@ class InfluenceFunction:
         return K
 
     def slopes(self, r: np.ndarray) -> np.ndarray:
-        """Derivatives of K to the parameters, shape [R, P], by differences of fourth order."""
-        p, free = self.vector, dataclasses.replace(self, bounds={})
+        """Derivatives of K to the parameters, shape [R, P], by differences within the bounds."""
+        p, K = self.vector, self(r)
+        size = np.abs(K).max()
         out = np.empty((len(r), len(p)))
-        for n, value in enumerate(p):
-            step = np.zeros(len(p))
-            step[n] = STEP * (abs(value) or 1.0)
-            near, far = (free.at(p + m * step)(r) - free.at(p - m * step)(r) for m in (1, 2))
-            out[:, n] = (8 * near - far) / (12 * step[n])
+        for n, (value, low, high) in enumerate(zip(p, *self.ends)):
+            step = min(STEP * (abs(value) or 1.0), (high - low) / 8)
+
+            def moved(by: float, n: int = n) -> np.ndarray:
+                return self.at(np.where(np.arange(len(p)) == n, p + by, p))(r)
+
+            while True:
+                if value - low < 2 * step:
+                    stencil = FORWARD
+                elif high - value < 2 * step:
+                    stencil = {-m: -c for m, c in FORWARD.items()}
+                else:
+                    stencil = CENTRAL
+                changes = {m: moved(m * step) - K for m in stencil}
+                largest = max(np.abs(change).max() for change in changes.values())
+                if largest >= SEEN * size or 10 * step > min(STEP, (high - low) / 8):
+                    break
+                step *= 10
+            out[:, n] = sum(c * changes[m] for m, c in stencil.items()) / step
         return out
 
     def coefficients(self, lengths: ArrayLike, horizon: float) -> tuple[np.ndarray, float]:
@@ -244,7 +274,36 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
     if not (np.isfinite(given).all() and np.isfinite(knots).all() and (np.diff(knots) > 0).all()):
         raise InputError("table: expected finite K at rising finite r")
 
-    def table(r: np.ndarray, K: np.ndarray = given) -> np.ndarray:
-        return np.asarray(np.interp(r, knots, K))
+    if learned:
+        return InfluenceFunction(functools.partial(tabulated, knots=knots), {"K": given})
+    return InfluenceFunction(functools.partial(tabulated, knots=knots, K=given))
 
-    return InfluenceFunction(table, {"K": given} if learned else {})
+
+def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """K on straight lines between its values at the knots."""
+    return np.asarray(np.interp(r, knots, K))
+
+
+def shapes_of(influence: Any) -> list[InfluenceFunction]:
+    """One influence function, several or None, as a list.
+
+    Raises InputError for anything else.
+    """
+    if influence is None:
+        return []
+    shapes = list(influence) if isinstance(influence, (list, tuple)) else [influence]
+    for shape in shapes:
+        if not isinstance(shape, InfluenceFunction):
+            raise InputError(
+                "influence: expected an InfluenceFunction or a list of them, got "
+                f"{shape!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
+            )
+    return shapes
+
+
+def _is_interval(ends: Any) -> bool:
+    try:
+        low, high = map(float, ends)
+    except (TypeError, ValueError):
+        return False
+    return low < high

@@ -27,14 +27,14 @@ from warp_peri.losses import LossChoice, choose_loss
 from warp_peri.margins import DenseMargins, SymbolMargins
 from warp_peri.model import Model
 from warp_peri.noise import corrected, noise_loss
-from warp_peri.optimum import ISOTROPIC, constrained_optimum
+from warp_peri.optimum import ISOTROPIC, Optimum, constrained_optimum
 from warp_peri.options import METHODS
 from warp_peri.oracle import Oracle
 from warp_peri.output_error import STEPS, output_optimum
 from warp_peri.parameters import PARAMETRISATIONS, Parameters
 from warp_peri.reduced import ReducedLoss, reduce
 from warp_peri.response import responses_of
-from warp_peri.shapes import InfluenceFunction
+from warp_peri.shapes import InfluenceFunction, shapes_of
 from warp_peri.strain import largest_strain
 from warp_peri.symbol import moduli as moduli_of
 from warp_peri.two_stage import (
@@ -139,7 +139,8 @@ def fit(
         degree: M ≥ 0 of the Bernstein polynomials of the influence function.
         influence: in their place, a function of the bond length whose parameters are learned; on
             lattices, from the values it has, straight to the optimum. Several are several starts,
-            of one function or of different ones, and the best of them is kept.
+            of one function or of different ones, and the best of them is kept; a start from which
+            the search leaves the domain of its function is passed over.
         method: "two-stage" is Algorithm 1 of You et al. (2021); "constrained" goes on from it to
             the constrained optimum; "optimum" starts at the optimum, from plain kernels.
         conditions: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
@@ -166,11 +167,11 @@ def fit(
         progress: show a progress bar for each stage.
 
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
-    from the full one or no start of stage 3 ends with the conditions kept.
+    from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
     if method not in METHODS:
         raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-    shapes = [influence] if isinstance(influence, InfluenceFunction) else list(influence or [])
+    shapes = shapes_of(influence)
     if (degree is None) != bool(shapes):
         raise InputError("degree, influence: expected one of the two")
     if degree is not None and not (isinstance(degree, (int, np.integer)) and degree >= 0):
@@ -197,8 +198,8 @@ def fit(
         if isinstance(moduli, str):
             if moduli != ISOTROPIC:
                 raise InputError(f"moduli: expected (λ, μ) or {ISOTROPIC!r}, got {moduli!r}")
-        elif not (np.isfinite(moduli).all() and moduli[1] > 0 and sum(moduli) > 0):
-            raise InputError(f"moduli: expected μ > 0 and λ + μ > 0, got (λ, μ) = {moduli}")
+        elif not _are_moduli(moduli):
+            raise InputError(f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {moduli!r:.60}")
     sets = [points] if isinstance(points, PointSet) else list(points)
     if not sets:
         raise InputError("points: expected at least one training set, got none")
@@ -303,21 +304,32 @@ def fit(
     if method != "two-stage":
 
         def best(tick: Callable[[float], None]) -> Parameters:
+            def attempt(start: Parameters) -> Optimum | InputError:
+                try:
+                    return constrained_optimum(
+                        grids, start, asked, two_functions=two_functions, moduli=moduli
+                    )
+                except InputError as error:  # a function that is not defined where it was led
+                    return error
+
             run = joblib.Parallel(n_jobs=jobs, prefer="threads")
-            results = run(
-                joblib.delayed(constrained_optimum)(
-                    grids, start, asked, two_functions=two_functions, moduli=moduli
-                )
-                for start in starts.values()
-            )
-            for name, one in zip(starts, results):
+            results = []
+            for name, one in zip(starts, run(map(joblib.delayed(attempt), starts.values()))):
+                tick(np.nan if isinstance(one, InputError) else one.loss)
+                if isinstance(one, InputError):
+                    failed = one
+                    continue
                 reached[name] = float(np.sqrt(one.loss))
-                tick(one.loss)
+                results.append(one)
+            if not results:
+                raise failed
             kept = [one for one in results if one.converged]
             if not kept:
+                best_margin = max(one.margin for one in results)
+                closest = min(one.departure for one in results)
                 raise RuntimeError(
-                    "stage 3: no start ended with the conditions kept; smallest "
-                    f"margin {max(one.margin for one in results):.1e} TPa"
+                    "stage 3: no start ended with the conditions kept; smallest margin "
+                    f"{best_margin:.1e} TPa, moduli to be held missed by {closest:.1e} TPa or more"
                 )
             lowest = min(one.loss for one in kept)
             # Equal losses are one optimum: the first start is kept, whatever the rounding.
@@ -329,21 +341,25 @@ def fit(
         final = third = stage("3 constrained", len(starts), best)
         if choice.name == "output":
             responses = responses_of(sets, horizon, grids)
-            final = stage(
-                "4 output error",
-                STEPS,
-                lambda tick: (
-                    output_optimum(
-                        responses,
-                        third,
-                        asked,
-                        horizon,
-                        two_functions=two_functions,
-                        moduli=moduli,
-                        tick=tick,
-                    ).parameters
-                ),
-            )
+
+            def refined(tick: Callable[[float], None]) -> Parameters:
+                one = output_optimum(
+                    responses,
+                    third,
+                    asked,
+                    horizon,
+                    two_functions=two_functions,
+                    moduli=moduli,
+                    tick=tick,
+                )
+                if not one.converged:
+                    raise RuntimeError(
+                        f"stage 4: ended with a margin of {one.margin:.1e} TPa, and moduli to be "
+                        f"held missed by {one.departure:.1e} TPa"
+                    )
+                return one.parameters
+
+            final = stage("4 output error", STEPS, refined)
     oracle.check(final)
     numbers = (final.lam, final.mu, final.alpha, final.D)
     uncertified = Model(*numbers, horizon, D_dilatation=final.D_dilatation)
@@ -370,6 +386,15 @@ def fit(
     found = [moduli_of(model, one.classes) for one in asked]
     settings = Settings(asked, normalise, two_functions, moduli)
     return Fit(model, certificates, found, history, reached, choice, settings, final.shape)
+
+
+def _are_moduli(given: Any) -> bool:
+    """Whether it is (λ, μ) of a solid."""
+    try:
+        lam, mu = map(float, given)
+    except (TypeError, ValueError):
+        return False
+    return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)
 
 
 def _key(sets: Sequence[PointSet], *settings: object) -> str:
