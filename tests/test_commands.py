@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,6 +16,7 @@ from tests.problems import kernel
 from tests.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, load_dataset, load_model, save_dataset, solve
 from warp_peri.__main__ import main
+from warp_peri.families import bond_classes
 
 ROOT = Path(__file__).parent.parent
 HORIZON = 2.5
@@ -248,10 +250,12 @@ def test_a_table_is_trained_from_a_file(data, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("1.0, 2.0, 3.0\n", "expected two columns r, K, got 3"),
-        ("r, K\n1.0, 2.0\n", "expected two columns r, K with a comma"),
+        ("1.0, 2.0, 3.0\n", "expected two columns r, K with a comma, or their names, got"),
+        ("x, K\n1.0, 2.0\n", "could not convert string 'x'"),
+        ("", "expected two columns r, K"),
+        ("0.5, 1.0\n2.0, 1.0\n", "expected K out to the longest bond, 2.23607 Å, got it to 2 Å"),
         ("2.0, 1.0\n1.0, 1.0\n", "expected finite K at rising finite r"),
-        (None, "K.csv: expected two columns"),
+        (None, "K.csv: no such file"),
     ],
 )
 def test_tables_that_cannot_be_used(content, message, data, tmp_path, capsys):
@@ -268,3 +272,77 @@ def test_no_shape_of_that_name(data, tmp_path, capsys):
     words = ["train", str(data), "--out", str(tmp_path / "run"), "--influence", "gausian"]
     assert main(words) == 2
     assert "expected gaussian, exponential, conical or a .csv file" in capsys.readouterr().err
+
+
+def test_the_table_that_was_exported_is_taken_again(trained, data, tmp_path, capsys):
+    K = tmp_path / "K.csv"
+    answer(capsys, "export", "influence", trained / "model.json", "--out", K)
+    words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
+    answer(capsys, *words, "--loss", "residual")
+    models = [load_model(folder / "model.json") for folder in (trained, tmp_path / "run")]
+    r = bond_classes(1.0, HORIZON).r
+    first, second = (model.influence(r) / np.abs(model.influence(r)).max() for model in models)
+    np.testing.assert_allclose(first, second, atol=1e-7)
+
+
+def test_zeta_is_kept(data, tmp_path, capsys):
+    words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--degree", "3"]
+    answer(capsys, *words, "--loss", "residual", "--zeta", "0.3")
+    figures = load_model(tmp_path / "model.json").certificate["1"]
+    assert figures["symbol_bound"] > 0.29
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["solve", "{model}", "{data}", "--out", "{data}"], "is read (data)"),
+        (["solve", "{model}", "{data}", "--out", "{model}"], "is read (model)"),
+        (["export", "influence", "{model}", "--out", "{model}"], "is read (model)"),
+        (["export", "fields", "{model}", "--data", "{data}", "--out", "{data}"], "is read (data)"),
+        (["train", "{data}", "--out", "{other}"], "expected a folder"),
+        (["sweep", "{data}", "--val", "test", "--out", "{other}"], "expected a folder"),
+        (["solve", "{model}", "{data}", "--out", "{folder}"], "expected a file"),
+        (["sweep", "{data}", "--val", "test", "--out", "{new}", "--jobs", "0"], "jobs: expected"),
+        (["export", "influence", "{model}", "--out", "{new}", "--spacing", "0"], "spacing"),
+    ],
+)
+def test_nothing_is_written_over_what_is_read(words, message, trained, data, tmp_path, capsys):
+    places = {"model": tmp_path / "m.json", "data": tmp_path / "d.h5", "other": tmp_path / "o.txt"}
+    shutil.copy(trained / "model.json", places["model"])
+    shutil.copy(data, places["data"])
+    places["other"].write_text("kept")
+    before = {path: path.read_bytes() for path in places.values()}
+    places |= {"folder": tmp_path, "new": tmp_path / "new"}
+    assert main([word.format(**places) for word in words]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_an_operator_is_exported_on_certified_lattices(data, tmp_path, capsys):
+    model = tmp_path / "bare.json"
+    dataclasses.replace(kernel("1/r", HORIZON), certified_on=()).save(model)
+    words = [
+        "export",
+        "operator",
+        str(model),
+        "--data",
+        str(data),
+        "--out",
+        str(tmp_path / "L.npz"),
+    ]
+    assert main(words) == 2
+    assert "certified on no spacing" in capsys.readouterr().err
+    assert not (tmp_path / "L.npz").exists()
+    assert main([*words, "--allow-uncertified"]) == 0
+    assert "warning: spacing" in capsys.readouterr().err
+
+
+def test_sets_on_the_line_take_the_place_of_those_in_the_file(trained, data, tmp_path, capsys):
+    settings = tmp_path / "e.toml"
+    settings.write_text('[evaluate]\nsets = ["train"]\n')
+    words = ["evaluate", trained / "model.json", data, "--config", settings]
+    assert set(answer(capsys, *words)) == {"train"}
+    assert set(answer(capsys, *words, "--set", "test")) == {"test"}
+    assert set(answer(capsys, *words, "--set=test", "--set", "train")) == {"test", "train"}

@@ -105,7 +105,7 @@ if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of 
         return found
 
     def __dir__():
-        return sorted({*globals(), *__all__, "dumps", "export", "shapes", "stress"})
+        return sorted({*__all__, "__version__", "dumps", "export", "shapes", "stress"})
 
 
 class _Package(ModuleType):

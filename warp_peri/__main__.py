@@ -32,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             warnings.simplefilter("always")
             warnings.showwarning = _warn
             given = parse(_parser(), arguments)
+            commands.check_output(given)
             result = given.run(given)
     except KeyboardInterrupt:
         print("interrupted; what is finished is kept", file=sys.stderr)
@@ -116,6 +117,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--method", choices=METHODS, default="optimum")
     one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    one.add_argument(
+        "--zeta",
+        type=float,
+        default=0.01,
+        help="ζ [TPa] of the condition D(k) ≥ ζ s(k) that is kept",
+    )
     one.add_argument("--loss", choices=LOSSES, default="auto")
     one.add_argument("--normalise", action="store_true", help="divide samples by their loads")
     one.add_argument("--seed", type=int, default=0)

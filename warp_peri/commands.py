@@ -30,6 +30,25 @@ DEGREE = 10
 """M of the Bernstein polynomials that are learned where nothing else was asked for."""
 
 
+def check_output(given: argparse.Namespace) -> None:
+    """Refuse, before anything is done, to write over what is read, or a folder over a file.
+
+    Raises InputError saying which it is.
+    """
+    if getattr(given, "out", None) is None:
+        return
+    out = given.out.resolve()
+    for name in ("data", "model", "reference", "dumps", "force", "unloaded"):
+        read = getattr(given, name, None) or []
+        for path in read if isinstance(read, list) else [read]:
+            if path.resolve() == out:
+                raise InputError(f"out: {given.out} is read ({name}); name another file")
+    folder = given.command in ("train", "sweep") or getattr(given, "what", "") == "fields"
+    if given.out.exists() and given.out.is_dir() != folder:
+        wanted, found = ("folder", "file") if folder else ("file", "folder")
+        raise InputError(f"out: expected a {wanted}, {given.out} is a {found}")
+
+
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     reference = next(warp_peri.dumps.dump_positions(given.reference))
@@ -121,7 +140,9 @@ def run_train(given: argparse.Namespace) -> Result:
     data = load_dataset(given.data)
     train = data[given.set]
     noise = data[given.noise] if given.noise else None
-    influence = shape_of(given.influence, given.horizon) if given.influence else None
+    influence = None
+    if given.influence:
+        influence = shape_of(given.influence, given.horizon, train.spacing)
     degree = DEGREE if influence is None and given.degree is None else given.degree
     with locked(given.out):
         found = warp_peri.fit(
@@ -131,6 +152,7 @@ def run_train(given: argparse.Namespace) -> Result:
             influence=influence,
             method=given.method,
             conditions=given.conditions,
+            zeta=given.zeta,
             normalise=given.normalise,
             loss=given.loss,
             noise=noise,
@@ -181,20 +203,40 @@ def run_train(given: argparse.Namespace) -> Result:
     return {**result, "model": str(given.out / "model.json")}
 
 
-def shape_of(name: str, horizon: float) -> warp_peri.InfluenceFunction:
-    """The influence function of a name, or of a table in a .csv file."""
+def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFunction:
+    """The influence function of a name, or of a table in a .csv file for a lattice."""
     if not name.endswith(".csv"):
         return warp_peri.shapes.named(name, horizon)
     try:
-        values = np.loadtxt(name, delimiter=",", ndmin=2)
+        r, K = influence_table(name)
+        shape = warp_peri.shapes.table(r, K)
+    except FileNotFoundError:
+        raise InputError(f"{name}: no such file") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{name}: expected two columns r, K with a comma ({error})") from None
-    if values.shape[1] != 2:
-        raise InputError(f"{name}: expected two columns r, K, got {values.shape[1]}")
-    try:
-        return warp_peri.shapes.table(*values.T)
-    except InputError as error:
         raise InputError(f"{name}: {error}") from None
+    longest = warp_peri.families.bond_classes(spacing, horizon).r[-1] if spacing else horizon
+    if not r[-1] >= longest * (1 - 1e-6):
+        raise InputError(
+            f"{name}: expected K out to the longest bond, {longest:g} Å, got it to {r[-1]:g} Å"
+        )
+    return shape
+
+
+def influence_table(path: str) -> tuple[np.ndarray, np.ndarray]:
+    """r and K of a text file: two columns, or those of these names under a line of names.
+
+    Raises InputError for any other file.
+    """
+    with open(path, encoding="utf-8") as file:
+        lines = [line for line in file if line.strip() and not line.startswith("#")]
+    columns, first = [0, 1], lines[0].split(",") if lines else []
+    names = [(word.split() or [""])[0] for word in first]
+    if "r" in names and "K" in names:
+        columns, lines = [names.index("r"), names.index("K")], lines[1:]
+    elif len(first) != 2:
+        raise InputError(f"expected two columns r, K with a comma, or their names, got {first}")
+    r, K = np.loadtxt(lines, delimiter=",", usecols=columns, ndmin=2, unpack=True)
+    return r, K
 
 
 def run_certify(given: argparse.Namespace) -> Result:
@@ -258,15 +300,16 @@ def run_export(given: argparse.Namespace) -> Result:
     """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
     model, settings = load_model(given.model), given.out.with_suffix(".export.toml")
     if given.what == "influence":
-        spacing = given.spacing or (model.trained_on[0] if model.trained_on else None)
-        if spacing is None:
+        if given.spacing is None and not model.trained_on:
             raise InputError("spacing: the model names no training lattice; give --spacing")
+        spacing = model.trained_on[0] if given.spacing is None else given.spacing
         paths = [warp_peri.export.write_influence(given.out, model, spacing)]
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
         points = load_dataset(given.data)[given.set]
         if given.what == "operator":
+            model.check_spacing(points.spacing, allow_uncertified=given.allow_uncertified)
             paths = [warp_peri.export.write_operator(given.out, model, points)]
         else:
             settings = given.out / "export.toml"

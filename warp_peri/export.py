@@ -53,6 +53,9 @@ def write_fields(
     writers = {"vtu": _write_vtu, "xdmf": _write_xdmf}
     if format not in writers:
         raise InputError(f"format: expected one of {', '.join(writers)}, got {format!r}")
+    u = np.asarray(u, dtype=float)
+    if u.shape != points.u.shape:
+        raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
     x = np.column_stack([points.x, np.zeros(len(points.x))])
     return writers[format](Path(folder), x, *_cells(points), _samples(model, points, u))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +26,7 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> a
 
     Raises InputError for a file that is not TOML, has no such table or a key that is no option.
     """
-    ahead = argparse.ArgumentParser(add_help=False)
+    ahead = argparse.ArgumentParser(prog=parser.prog, add_help=False)
     ahead.add_argument("command", nargs="?")
     ahead.add_argument("--config")
     early, _ = ahead.parse_known_args(arguments)
@@ -41,8 +42,10 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> a
         if action is None or key in (*NOT_KEPT, "help"):
             known = ", ".join(sorted(set(actions) - {*NOT_KEPT, "help"}))
             raise InputError(f"{early.config}: no option {key!r}; '{early.command}' has {known}")
-        action.default = _converted(early.config, action, value)
         action.required = False
+        if isinstance(action, argparse._ExtendAction) and _typed(action, arguments):
+            continue  # it would be added to, not replaced
+        action.default = _converted(early.config, action, value)
         if not action.option_strings:
             action.nargs = "*" if action.nargs in ("+", "*") else "?"
     return parser.parse_args(arguments)
@@ -56,6 +59,12 @@ def keep(given: argparse.Namespace, path: str | os.PathLike[str]) -> None:
             continue
         table[key] = [_plain(item) for item in value] if isinstance(value, list) else _plain(value)
     write_text(path, tomli_w.dumps({given.command: table}))
+
+
+def _typed(action: argparse.Action, arguments: Sequence[str] | None) -> bool:
+    """Whether an option is on the line."""
+    words = sys.argv[1:] if arguments is None else arguments
+    return any(word.split("=", 1)[0] in action.option_strings for word in words)
 
 
 def _plain(value: Any) -> Any:

@@ -35,8 +35,9 @@ def node_fields(
 ) -> NodeFields:
     """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
 
-    The stress is that of a family deformed as the node's own force state is; it is exact on affine
-    fields and approaches the stress of the local solid as fields become smooth.
+    The stress is that of a family deformed as the node's own force state is; on a lattice it is
+    exact on affine fields and approaches the stress of the local solid as fields become smooth. On
+    scattered points only as far as the weights of each family are symmetric; the strain is exact.
 
     Args:
         model: the model; no certificate is asked for.
@@ -48,7 +49,12 @@ def node_fields(
     """
     u = np.asarray(u, dtype=float)
     nodes = len(points.x)
-    if u.ndim not in (2, 3) or u.shape[-2:] != (nodes, 2) or not np.isfinite(u).all():
+    if (
+        u.ndim not in (2, 3)
+        or u.size == 0
+        or u.shape[-2:] != (nodes, 2)
+        or not np.isfinite(u).all()
+    ):
         raise InputError(f"u: expected finite values of shape [S, {nodes}, 2], got {list(u.shape)}")
     families = families_of(points, model.horizon, box=box)
     owner = np.repeat(np.arange(nodes), np.diff(families.row))

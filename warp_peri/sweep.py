@@ -115,6 +115,10 @@ def sweep(
     """
     if not (len(horizons) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
+    if not isinstance(jobs, int) or jobs == 0:
+        raise InputError(
+            f"jobs: expected a number of processes, or −1 for one per core, got {jobs!r}"
+        )
     sets, grid = (train, val, test, noise), (horizons, degrees)
     with locked(folder):
         return _sweep(*sets, Path(folder), *grid, conditions, jobs, progress)
