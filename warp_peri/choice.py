@@ -41,7 +41,8 @@ class Choice:
     """What to use, and why in one sentence.
 
     Attributes:
-        spacing, horizon: h and δ [Å].
+        spacing: h [Å].
+        horizon: δ [Å].
         degree: M of the influence function.
         precision: "float64" or "float32" of the factorisation.
         method: of `solve`.

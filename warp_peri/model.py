@@ -45,16 +45,20 @@ class Model:
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9).
 
     Attributes:
-        lam, mu: Lamé parameters λ, μ [TPa].
+        lam: Lamé parameter λ [TPa].
+        mu: Lamé parameter μ, the shear modulus [TPa].
         alpha: exponent α < 3.
         D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
         D_dilatation: coefficients of the dilatation's own influence function, shape [M + 1]; those
             of D where none are given.
         horizon: δ [Å].
-        trained_on, certified_on: lattice spacings [Å].
+        trained_on: spacings of the training lattices [Å].
+        certified_on: spacings of the lattices that solves accept [Å].
         trained_strain: largest strain of neighbouring nodes in the training fields, if known.
         certificate: figures of the certificate, by spacing.
-        errors, provenance, versions: records that travel with the model.
+        errors: on data sets, by name.
+        provenance: of the data and the fit.
+        versions: of the packages.
 
     Raises InputError naming the first number out of its range.
     """
