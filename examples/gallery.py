@@ -116,7 +116,7 @@ FIGURES = (
     Figure(
         "How few numbers describe graphene?",
         "A damped wave of three parameters does on the disks what eleven of the polynomial do; "
-        "kernels that keep their sign fail ([more](influence.md)).",
+        "the three that keep their sign fail ([more](influence.md)).",
         ("python examples/influence_shapes.py",),
         "influence.png",
         "influence_shapes/shapes.png",

@@ -216,11 +216,13 @@ def test_a_given_table_leaves_the_constants_to_learn():
     assert (found.model.lam, found.model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
 
 
-def test_a_table_at_every_bond_is_as_good_as_the_polynomial():
+@pytest.mark.parametrize("seed", range(4))
+def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     """Both then reach every kernel of the lattice: one optimum, conditions active."""
+    first = np.random.default_rng(seed).normal(size=len(LENGTHS)) if seed else 1 / LENGTHS
     true = kernel("sign-changing", HORIZON, lam=-0.3, mu=0.7)
     points = noisy(manufactured(true, lattice(4, HORIZON), 3), 0.02, seed=1)
-    shape = table(LENGTHS, 1 / LENGTHS, learned=True)
+    shape = table(LENGTHS, first, learned=True)
     found = fit(points, horizon=HORIZON, influence=shape, loss="residual")
     expected = fit(points, horizon=HORIZON, degree=len(LENGTHS) - 1, method="optimum")
     (loss,), reference = found.starts.values(), min(expected.starts.values())

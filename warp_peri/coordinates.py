@@ -111,7 +111,7 @@ class Coordinates:
         # Σ n r² v = μ on every lattice, and for z.
         for tables, slopes, kept in ((v, dv, 1), (z, dz, 0)):
             for number in range(kept, len(tables)):
-                tables[number], slopes[number] = _scaled(
+                tables[number], slopes[number] = scaled(
                     tables[number], slopes[number], self._sigma[number], mu, dmu
                 )
         limits, dlimits = np.zeros(0), np.zeros((0, len(y)))
@@ -120,6 +120,10 @@ class Coordinates:
             dlimits = np.zeros((2, len(y)))
             dlimits[:, -1] = (-1, 1)
         return Point(float(y[0]), alpha, mu, dmu, v, z, dv, dz, limits, dlimits)
+
+    def directions(self, y: np.ndarray) -> np.ndarray:
+        """Directions that change a stiffness, shape [Y, Y]: here all."""
+        return np.eye(len(y))
 
     def _kernels(
         self, y: np.ndarray, alpha: float, part: slice
@@ -180,7 +184,7 @@ def _tables(classes: BondClasses, alpha: float, degree: int) -> np.ndarray:
     return tables
 
 
-def _scaled(
+def scaled(
     x: np.ndarray, dx: np.ndarray, sigma: np.ndarray, total: float, dtotal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """x scaled so that σ·x = total, and its derivative."""

@@ -148,8 +148,10 @@ class Problem:
         """
         e, slope = self.residual(y0)
         unit = max(float(e @ e), np.finfo(float).tiny)
-        curvature, axes = np.linalg.eigh(slope.T @ slope)
-        scaling = axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
+        free = self.coordinates.directions(y0)
+        bend = slope @ free
+        curvature, axes = np.linalg.eigh(bend.T @ bend)
+        scaling = free @ axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
 
         def at(t: np.ndarray) -> Point:
             return self.coordinates.point(y0 + scaling @ t)
@@ -175,7 +177,7 @@ class Problem:
             )
         result = minimize(
             objective,
-            np.zeros(len(y0)),
+            np.zeros(scaling.shape[1]),
             jac=True,
             method="SLSQP",
             constraints=constraints,
