@@ -56,6 +56,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+class _Defaults(argparse.ArgumentDefaultsHelpFormatter):
+    """Help with the defaults of those options that have one."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default is None or action.const is True:
+            return action.help
+        return super()._get_help_string(action)
+
+
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
@@ -71,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
             name,
             help=words,
             description=run.__doc__,
-            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+            formatter_class=_Defaults,
         )
         found.set_defaults(run=run)
         found.add_argument("--config", metavar="FILE.toml", help="settings of this command")
@@ -115,17 +124,27 @@ def _parser() -> argparse.ArgumentParser:
         help="in their place gaussian, exponential or conical, whose length is learned, or a .csv "
         "file with columns r [Å], K to be taken as it is",
     )
-    one.add_argument("--method", choices=METHODS, default="optimum")
-    one.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    one.add_argument(
+        "--method",
+        choices=METHODS,
+        default="optimum",
+        help="two-stage: Algorithm 1 of the paper; constrained: the optimum after it; optimum: alone",
+    )
+    one.add_argument(
+        "--conditions",
+        choices=("direct", "paper"),
+        default="direct",
+        help="solvability on the lattice, or also (i) and (iii) of the paper",
+    )
     one.add_argument(
         "--zeta",
         type=float,
         default=0.01,
         help="ζ [TPa] of the condition D(k) ≥ ζ s(k) that is kept",
     )
-    one.add_argument("--loss", choices=LOSSES, default="auto")
+    one.add_argument("--loss", choices=LOSSES, default="auto", help="auto: as the noise asks for")
     one.add_argument("--normalise", action="store_true", help="divide samples by their loads")
-    one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--seed", type=int, default=0, help="of the two stages' first kernel")
 
     one = command("certify", commands.run_certify, "what is proven of a model")
     one.add_argument("model", type=Path, metavar="MODEL.json")
