@@ -128,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
         "--method",
         choices=METHODS,
         default="optimum",
-        help="two-stage: Algorithm 1 of the paper; constrained: the optimum after it; optimum: alone",
+        help="Algorithm 1 and its optimum, Algorithm 1 alone, or the optimum alone",
     )
     one.add_argument(
         "--conditions",
