@@ -13,8 +13,9 @@ import pytest
 
 from tests.problems import kernel
 from tests.waves import fluctuation, noisy, waves
-from warp_peri import Dataset, load_dataset, load_model, save_dataset, solve
+from warp_peri import Dataset, InputError, load_dataset, load_model, save_dataset, solve
 from warp_peri.__main__ import main
+from warp_peri.commands import atom_forces
 
 ROOT = Path(__file__).parent.parent
 HORIZON = 2.5
@@ -176,6 +177,22 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     np.savez(tmp_path / "f.npz", force[:-1])
     assert main([*map(str, words), "--force", str(tmp_path / "f.npz")]) == 2
     assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_forces_have_two_columns(columns, kind, tmp_path):
+    """Three may be f_x, f_y, f_z or id, f_x, f_y: nobody can tell."""
+    path, force = tmp_path / f"f.{kind}", np.ones((5, columns))
+    np.savez(path, force) if kind == "npz" else np.savetxt(path, force, delimiter=",")
+    with pytest.raises(InputError, match=rf"got \[5, {columns}\]; the columns are f_x, f_y"):
+        atom_forces(path, 5)
+
+
+def test_compressed_forces_are_refused_with_the_way_out(tmp_path):
+    np.savez_compressed(tmp_path / "f.npz", np.ones((5, 2)))
+    with pytest.raises(InputError, match=r"numpy\.savez, not compressed"):
+        atom_forces(tmp_path / "f.npz", 5)
 
 
 BAD_CONFIG = {

@@ -80,7 +80,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
-    """External forces on the atoms [eV/Å], shape [A, 2], by id.
+    """External forces on the atoms [eV/Å], shape [A, 2]: f_x, f_y in the order of the atoms' ids.
 
     From the one array of an .npz file (numpy.savez), or from text with commas.
 
@@ -91,11 +91,18 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
             (force,) = read_arrays(path).values()
         else:
             force = np.loadtxt(path, delimiter=",", ndmin=2)
+        force = np.asarray(force, dtype=float)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected one array in .npz, or a .csv file ({error})") from None
-    if force.ndim != 2 or force.shape[0] != atoms or force.shape[1] not in (2, 3):
-        raise InputError(f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}")
-    return np.asarray(force[:, :2], dtype=float)
+        raise InputError(
+            f"{path}: expected one array in .npz (numpy.savez, not compressed), or a .csv file "
+            f"({error})"
+        ) from None
+    if force.shape != (atoms, 2):
+        raise InputError(
+            f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}; the columns are f_x, "
+            "f_y [eV/Å] alone, the rows in the order of the atoms' ids"
+        )
+    return force
 
 
 def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> PointSet:
