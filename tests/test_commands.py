@@ -179,6 +179,55 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
 
 
+@pytest.fixture
+def crystal(tmp_path):
+    """Words of coarse-grain for one load on a small periodic body."""
+    grid = np.arange(0.5, 40, 1.0)
+    x = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    np.savez(tmp_path / "f.npz", np.ones_like(x))
+    rest, load = dump(tmp_path / "r.dump", x), dump(tmp_path / "l.dump", x + 0.1)
+    words = ["coarse-grain", load, "--reference", rest, "--force", tmp_path / "f.npz"]
+    words += ["--out", tmp_path / "own.h5", "--spacing", 4, "--reach", 16, "--interior", 8]
+    return [str(word) for word in words]
+
+
+def test_the_sheet_is_the_file_s(crystal, tmp_path, capsys):
+    words = [*crystal, "--box", "40", "40", "--radius", "6"]
+    out = tmp_path / "own.h5"
+    assert main([*words, "--density", "3000", "--thickness", "2"]) == 0
+    assert main([*words, "--set", "val"]) == 0
+    data = load_dataset(out)
+    assert (data.density, data.thickness, sorted(data)) == (3000, 2, ["train", "val"])
+    np.testing.assert_array_equal(data["train"].b, data["val"].b)
+    assert main([*words, "--density", "2200"]) == 2
+    assert "has 3000 kg/m³, got 2200 kg/m³" in capsys.readouterr().err
+    out.unlink()
+    assert main(words) == 0
+    assert (load_dataset(out).density, load_dataset(out).thickness) == (2200, 3.35)
+
+
+def test_a_typed_box_is_rounded(crystal, tmp_path, capsys):
+    out, words = tmp_path / "own.h5", [*crystal, "--radius", "6", "--box"]
+    assert main([*words, "40", "40"]) == 0
+    b = load_dataset(out)["train"].b
+    assert main([*words, "40.02", "39.98"]) == 0
+    np.testing.assert_array_equal(load_dataset(out)["train"].b, b)
+    assert main([*words, "40", "40.2"]) == 2
+    assert "expected the header's 40 x 40 Å, got 40 x 40.2 Å" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        (["--box", "40", "40"], "at most 20 Å, half the smallest period, got 1e+09 Å"),
+        ([], "at most 39 Å, the extent of the body, got 1e+09 Å"),
+    ],
+)
+def test_a_radius_fits_the_body(crystal, box, message, capsys):
+    assert main([*crystal, *box, "--radius", "1e9"]) == 2
+    assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("columns", [1, 3])
 @pytest.mark.parametrize("kind", ["csv", "npz"])
 def test_forces_have_two_columns(columns, kind, tmp_path):
