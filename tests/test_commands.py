@@ -14,8 +14,9 @@ import pytest
 
 from tests.problems import kernel
 from tests.waves import fluctuation, noisy, waves
-from warp_peri import Dataset, load_dataset, load_model, save_dataset, solve
+from warp_peri import Dataset, InputError, load_dataset, load_model, save_dataset, solve
 from warp_peri.__main__ import main
+from warp_peri.commands import atom_forces
 from warp_peri.families import bond_classes
 
 ROOT = Path(__file__).parent.parent
@@ -178,6 +179,71 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     np.savez(tmp_path / "f.npz", force[:-1])
     assert main([*map(str, words), "--force", str(tmp_path / "f.npz")]) == 2
     assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
+
+
+@pytest.fixture
+def crystal(tmp_path):
+    """Words of coarse-grain for one load on a small periodic body."""
+    grid = np.arange(0.5, 40, 1.0)
+    x = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    np.savez(tmp_path / "f.npz", np.ones_like(x))
+    rest, load = dump(tmp_path / "r.dump", x), dump(tmp_path / "l.dump", x + 0.1)
+    words = ["coarse-grain", load, "--reference", rest, "--force", tmp_path / "f.npz"]
+    words += ["--out", tmp_path / "own.h5", "--spacing", 4, "--reach", 16, "--interior", 8]
+    return [str(word) for word in words]
+
+
+def test_the_sheet_is_the_file_s(crystal, tmp_path, capsys):
+    words = [*crystal, "--box", "40", "40", "--radius", "6"]
+    out = tmp_path / "own.h5"
+    assert main([*words, "--density", "3000", "--thickness", "2"]) == 0
+    assert main([*words, "--set", "val"]) == 0
+    data = load_dataset(out)
+    assert (data.density, data.thickness, sorted(data)) == (3000, 2, ["train", "val"])
+    np.testing.assert_array_equal(data["train"].b, data["val"].b)
+    assert main([*words, "--density", "2200"]) == 2
+    assert "has 3000 kg/m³, got 2200 kg/m³" in capsys.readouterr().err
+    out.unlink()
+    assert main(words) == 0
+    assert (load_dataset(out).density, load_dataset(out).thickness) == (2200, 3.35)
+
+
+def test_a_typed_box_is_rounded(crystal, tmp_path, capsys):
+    out, words = tmp_path / "own.h5", [*crystal, "--radius", "6", "--box"]
+    assert main([*words, "40", "40"]) == 0
+    b = load_dataset(out)["train"].b
+    assert main([*words, "40.02", "39.98"]) == 0
+    np.testing.assert_array_equal(load_dataset(out)["train"].b, b)
+    assert main([*words, "40", "40.2"]) == 2
+    assert "expected the header's 40 x 40 Å, got 40 x 40.2 Å" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        (["--box", "40", "40"], "at most 20 Å, half the smallest period, got 1e+09 Å"),
+        ([], "at most 39 Å, the extent of the body, got 1e+09 Å"),
+    ],
+)
+def test_a_radius_fits_the_body(crystal, box, message, capsys):
+    assert main([*crystal, *box, "--radius", "1e9"]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_forces_have_two_columns(columns, kind, tmp_path):
+    """Three may be f_x, f_y, f_z or id, f_x, f_y: nobody can tell."""
+    path, force = tmp_path / f"f.{kind}", np.ones((5, columns))
+    np.savez(path, force) if kind == "npz" else np.savetxt(path, force, delimiter=",")
+    with pytest.raises(InputError, match=rf"got \[5, {columns}\]; the columns are f_x, f_y"):
+        atom_forces(path, 5)
+
+
+def test_compressed_forces_are_refused_with_the_way_out(tmp_path):
+    np.savez_compressed(tmp_path / "f.npz", np.ones((5, 2)))
+    with pytest.raises(InputError, match=r"numpy\.savez, not compressed"):
+        atom_forces(tmp_path / "f.npz", 5)
 
 
 BAD_CONFIG = {

@@ -159,3 +159,79 @@ def test_masses_need_types(tmp_path):
     path.write_text(frame(REFERENCE, 0, columns="id element x y z").replace(" 1 ", " B "))
     with pytest.raises(InputError, match="expected the columns id and type, got id element x y z"):
         dump_masses(path, [10.8])
+
+
+BOUNDS = f"ITEM: BOX BOUNDS pp pp pp\n0 {BOX[0]}\n0 {BOX[1]}\n-5 5\n"
+TILTED = f"ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 {BOX[0] + 2} 2\n0 {BOX[1]} 0\n-5 5 0\n"
+OTHER_IDS = frame(REFERENCE, 1).replace("\n30 1 ", "\n31 1 ")
+MISREAD = {
+    "no id": (frame(REFERENCE, 0, columns="mol type x y z"), "expected the column id, got mol"),
+    "id twice": (frame(REFERENCE, 0).replace("\n30 1 ", "\n7 1 "), "frame 1.*id 7 comes twice"),
+    "other ids": (frame(REFERENCE, 0) + OTHER_IDS, "frame 2.*expected the ids of frame 1"),
+    "tilted": (frame(REFERENCE, 0).replace(BOUNDS, TILTED), "xu, yu, zu in a tilted box, got x"),
+    "units": ("ITEM: UNITS\nsi\n" + frame(REFERENCE, 0), "units metal or real, got si"),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), MISREAD.values(), ids=MISREAD)
+def test_dumps_that_would_be_misread_are_refused(tmp_path, text, words):
+    path = tmp_path / "a.dump"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        dump_displacement(path, REFERENCE)
+
+
+def test_unwrapped_positions_of_a_tilted_box_are_free_of_it(tmp_path):
+    path = tmp_path / "a.dump"
+    path.write_text(frame(REFERENCE, 0, columns="id type xu yu zu").replace(BOUNDS, TILTED))
+    np.testing.assert_allclose(next(dump_positions(path)), REFERENCE, atol=1e-9)
+    with pytest.raises(InputError, match="orthogonal box in the dump, got a tilted one"):
+        dump_displacement(path, REFERENCE, box=BOX)
+
+
+def test_dumps_of_one_call_have_one_set_of_ids(tmp_path):
+    path, other = write(tmp_path / "a.dump", [0]), tmp_path / "other.dump"
+    other.write_text(OTHER_IDS)
+    points = lattice(2, 1.0, 3.0)
+    omega = smoothing_matrix(REFERENCE, points.x, radius=4.0, box=BOX, spacing=3.0)
+    options = {"reference": REFERENCE, "box": BOX, "node_area": 9.0, "thickness": 3.35}
+    for dumps, more in (
+        ([path, other], {}),
+        ([path], {"unloaded": [other]}),
+        ([other], {"ids": np.arange(1, 31)}),
+    ):
+        force = np.ones((len(dumps), 30, 2))
+        with pytest.raises(InputError, match=r"other.dump: expected the ids of the reference"):
+            coarse_grain_dumps(dumps, omega, points, force=force, **options, **more)
+
+
+def test_a_box_is_the_header_s(tmp_path):
+    path = write(tmp_path / "a.dump", [0])
+    dump_displacement(path, REFERENCE, box=(BOX[0] * (1 + 5e-6), BOX[1]))
+    with pytest.raises(InputError, match="expected the header's 12 x 9 Å, got 12.00024 x 9 Å"):
+        dump_displacement(path, REFERENCE, box=(BOX[0] * (1 + 2e-5), BOX[1]))
+
+
+def test_scaled_positions_start_at_the_corner_of_the_box(tmp_path):
+    path = tmp_path / "a.dump"
+    text = frame(REFERENCE / BOX, 0, columns="id type xs ys zs")
+    path.write_text(text.replace(f"0 {BOX[0]}\n", f"-3 {BOX[0] - 3}\n"))
+    np.testing.assert_allclose(next(dump_positions(path)), REFERENCE - [3, 0], atol=1e-9)
+
+
+def test_units_and_time_may_precede_a_frame(tmp_path):
+    path = tmp_path / "a.dump"
+    time = "ITEM: TIME\n0.5\n"
+    x = [moved(step)[0] for step in (0, 1)]
+    path.write_text(f"ITEM: UNITS\nmetal\n{time}{frame(x[0], 0)}{time}{frame(x[1], 1)}")
+    np.testing.assert_allclose(list(dump_positions(path)), x, atol=1e-9)
+
+
+def test_types_are_not_needed(tmp_path):
+    path = tmp_path / "a.dump"
+    text = frame(REFERENCE, 0, columns="id x y z").splitlines()
+    text[9:] = [" ".join([row.split()[0], *row.split()[2:]]) for row in text[9:]]
+    path.write_text("\n".join(text) + "\n")
+    np.testing.assert_allclose(next(dump_positions(path)), REFERENCE, atol=1e-9)
+    with pytest.raises(InputError, match="expected the columns id and type, got id x y z"):
+        dump_masses(path, [1.0])

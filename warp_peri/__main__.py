@@ -106,8 +106,12 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--interior", type=float, default=50.0, help="half width of the interior [Å]")
     one.add_argument("--box", type=float, nargs=2, help="periods of the atoms [Å]")
     one.add_argument("--mass", type=float, nargs="+", help="of atom types 1, 2, …; default: equal")
-    one.add_argument("--thickness", type=float, default=3.35, help="of the sheet [Å]")
-    one.add_argument("--density", type=float, default=2200.0, help="mass density [kg/m³]")
+    one.add_argument(
+        "--thickness", type=float, help="of the sheet [Å]; default: the file's, or 3.35"
+    )
+    one.add_argument(
+        "--density", type=float, help="mass density [kg/m³]; default: the file's, or 2200"
+    )
     one.add_argument("--skip", type=int, default=0, help="frames left out at the begin")
     one.add_argument("--iota", type=float, help="ι of the smoothing in time; default: average")
 

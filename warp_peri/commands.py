@@ -29,6 +29,12 @@ Result = dict[str, Any]
 DEGREE = 10
 """M of the Bernstein polynomials that are learned where nothing else was asked for."""
 
+SHEET = {"thickness": 3.35, "density": 2200.0}
+"""Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
+
+TYPED_BOX = 1e-3
+"""Relative difference of a typed period from that of the dump."""
+
 
 def check_output(given: argparse.Namespace) -> None:
     """Refuse, before anything is done, to write over what is read, or a folder over a file.
@@ -51,12 +57,20 @@ def check_output(given: argparse.Namespace) -> None:
 
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
-    reference = next(warp_peri.dumps.dump_positions(given.reference))
+    _take_sheet(given)
+    frame = next(warp_peri.dumps.dump_frames(given.reference))
+    reference, box = frame.x, None
+    if given.box:
+        warp_peri.dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
+        box = frame.box  # typed lengths are rounded
+    limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
+    if given.radius > limit:
+        what = "half the smallest period" if box else "the extent of the body"
+        raise InputError(f"radius: expected at most {limit:g} Å, {what}, got {given.radius:g} Å")
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = np.ones(len(reference))
     if given.mass:
         mass = warp_peri.dumps.dump_masses(given.reference, given.mass)
-    box = tuple(given.box) if given.box else None
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
@@ -70,6 +84,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
         force=force,
         mass=mass,
         unloaded=given.unloaded or [],
+        ids=frame.ids,
         box=box,
         skip=given.skip,
         iota=given.iota,
@@ -78,14 +93,9 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
         progress=not given.json,
     )
     with locked(given.out):
-        sets, provenance = {}, {"source": "warp-peri coarse-grain"}
-        if given.out.exists():
-            before = load_dataset(given.out)
-            sets, provenance = dict(before.sets), dict(before.provenance)
-            if before.thickness != given.thickness:
-                raise InputError(
-                    f"thickness: {given.out} has {before.thickness:g} Å, got {given.thickness:g} Å"
-                )
+        before = _take_sheet(given)  # another job may have written it meanwhile
+        sets = dict(before.sets) if before else {}
+        provenance = dict(before.provenance) if before else {"source": "warp-peri coarse-grain"}
         sets[given.set] = found
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
         keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
@@ -98,8 +108,23 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     }
 
 
+def _take_sheet(given: argparse.Namespace) -> Dataset | None:
+    """Set thickness and density to the data file's, or the defaults; the file, if it is there.
+
+    Raises InputError for a given value that is not the file's.
+    """
+    before = load_dataset(given.out) if given.out.exists() else None
+    for name, unit in (("thickness", "Å"), ("density", "kg/m³")):
+        asked = getattr(given, name)
+        kept = getattr(before, name) if before else SHEET[name] if asked is None else asked
+        if asked is not None and asked != kept:
+            raise InputError(f"{name}: {given.out} has {kept:g} {unit}, got {asked:g} {unit}")
+        setattr(given, name, kept)
+    return before
+
+
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
-    """External forces on the atoms [eV/Å], shape [A, 2], by id.
+    """External forces on the atoms [eV/Å], shape [A, 2]: f_x, f_y in the order of the atoms' ids.
 
     From the one array of an .npz file (numpy.savez), or from text with commas.
 
@@ -110,11 +135,18 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
             (force,) = read_arrays(path).values()
         else:
             force = np.loadtxt(path, delimiter=",", ndmin=2)
+        force = np.asarray(force, dtype=float)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected one array in .npz, or a .csv file ({error})") from None
-    if force.ndim != 2 or force.shape[0] != atoms or force.shape[1] not in (2, 3):
-        raise InputError(f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}")
-    return np.asarray(force[:, :2], dtype=float)
+        raise InputError(
+            f"{path}: expected one array in .npz (numpy.savez, not compressed), or a .csv file "
+            f"({error})"
+        ) from None
+    if force.shape != (atoms, 2):
+        raise InputError(
+            f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}; the columns are f_x, "
+            "f_y [eV/Å] alone, the rows in the order of the atoms' ids"
+        )
+    return force
 
 
 def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> PointSet:
