@@ -235,3 +235,10 @@ def test_types_are_not_needed(tmp_path):
     np.testing.assert_allclose(next(dump_positions(path)), REFERENCE, atol=1e-9)
     with pytest.raises(InputError, match="expected the columns id and type, got id x y z"):
         dump_masses(path, [1.0])
+
+
+def test_wrapped_atoms_need_a_box(tmp_path):
+    path = write(tmp_path / "a.dump", range(2))
+    with pytest.raises(InputError, match="beyond half the box; are they wrapped"):
+        dump_displacement(path, REFERENCE)
+    assert np.abs(dump_displacement(path, REFERENCE, box=BOX)).max() < 2

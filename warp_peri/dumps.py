@@ -140,7 +140,7 @@ def dump_displacement(
             for the plain average.
 
     Raises InputError for another number of atoms, other ids, a box that is not the header's within
-    1e-5, too few frames, or ι outside 0 … 1.
+    1e-5, atoms beyond half the box without one, too few frames, or ι outside 0 … 1.
     """
     reference = np.asarray(reference, dtype=float)
     if iota is not None and not 0 < iota <= 1:
@@ -162,6 +162,8 @@ def dump_displacement(
         u = x - reference
         if box is not None:
             u -= box * np.rint(u / box)
+        elif frame.box is not None and (np.abs(u) > np.divide(frame.box, 2)).any():
+            raise InputError(f"{path}: box: atoms moved beyond half the box; are they wrapped?")
         total += u if iota is None else iota * (u - total)
     if frames <= skip:
         raise InputError(f"{path}: expected more than {skip} frames, got {frames}")
