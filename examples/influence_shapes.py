@@ -69,7 +69,7 @@ def row(name: str, count: int, found: Fit, data: Dataset) -> dict[str, Any]:
         out |= {f"{key} {role}": 100 * errors[key] for key in ("E_res", "E_u")}
     out |= {"mu": found.model.mu, "E": found.model.E, "c": found.certificate.symbol_bound}
     if found.influence is not None:
-        out["learned"] = found.influence.record(bond_classes(5.0, HORIZON).r, HORIZON)
+        out["learned"] = found.model.provenance["influence"]
     return out
 
 

@@ -16,7 +16,7 @@ from tests.problems import kernel
 from tests.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError, load_dataset, load_model, save_dataset, solve
 from warp_peri.__main__ import main
-from warp_peri.commands import atom_forces
+from warp_peri.command_inputs import atom_forces
 from warp_peri.families import bond_classes
 
 ROOT = Path(__file__).parent.parent

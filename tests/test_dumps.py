@@ -122,8 +122,22 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize(("text", "words"), BROKEN.values(), ids=BROKEN)
-def test_broken_dumps_are_named(tmp_path, text, words):
+BOUNDS = f"ITEM: BOX BOUNDS pp pp pp\n0 {BOX[0]}\n0 {BOX[1]}\n-5 5\n"
+TILTED = f"ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 {BOX[0] + 2} 2\n0 {BOX[1]} 0\n-5 5 0\n"
+OTHER_IDS = frame(REFERENCE, 1).replace("\n30 1 ", "\n31 1 ")
+MISREAD = {
+    "no id": (frame(REFERENCE, 0, columns="mol type x y z"), "expected the column id, got mol"),
+    "id twice": (frame(REFERENCE, 0).replace("\n30 1 ", "\n7 1 "), "frame 1.*id 7 comes twice"),
+    "other ids": (frame(REFERENCE, 0) + OTHER_IDS, "frame 2.*expected the ids of frame 1"),
+    "tilted": (frame(REFERENCE, 0).replace(BOUNDS, TILTED), "xu, yu, zu in a tilted box, got x"),
+    "units": ("ITEM: UNITS\nsi\n" + frame(REFERENCE, 0), "units metal or real, got si"),
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [*BROKEN.values(), *MISREAD.values()], ids=[*BROKEN, *MISREAD]
+)
+def test_broken_dumps_and_those_that_would_be_misread_are_refused(tmp_path, text, words):
     path = tmp_path / "broken.dump"
     path.write_text(text)
     with pytest.raises(InputError, match=words):
@@ -159,26 +173,6 @@ def test_masses_need_types(tmp_path):
     path.write_text(frame(REFERENCE, 0, columns="id element x y z").replace(" 1 ", " B "))
     with pytest.raises(InputError, match="expected the columns id and type, got id element x y z"):
         dump_masses(path, [10.8])
-
-
-BOUNDS = f"ITEM: BOX BOUNDS pp pp pp\n0 {BOX[0]}\n0 {BOX[1]}\n-5 5\n"
-TILTED = f"ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 {BOX[0] + 2} 2\n0 {BOX[1]} 0\n-5 5 0\n"
-OTHER_IDS = frame(REFERENCE, 1).replace("\n30 1 ", "\n31 1 ")
-MISREAD = {
-    "no id": (frame(REFERENCE, 0, columns="mol type x y z"), "expected the column id, got mol"),
-    "id twice": (frame(REFERENCE, 0).replace("\n30 1 ", "\n7 1 "), "frame 1.*id 7 comes twice"),
-    "other ids": (frame(REFERENCE, 0) + OTHER_IDS, "frame 2.*expected the ids of frame 1"),
-    "tilted": (frame(REFERENCE, 0).replace(BOUNDS, TILTED), "xu, yu, zu in a tilted box, got x"),
-    "units": ("ITEM: UNITS\nsi\n" + frame(REFERENCE, 0), "units metal or real, got si"),
-}
-
-
-@pytest.mark.parametrize(("text", "words"), MISREAD.values(), ids=MISREAD)
-def test_dumps_that_would_be_misread_are_refused(tmp_path, text, words):
-    path = tmp_path / "a.dump"
-    path.write_text(text)
-    with pytest.raises(InputError, match=words):
-        dump_displacement(path, REFERENCE)
 
 
 def test_unwrapped_positions_of_a_tilted_box_are_free_of_it(tmp_path):

@@ -1,7 +1,7 @@
 """The command `warp-peri`, also `python -m warp_peri`: from dumps to a certified model and on.
 
-Every command takes --config FILE.toml with its settings; train and sweep leave such a file beside
-their results. --json prints one object for machines.
+Every command takes --config FILE.toml with its settings; those that write results leave such a file
+beside them. --json prints one object for machines.
 """
 
 from __future__ import annotations

@@ -161,33 +161,6 @@ class CollarResponse:
     def start(self) -> ReducedLoss:
         return self._start
 
-    def _moved(
-        self,
-        u: np.ndarray,
-        b: np.ndarray,
-        weight: np.ndarray,
-        factors: tuple[np.ndarray, np.ndarray],
-        collar: sp.csr_array,
-    ) -> np.ndarray:
-        """Factor of Σ weight ‖û − L₀⁻¹ (L(c) û − b) − u‖² of some fields."""
-        inside, width = self.points.interior, self.features.width + 1
-        R = np.zeros((width, width))
-        for first in range(0, len(u), SAMPLES_AT_ONCE):
-            some = slice(first, first + SAMPLES_AT_ONCE)
-            field, load = u[some].copy(), b[some][:, inside].reshape(len(u[some]), -1)
-            outer = field[:, ~inside].reshape(len(field), -1)
-            answer = lu_solve(factors, (load - (collar @ outer.T).T).T).T
-            wrong = answer - field[:, inside].reshape(answer.shape)
-            field[:, inside] = answer.reshape(len(field), -1, 2)
-            forces = self.features(field).transpose(0, 1, 3, 2).reshape(*answer.shape, -1)
-            sides = np.concatenate([-forces, load[..., None]], axis=2)
-            flat = sides.transpose(1, 0, 2).reshape(answer.shape[1], -1)
-            rows = lu_solve(factors, flat).reshape(answer.shape[1], len(field), width)
-            rows[..., -1] += wrong.T
-            rows *= np.sqrt(weight[some])[:, None]
-            R = with_rows(R, rows.reshape(-1, width))
-        return R
-
 
 def responses_of(
     sets: Sequence[PointSet], horizon: float, starts: Sequence[ReducedLoss]

@@ -213,13 +213,11 @@ class InfluenceFunction:
         Raises InputError as `coefficients` does, and for numbers out of range.
         """
         lengths = np.concatenate([bond_classes(spacing, horizon).r for spacing in spacings])
-        D, _ = self.coefficients(lengths, horizon)
-        record = self.record(lengths, horizon)
-        return Model(lam, mu, 0.0, D, horizon, provenance={"influence": record})
+        D, departure = self.coefficients(lengths, horizon)
+        return Model(lam, mu, 0.0, D, horizon, provenance={"influence": self.record(departure)})
 
-    def record(self, lengths: ArrayLike, horizon: float) -> dict[str, Any]:
+    def record(self, departure: float) -> dict[str, Any]:
         """What a model keeps of it beside the polynomial, with the departure of that."""
-        _, departure = self.coefficients(lengths, horizon)
         values = {name: np.asarray(value).tolist() for name, value in self.parameters.items()}
         return {"function": self.name, "parameters": values, "departure": departure}
 

@@ -372,15 +372,17 @@ def fit(
         for one in certificates
         if one.holds and (conditions != "paper" or bool(one.schwarz))
     )
+    provenance = {}
+    if final.shape is not None:
+        _, departure = final.shape.coefficients(lengths, horizon)
+        provenance = {"influence": final.shape.record(departure)}
     model = dataclasses.replace(
         uncertified,
         trained_on=tuple(one.spacing for one in sets),
         certified_on=certified,
         trained_strain=max(largest_strain(one, one.u) for one in sets),
         certificate={f"{one.spacing:g}": one.figures() for one in certificates},
-        provenance={}
-        if final.shape is None
-        else {"influence": final.shape.record(lengths, horizon)},
+        provenance=provenance,
         versions=_versions(),
     )
     found = [moduli_of(model, one.classes) for one in asked]
