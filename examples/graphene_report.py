@@ -15,12 +15,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import plots
-from warp_peri.dataset import PointSet
-from warp_peri.files import whole_file, write_text
-from warp_peri.model import Model
-from warp_peri.solve import solve
-from warp_peri.training import Fit
-from warp_peri.uncertainty import Uncertainty
+from warp_peri.files.whole import whole_file, write_text
+from warp_peri.learning.fit import Fit
+from warp_peri.learning.uncertainty import Uncertainty
+from warp_peri.models.lps import Model
+from warp_peri.points.dataset import PointSet
+from warp_peri.statics.solve import solve
 
 PAPER = {
     "You et al. 2021, LPS": {

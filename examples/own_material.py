@@ -23,9 +23,9 @@ from tools.graphene import bond_length, sheet
 from tools.lammps_session import LammpsError, LammpsSession, potential_file
 from tools.loads import WaveLoad
 from tools.statics import Statics
-from warp_peri.__main__ import main as warp_peri
-from warp_peri.files import locked, write_json
-from warp_peri.model import load_model
+from warp_peri.cli.main import main as warp_peri
+from warp_peri.files.whole import locked, write_json
+from warp_peri.models.lps import load_model
 
 ELEMENTS = ("B", "N")
 CELLS = (39, 23)

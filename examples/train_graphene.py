@@ -20,14 +20,14 @@ sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
 
 import warp_peri
 from examples import graphene_report as report
-from examples import sweep_report
+from examples.studies import sweep_report
 from warp_peri.cluster import scheduler
-from warp_peri.dataset import Dataset, PointSet
 from warp_peri.errors import InputError
-from warp_peri.files import locked, write_json
-from warp_peri.options import METHODS
-from warp_peri.sweep import sweep
-from warp_peri.training import fit
+from warp_peri.files.whole import locked, write_json
+from warp_peri.learning.fit import fit
+from warp_peri.learning.options import METHODS
+from warp_peri.learning.sweep import sweep
+from warp_peri.points.dataset import Dataset, PointSet
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0

@@ -28,12 +28,12 @@ import warp as wp
 from tools import rivals, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import PointSet, set_threads
-from warp_peri.adjoint import BLOCKS
-from warp_peri.families import families_of
-from warp_peri.kernels.influence import influence
+from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
-from warp_peri.operator import lps_force
-from warp_peri.sweeps import Sweeps
+from warp_peri.operator.adjoint import BLOCKS
+from warp_peri.operator.lps import lps_force
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points.families import families_of
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""

@@ -10,7 +10,7 @@ import numpy as np
 from tools.graphene import THICKNESS, sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import Statics
-from warp_peri.coarse_graining import EV_PER_CUBIC_ANGSTROM
+from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 STRAIN = 1e-4
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warp_peri.coarse_graining import EV_PER_CUBIC_ANGSTROM
+from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None
 """Periods (Lx, Ly) of the atoms [Å]; None for a free body."""

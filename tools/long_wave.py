@@ -10,7 +10,7 @@ from tools.elastic import lame_constants
 from tools.graphene import THICKNESS, area_per_atom
 from tools.loads import Load, WaveLoad
 from tools.samples import Body
-from warp_peri.coarse_graining import EV_PER_CUBIC_ANGSTROM
+from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 LONGEST = 2
 """Loads with p₁² + p₂² up to this count as long waves."""

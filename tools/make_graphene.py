@@ -28,10 +28,10 @@ from tools.loads import TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.samples import Body, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
-from warp_peri.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.dataset import Dataset, PointSet, save_dataset
 from warp_peri.errors import InputError
-from warp_peri.files import locked
+from warp_peri.files.whole import locked
+from warp_peri.points.dataset import Dataset, PointSet, save_dataset
+from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 
 SPACINGS = {"": 5.0, "_fine": 2.5}
 """Node spacing [Å] by suffix of the set names."""

@@ -44,8 +44,8 @@ from tools.plans import Plan, graphene_plans
 from tools.reductions import REDUCTIONS, noise, reduced
 from tools.samples import Body, Sample, file_hash
 from tools.thermal import Bath, Run, Task, read_run, run, run_file
-from warp_peri.dataset import Dataset, PointSet, save_dataset
-from warp_peri.files import locked
+from warp_peri.files.whole import locked
+from warp_peri.points.dataset import Dataset, PointSet, save_dataset
 
 SPACING = 5.0
 """Of the nodes [Å]."""

@@ -18,8 +18,8 @@ import numpy as np
 
 from tools.make_graphene import point_set, read_samples
 from warp_peri.errors import InputError
-from warp_peri.model import load_model
-from warp_peri.validation import evaluate
+from warp_peri.learning.evaluate import evaluate
+from warp_peri.models.lps import load_model
 
 FRACTIONS = np.arange(8) / 8
 

@@ -15,8 +15,8 @@ import scipy.sparse as sp
 import torch
 from scipy.special import comb
 
-from warp_peri.influence import bernstein_basis
-from warp_peri.sweeps import Sweeps
+from warp_peri.models.influence import bernstein_basis
+from warp_peri.operator.sweeps import Sweeps
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load, WaveLoad, atom_force
 from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
-from warp_peri.archive import read_arrays
-from warp_peri.files import whole_file
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import whole_file
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""

@@ -18,14 +18,14 @@ import torch
 
 from tools import rivals
 from warp_peri import Model, PointSet, load_model, set_threads
-from warp_peri.dirichlet import Dirichlet
-from warp_peri.domain import Domain, domain
-from warp_peri.equilibrium import on_domain
 from warp_peri.errors import InputError
-from warp_peri.files import write_json
-from warp_peri.operator import lps_force
-from warp_peri.stencil import Torus, stencil
-from warp_peri.sweeps import Sweeps
+from warp_peri.files.whole import write_json
+from warp_peri.operator.lps import lps_force
+from warp_peri.operator.stencil import Torus, stencil
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.statics.dirichlet import Dirichlet
+from warp_peri.statics.domain import Domain, domain
+from warp_peri.statics.equilibrium import on_domain
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
 TOLERANCE = 1e-8

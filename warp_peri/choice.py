@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from warp_peri.errors import InputError
-from warp_peri.solve import DIRECT
+from warp_peri.statics.solve import DIRECT
 
 LU_POWER = 1.5
 """Cost of a sparse factorisation in two dimensions grows with this power of the unknowns."""
@@ -62,7 +62,7 @@ class Choice:
 
 
 def shipped_table() -> dict[str, Any]:
-    """What examples/speed_accuracy.py measured on graphene: rows and the waves they hold for."""
+    """What the study of speed and accuracy measured on graphene: rows, and waves they hold for."""
     text = (files("warp_peri") / "speed_accuracy.json").read_text(encoding="utf-8")
     table: dict[str, Any] = json.loads(text)
     return table
@@ -74,7 +74,7 @@ def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None
     Args:
         tolerance: largest displacement error, a fraction.
         scene: domain and load.
-        table: of examples/speed_accuracy.py; that of the project when None.
+        table: of examples/studies/speed_accuracy.py; that of the project when None.
 
     Loads at least as long as `long_wave` of the table are held to the errors on the disks, shorter
     ones to those on the short waves. Costs are the measured ones: of LU grown with

@@ -10,13 +10,13 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
-from warp_peri.dataset import PointSet
 from warp_peri.errors import InputError
-from warp_peri.families import bond_classes
-from warp_peri.files import whole_file, write_text
-from warp_peri.matrices import matrices
-from warp_peri.model import Model
-from warp_peri.stress import node_fields
+from warp_peri.files.whole import whole_file, write_text
+from warp_peri.models.lps import Model
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.stress import node_fields
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.families import bond_classes
 
 XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
 XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components

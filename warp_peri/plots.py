@@ -10,10 +10,10 @@ from matplotlib.collections import QuadMesh
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from warp_peri.families import BondClasses, bond_classes
-from warp_peri.model import Model
-from warp_peri.training import Stage
-from warp_peri.uncertainty import Uncertainty
+from warp_peri.learning.fit import Stage
+from warp_peri.learning.uncertainty import Uncertainty
+from warp_peri.models.lps import Model
+from warp_peri.points.families import BondClasses, bond_classes
 
 
 def influence_function(

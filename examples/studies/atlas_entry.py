@@ -1,0 +1,57 @@
+"""One entry of the stability atlas: what fails, a number, a figure, and what a user would see."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri.errors import InputError
+from warp_peri.points.dataset import PointSet
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A provoked failure.
+
+    Attributes:
+        title: of its section.
+        number: the one measurement to remember, in words.
+        text: what fails and why, in Markdown.
+        seen: errors and warnings that were provoked, in their own words.
+        figure: drawn from the measurements.
+        values: the measurements, plain numbers.
+    """
+
+    title: str
+    number: str
+    text: str
+    seen: list[str]
+    figure: Figure
+    values: dict[str, Any]
+
+
+def words(run: Callable[[], Any]) -> str:
+    """The error or the first warning that `run` ends in; it must end in one."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            run()
+        except InputError as error:
+            return f"InputError: {error}"
+    if not caught:
+        raise RuntimeError("expected an error or a warning, got neither")
+    return f"UserWarning: {caught[0].message}"
+
+
+def square_lattice(interior: int | tuple[int, int], horizon: float, spacing: float) -> PointSet:
+    """Unknown nodes from the origin, so many a side, and the collar of 2δ they need."""
+    sides = np.broadcast_to(interior, 2)
+    pad = int(np.ceil(2 * horizon / spacing))
+    steps = np.argwhere(np.ones(sides + 2 * pad)) - pad
+    inside = np.all((steps >= 0) & (steps < sides), axis=1)
+    return PointSet(spacing * steps, inside, spacing)

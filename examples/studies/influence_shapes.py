@@ -1,0 +1,157 @@
+"""How few numbers describe graphene's influence function: shapes with parameters, one data set.
+
+Positive shapes of one parameter, a damped wave of three, a table and the Bernstein polynomials are
+fitted by the same path under the same conditions. Writes table.md, metrics.json and shapes.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+import warp_peri
+from examples.train_graphene import make_data
+from tools.make_graphene import SMOOTHING_RADIUS
+from warp_peri.errors import InputError
+from warp_peri.files.whole import whole_file, write_json, write_text
+from warp_peri.learning.fit import Fit
+from warp_peri.models.shapes import InfluenceFunction, damped_wave, named, table
+from warp_peri.plots import kernel_values
+from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.families import bond_classes
+
+HORIZON, DEGREE = 20.0, 10
+KNOTS = np.linspace(4.0, HORIZON, 9)
+SETS = ("train", "val", "test")
+
+
+def waves() -> list[InfluenceFunction]:
+    """A damped wave from two starts, since the loss has two valleys."""
+    bounds = {"length": (1.0, 100.0), "period": (4.0, 100.0)}
+    starts = ((5.0, 10.0), (5.0, 20.0))
+    return [
+        InfluenceFunction(damped_wave, {"length": a, "period": b, "phase": 0.0}, bounds)
+        for a, b in starts
+    ]
+
+
+def fits(train: PointSet) -> dict[str, tuple[int, Fit]]:
+    """By name, the number of parameters of the shape and the fit."""
+    cases: dict[str, tuple[int, dict[str, Any]]] = {
+        name: (1, {"influence": named(name, HORIZON)})
+        for name in ("gaussian", "exponential", "conical")
+    }
+    cases["damped wave"] = (3, {"influence": waves()})
+    # The scale of a kernel has no effect: one value or coefficient less than there are.
+    values = table(KNOTS, 1 / KNOTS, learned=True)
+    cases["table, 9 knots"] = (len(KNOTS) - 1, {"influence": values})
+    cases["Bernstein, M = 10"] = (DEGREE + 1, {"degree": DEGREE, "method": "optimum"})
+    return {
+        name: (count, warp_peri.fit(train, horizon=HORIZON, **options))
+        for name, (count, options) in tqdm(cases.items(), desc="fits")
+    }
+
+
+def row(name: str, count: int, found: Fit, data: Dataset) -> dict[str, Any]:
+    """Errors [%] and constants of one fit."""
+    out: dict[str, Any] = {"shape": name, "parameters": count}
+    for role in SETS:
+        errors = warp_peri.evaluate(found.model, data[role])
+        out |= {f"{key} {role}": 100 * errors[key] for key in ("E_res", "E_u")}
+    out |= {"mu": found.model.mu, "E": found.model.E, "c": found.certificate.symbol_bound}
+    if found.influence is not None:
+        out["learned"] = found.model.provenance["influence"]
+    return out
+
+
+def text(rows: list[dict[str, Any]]) -> str:
+    """The rows as a table in Markdown."""
+    lines = [
+        "| K(r) | parameters | E_res train | E_res val | E_u train | E_u val | E_u disks | μ [TPa] "
+        "| E [TPa] |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    keys = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
+    for one in rows:
+        errors = " | ".join(f"{one[key]:.2f}" for key in keys)
+        constants = f"{one['mu']:.3f} | {one['E']:.3f}"
+        lines.append(f"| {one['shape']} | {one['parameters']} | {errors} | {constants} |")
+    return "\n".join(lines) + "\n"
+
+
+def picture(found: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], path: Path) -> None:
+    """The kernels, and what each extra parameter buys on the disks."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    classes = bond_classes(5.0, HORIZON)
+    r = np.linspace(classes.r[0], HORIZON, 500)
+    left.axhline(0, color="0.7", linewidth=0.8)
+    for number, name in enumerate(("gaussian", "damped wave", "Bernstein, M = 10")):
+        model, color = found[name][1].model, f"C{number}"
+        bonds = classes.r**2 * kernel_values(model, classes, classes.r)
+        if name.startswith("Bernstein"):  # between the bonds its polynomial is not determined
+            left.plot(classes.r, bonds, "x", color=color, label=f"{name}, at the bonds")
+        else:
+            left.plot(r, r**2 * kernel_values(model, classes, r), color=color, label=name)
+            left.plot(classes.r, bonds, "o", color=color, markersize=4)
+    left.set_xlabel("bond length r [Å]")
+    left.set_ylabel("K r² / m  [Å⁻²]")
+    left.set_ylim(-0.015, 0.017)
+    left.legend(frameon=False, loc="upper right")
+    for label, key, marker in (("disks", "E_u test", "o"), ("validation", "E_u val", "s")):
+        right.semilogy(
+            [one["parameters"] for one in rows], [one[key] for one in rows], marker, label=label
+        )
+    above = {"exponential": 10, "gaussian": 0, "conical": -10}
+    for one in rows:
+        right.annotate(
+            one["shape"],
+            (one["parameters"], one["E_u test"]),
+            xytext=(8, above.get(one["shape"], 0)),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
+    right.set_xlim(0, 15)
+    right.set_ylim(0.4, 40)
+    right.yaxis.set_major_formatter("{x:g}")
+    right.set_xlabel("parameters of the influence function")
+    right.set_ylabel("error of displacement E_u [%]")
+    right.legend(frameon=False)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+    plt.close(figure)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence_shapes")
+    given = parser.parse_args(arguments)
+    try:
+        data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    found = fits(data["train"])
+    rows = [row(name, count, one, data) for name, (count, one) in found.items()]
+    write_json(given.out / "metrics.json", {"fits": rows})
+    write_text(given.out / "table.md", text(rows))
+    picture(found, rows, given.out / "shapes.png")
+    print(text(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,113 @@
+"""Learn graphene from fields on scattered nodes, through Warp's operator, and predict the disks.
+
+The training samples of the main job, smoothed at randomly perturbed nodes: all of them on one
+set of nodes, or each on its own. Scattered points have no symbol and no reduced loss; the full loss
+is minimised by the two stages of Algorithm 1, the conditions kept on the lattice of the disks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+
+import warp_peri
+from examples.train_graphene import DATA, make_data
+from tools.graphene import THICKNESS
+from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
+from warp_peri.errors import InputError
+from warp_peri.files.whole import write_json
+from warp_peri.learning.fit import fit
+from warp_peri.points.dataset import PointSet
+
+SPACING = 5.0
+
+
+def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[PointSet]:
+    """The 70 training samples on perturbed nodes.
+
+    Args:
+        perturbation: largest shift of a node along each axis, in spacings.
+        seed: of the shifts.
+        own_nodes: give every sample nodes of its own.
+    """
+    body, _, samples = read_samples(DATA.with_suffix(".cache"), "train")
+    random = np.random.default_rng(seed)
+    line = np.arange(-REACH, REACH + SPACING / 2, SPACING)
+    lattice = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    interior = (np.abs(lattice) <= INTERIOR).all(axis=1)
+    sets = []
+    for some in [[sample] for sample in samples] if own_nodes else [samples]:
+        x = lattice + SPACING * perturbation * random.uniform(-1, 1, size=lattice.shape)
+        omega = warp_peri.smoothing_matrix(
+            some[0].reference, x, radius=SMOOTHING_RADIUS, box=body.box, density=True
+        )
+        u, b = warp_peri.coarse_grain(
+            omega,
+            displacement=np.stack([sample.displacement for sample in some]),
+            force=np.stack([sample.force for sample in some]),
+            node_area=1.0,
+            thickness=THICKNESS,
+        )
+        sets.append(PointSet(x=x, interior=interior, spacing=0.0, u=u, b=b))
+    return sets
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add_argument("--degree", type=int, default=10, help="M")
+    parser.add_argument("--perturbation", type=float, default=0.2, help="in spacings")
+    parser.add_argument("--own-nodes", action="store_true", help="each sample on its own nodes")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "scattered")
+    given = parser.parse_args(arguments)
+    try:
+        data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+        sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)
+        begin = time.perf_counter()
+        found = fit(
+            sets,
+            horizon=given.horizon,
+            degree=given.degree,
+            method="two-stage",
+            lattice_spacing=SPACING,
+            checkpoint=given.out / "stage2.npz",
+            seed=given.seed,
+            progress=True,
+        )
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; stage 2 goes on where it was with the next run", file=sys.stderr)
+        return 130
+    seconds = time.perf_counter() - begin
+    errors = {
+        name: warp_peri.evaluate(found.model, data[name], allow_uncertified=True)["E_u"]
+        for name in ("train", "val", "test")
+    }
+    found.model.save(given.out / "model.json")
+    stages = {stage.name: stage.E_res_train for stage in found.history}
+    content = {"E_u": errors, "E_res_train": stages, "seconds": seconds}
+    content |= {"lambda": found.model.lam, "mu": found.model.mu}
+    write_json(given.out / "scattered.json", content)
+    for name, value in stages.items():
+        print(f"stage {name}: E_res on the scattered nodes {100 * value:.2f} %")
+    print("E_u on the lattice: " + ", ".join(f"{k} {100 * v:.2f} %" for k, v in errors.items()))
+    print(f"λ = {found.model.lam:.4f} TPa, μ = {found.model.mu:.4f} TPa, {seconds:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,355 @@
+"""Error against time to solution: learned models, their rivals and the atoms themselves.
+
+    python examples/studies/speed_accuracy.py [--data FILE.h5] [--out runs/speed_accuracy] [--fresh]
+
+Errors are E_u on the held-out disks, and on periodic loads of high frequency whose wave vectors no
+fit saw: of the training waves (p, q) those with odd p + q are held out, and of these the shorter
+half counts. Set-up and solve are timed apart, the best of several runs; the solve is that of one
+load. Fits stay in the output folder. Nodes 4 Å apart come from the samples that the data set was
+made from. Needs the extras `compare` for finite elements and `bench` for Numba.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import importlib.util
+import json
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.sparse as sp
+import torch
+from scipy.sparse.linalg import splu
+
+from examples.studies.fem_rival import elastic_solver
+from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positive_model
+from tools import make_graphene as making
+from warp_peri import Model, PointSet, fit, load_dataset, load_model
+from warp_peri.files.whole import whole_file, write_json
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.stencil import stencil
+from warp_peri.statics.dirichlet import Dirichlet
+from warp_peri.statics.domain import domain
+
+DEGREE = 10
+CASES = (
+    *((5.0, horizon, DEGREE, "learned") for horizon in (12.5, 15.0, 20.0, 25.0)),
+    (4.0, 16.0, DEGREE, "learned"),
+    (2.5, 12.5, DEGREE, "learned"),
+    (5.0, 20.0, DEGREE, "positive kernel"),
+    (5.0, 20.0, 0, "λ, μ, α only"),
+)
+"""Spacing and horizon [Å], degree, and kind of the models."""
+SUFFIX = {5.0: "", 4.0: "_four", 2.5: "_fine"}
+ROUNDS = 3
+
+
+def waves(points: PointSet) -> np.ndarray:
+    """Wave numbers (p, q) of the periodic samples, shape [S, 2], from their load ids."""
+    ids = [str(one) for one in points.samples["load_id"]]
+    return np.array([[int(n) for n in re.findall(r"\d+", one)[-2:]] for one in ids])
+
+
+def held_out(points: PointSet) -> np.ndarray:
+    """Samples that no fit sees."""
+    return waves(points).sum(axis=1) % 2 == 1
+
+
+def high(points: PointSet) -> np.ndarray:
+    """The shorter half of the waves held out."""
+    size = np.hypot(*waves(points).T)
+    out = held_out(points)
+    return np.flatnonzero(out & (size >= np.median(size[out])))
+
+
+def wavelengths(points: PointSet) -> dict[str, float]:
+    """Shortest wave [Å] of the short set, and the shortest of the waves left out of it."""
+    period = float(np.ptp(points.x, axis=0).max()) / 2  # nodes reach a period to both sides
+    size = np.hypot(*waves(points).T)
+    short = size[high(points)]
+    return {"short_wave": period / short.max(), "long_wave": period / short.min()}
+
+
+def by_lu(dtype: Any) -> Callable[[Model, PointSet], Solver]:
+    """Sparse LU of the assembled operator."""
+
+    def prepare(model: Model, points: PointSet) -> Solver:
+        L = matrices(model, points).operator(model.lam, model.mu)
+        unknown = np.repeat(points.interior, 2)
+        factors = splu(sp.csc_array(L[:, unknown]).astype(dtype))
+        collar = L[:, ~unknown]
+
+        def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
+            right = b.ravel()[unknown] - collar @ u.ravel()[~unknown]
+            return factors.solve(right.astype(dtype)).reshape(-1, 2)
+
+        return solve
+
+    return prepare
+
+
+def by_cg(method: str) -> Callable[[Model, PointSet], Solver]:
+    """Conjugate gradients to 1e-8."""
+
+    def prepare(model: Model, points: PointSet) -> Solver:
+        nodes = domain(points, model.horizon, device=torch.device("cpu"))
+        values = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+        numbers = [torch.tensor(value, dtype=torch.float64) for value in values]
+        system = Dirichlet(nodes, stencil(nodes.classes, *numbers), method)
+
+        def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
+            load, field = torch.from_numpy(b[points.interior]), torch.from_numpy(u)
+            right = nodes.gather_free(load)
+            right -= system.pull(nodes.gather_near(field) * nodes.collar)
+            return nodes.scatter_free(system.solve(right, 1e-8)[0]).numpy()
+
+        return solve
+
+    return prepare
+
+
+def timed(prepare: Callable[[], Solver], points: PointSet, samples: np.ndarray) -> dict[str, float]:
+    """Best set-up and solve [s] and the mean error of the samples."""
+    setup, each = [], []
+    errors: list[float] = []
+    for _ in range(ROUNDS):
+        start = time.perf_counter()
+        solver = prepare()
+        setup.append(time.perf_counter() - start)
+        errors = []
+        for s in samples:
+            start = time.perf_counter()
+            found = solver(points.b[s], points.u[s])
+            each.append(time.perf_counter() - start)
+            exact = points.u[s][points.interior]
+            errors.append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
+    return {"setup": min(setup), "solve": min(each), "error": float(np.mean(errors))}
+
+
+def point_sets(file: Path) -> tuple[dict[str, PointSet], dict[str, float]]:
+    """The sets of the data file and those on nodes 4 Å apart, and the true λ and μ [TPa]."""
+    data = load_dataset(file)
+    sets = dict(data.sets)
+    for name in ("train", "test"):
+        samples = making.read_samples(file.with_suffix(".cache"), name)
+        sets[name + SUFFIX[4.0]] = making.point_set(*samples, spacing=4.0)
+    truth = data.provenance["truth"]
+    return sets, {"lam": truth["lambda"], "mu": truth["mu"]}
+
+
+def fitted(
+    data: dict[str, PointSet], out: Path, spacing: float, horizon: float, degree: int, kind: str
+) -> Model:
+    """The constrained optimum on the waves that are not held out; kept in a file."""
+    positive = kind == "positive kernel"
+    file = out / f"h{spacing:g}_d{horizon:g}_M{degree}{'_positive' if positive else ''}.json"
+    if file.exists():
+        return load_model(file)
+    train = data["train" + SUFFIX[spacing]]
+    seen = ~held_out(train)
+    train = replace(train, u=train.u[seen], b=train.b[seen], samples={})
+    if positive:
+        model = positive_model(train, horizon=horizon, degree=degree)
+    else:
+        model = fit(train, horizon=horizon, degree=degree, method="optimum").model
+    model.save(file)
+    return model
+
+
+def molecular() -> dict[str, float]:
+    """Seconds of the atoms for disk and sheet: relaxing and factorising once, then one load."""
+    found: dict[str, float] = {}
+    sheet, disk = making.graphene_bodies()
+    cases: dict[str, tuple[Any, Any]] = {
+        "disks": (disk, making.TEST),
+        "waves": (sheet, making.TRAINING),
+    }
+    for name, (body, loads) in cases.items():
+        seconds = []
+        for some in (loads[:1], loads[1:4]):  # a process sets a body up once, for the first load
+            with tempfile.TemporaryDirectory() as folder:
+                start = time.perf_counter()
+                making.solve_samples(body, list(some), Path(folder))
+                seconds.append(time.perf_counter() - start)
+        each = seconds[1] / 3
+        found |= {f"{name}_solve": each, f"{name}_setup": max(seconds[0] - each, 0.0)}
+    return found
+
+
+def measure(data: dict[str, PointSet], truth: dict[str, float], out: Path) -> list[dict[str, Any]]:
+    """One row for each model, precision and solver."""
+    rows: list[dict[str, Any]] = []
+
+    def add(label: str, kind: str, case: tuple[float, float, int], method: str, prepare: Any):
+        spacing, horizon, degree = case
+        row: dict[str, Any] = {"label": label, "kind": kind, "spacing": spacing}
+        row |= {"horizon": horizon, "method": method, "degree": degree}
+        row["disks_nodes"] = int(np.count_nonzero(data["test" + SUFFIX[spacing]].interior))
+        for name, group in (("disks", "test"), ("waves", "train")):
+            points = data[group + SUFFIX[spacing]]
+            samples = np.arange(len(points)) if name == "disks" else high(points)
+            record = timed(functools.partial(prepare, points), points, samples)
+            row |= {f"{name}_{key}": value for key, value in record.items()}
+        rows.append(row)
+        print(
+            f"{label:42} {100 * row['disks_error']:7.2f} % {100 * row['waves_error']:7.2f} %  "
+            f"set-up {1e3 * row['disks_setup']:8.1f} ms  solve {1e3 * row['disks_solve']:8.2f} ms",
+            flush=True,
+        )
+
+    for spacing, horizon, degree, kind in CASES:
+        model = fitted(data, out, spacing, horizon, degree, kind)
+        case, name = (spacing, horizon, degree), f"{kind}, h = {spacing:g}, δ = {horizon:g}"
+
+        def use(how: Any, model: Model = model) -> Any:
+            return lambda points: how(model, points)
+
+        add(f"{name}, LU", kind, case, "lu", use(by_lu(np.float64)))
+        if kind == "learned" and (horizon == 20 or spacing == 2.5):
+            for method, said in (("cg", "CG"), ("fft", "FFT-CG"), ("multigrid", "multigrid-CG")):
+                add(f"{name}, {said}", kind, case, method, use(by_cg(method)))
+        if kind == "learned" and horizon == 20:
+            add(f"{name}, LU float32", kind, case, "lu32", use(by_lu(np.float32)))
+            add(f"{name}, SciPy CSR and CG", kind, case, "scipy", use(by_scipy))
+            if importlib.util.find_spec("numba"):
+                add(f"{name}, Numba sweeps and CG", kind, case, "numba", use(by_numba))
+    finite = (
+        ("FEM Q1, h = 5, true constants", 5.0, 1),
+        ("FEM Q1, h = 2.5, true constants", 2.5, 1),
+        ("FEM Q2, elements of 5 Å on the nodes of 2.5 Å", 2.5, 2),
+    )
+    for label, spacing, order in finite:
+
+        def elements(points: PointSet, order: int = order) -> Solver:
+            return elastic_solver(points, order=order, **truth)
+
+        add(label, f"FEM Q{order}", (spacing, 0.0, order), f"Q{order}", elements)
+    atoms: dict[str, Any] = {
+        "label": "atoms (LAMMPS, Newton)",
+        "kind": "atoms",
+        "spacing": 0.0,
+        "horizon": 0.0,
+    }
+    rows.append(atoms | {"method": "atoms", "disks_error": 0.0, "waves_error": 0.0} | molecular())
+    return rows
+
+
+def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
+    """Set-up and solve of a large square and a large disk, over their unknown nodes."""
+    found = {}
+    at = np.arange(side) - (side - 1) / 2
+    disk = at[:, None] ** 2 + at**2 <= (side / 2) ** 2
+    pad = 2 * int(np.ceil(model.horizon / model.certified_on[0]))
+    for method, mask in (("sine", np.ones_like(disk)), ("multigrid", disk)):
+        mask = np.pad(mask, pad)
+        x = model.certified_on[0] * np.argwhere(np.ones_like(mask)).astype(float)
+        noise = np.random.default_rng(0).normal(size=(2, 1, len(x), 2))
+        points = PointSet(x, mask.ravel(), model.certified_on[0], *noise)
+        record = timed(functools.partial(by_cg(method), model, points), points, np.arange(1))
+        found[method] = (record["setup"] + record["solve"]) / int(mask.sum())
+    return found
+
+
+def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Rows that no other beats in both error and solve time, fastest first."""
+    best, found = np.inf, []
+    for row in sorted(rows, key=lambda row: (row[f"{name}_solve"], row[f"{name}_error"])):
+        # The same model by another solver is no better.
+        if row[f"{name}_error"] < best * (1 - 1e-3):
+            best = row[f"{name}_error"]
+            found.append(row)
+    return found
+
+
+def chart(rows: list[dict[str, Any]], file: Path) -> None:
+    """Error against the time of a solve, the Pareto front drawn and labelled."""
+    figure, axes = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
+    kinds = list(dict.fromkeys(row["kind"] for row in rows))
+    for ax, name, title in zip(
+        axes, ("disks", "waves"), ("held-out disks", "held-out short waves, periodic sheet")
+    ):
+        floor = min(row[f"{name}_error"] for row in rows if row[f"{name}_error"] > 0) / 3
+        for kind, marker in zip(kinds, "oPsDv^*"):
+            some = [row for row in rows if row["kind"] == kind]
+            y = [100 * max(row[f"{name}_error"], floor) for row in some]
+            ax.loglog([1e3 * row[f"{name}_solve"] for row in some], y, marker, label=kind)
+        best = front(rows, name)
+        x = [1e3 * row[f"{name}_solve"] for row in best]
+        y = [100 * max(row[f"{name}_error"], floor) for row in best]
+        ax.step(x, y, "k--", lw=0.8, where="post", label="Pareto front")
+        for n, (a, b) in enumerate(zip(x, y), start=1):
+            ax.annotate(str(n), (a, b), (-4, -13), textcoords="offset points", size=8)
+        names = [f"{n}  {row['label']}" for n, row in enumerate(best, start=1)]
+        ax.text(0.02, 0.02, "\n".join(names), transform=ax.transAxes, size=7)
+        ax.set(xlabel="time of one solve [ms]", ylabel="displacement error [%]", title=title)
+        ax.margins(0.1, 0.25)
+    axes[0].legend(fontsize=8)
+    figure.suptitle("Atoms have error 0 and stand on the floor of the chart", fontsize=9)
+    with whole_file(file) as path:
+        figure.savefig(path, dpi=130, format="png")
+    plt.close(figure)
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """The table and what it says."""
+    lines = [
+        "| model | disks % | short waves % | set-up ms (disk) | solve ms (disk) |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        numbers = [100 * row["disks_error"], 100 * row["waves_error"]]
+        numbers += [1e3 * row["disks_setup"], 1e3 * row["disks_solve"]]
+        lines.append(f"| {row['label']} | " + " | ".join(f"{n:.3g}" for n in numbers) + " |")
+    by = {(row["kind"], row["spacing"], row["horizon"], row["method"]): row for row in rows}
+    learned, Q1 = by["learned", 5.0, 20.0, "lu"], by["FEM Q1", 5.0, 0.0, "Q1"]
+    lines += ["", "| on the same nodes, h = 5 Å | disks | short waves |", "|---|---|---|"]
+    ratios = [Q1[f"{name}_error"] / learned[f"{name}_error"] for name in ("disks", "waves")]
+    lines.append(f"| error of Q1 over that of δ = 20 Å | {ratios[0]:.2f} | {ratios[1]:.2f} |")
+    for name, said in (("disks", "disks"), ("waves", "short waves")):
+        best = ", ".join(row["label"] for row in front(rows, name))
+        lines += ["", f"Pareto front, {said}, fastest first: {best}."]
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, default=Path("data/graphene_0K.h5"))
+    parser.add_argument("--out", type=Path, default=Path("runs/speed_accuracy"))
+    parser.add_argument("--fresh", action="store_true", help="measure again what is there")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    table = given.out / "speed_accuracy.json"
+    if table.exists() and not given.fresh:
+        rows = json.loads(table.read_text(encoding="utf-8"))["rows"]
+    else:
+        data, truth = point_sets(given.data)
+        rows = measure(data, truth, given.out)
+        large = seconds_per_node(fitted(data, given.out, 5.0, 20.0, DEGREE, "learned"))
+        found = {"rows": rows, **wavelengths(data["train"]), "seconds_per_node": large}
+        write_json(table, found)
+    chart(rows, given.out / "speed_accuracy.png")
+    with whole_file(given.out / "speed_accuracy.md") as path:
+        Path(path).write_text(markdown(rows), encoding="utf-8")
+    print(markdown(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

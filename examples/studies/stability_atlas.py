@@ -1,0 +1,124 @@
+"""Where the method fails: every failure provoked, measured, drawn, and met by a named error.
+
+Writes docs/stability.md with its figures (or, with --out, the same to a folder) and
+stability.json. The texts are filled with the measurements of the run; the errors and warnings in
+them are caught as a user would see them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import warp_peri
+from examples.graphene_report import save_figure
+from examples.studies import atlas_kernels, atlas_motion, atlas_solves
+from examples.studies.atlas_entry import Entry
+from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
+from warp_peri.errors import InputError
+from warp_peri.files.whole import plain, write_json, write_text
+
+STEPS = 100_000
+HEAD = """# Where the method fails: a stability atlas
+
+Every failure below is provoked by `python examples/studies/stability_atlas.py`, which wrote this
+page: each has a figure, a number, and what a user would see. Numbers in brackets are equations of
+the [theory](theory.md); "learned" means δ = 20 Å, M = 10 on 5 Å nodes
+of the graphene data. How the files survive is in [reliability](reliability.md).
+"""
+
+
+def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Callable[[], Entry]]:
+    """What there is to provoke, by name."""
+    learned: list[warp_peri.Model] = []
+
+    def model() -> warp_peri.Model:
+        if not learned:
+            found = warp_peri.fit(data["train"], horizon=20.0, degree=10, method="optimum")
+            learned.append(found.model)
+        return learned[0]
+
+    return {
+        "sign-changing": lambda: atlas_kernels.sign_changing(data),
+        "spacing": lambda: atlas_kernels.other_spacing(data, cache),
+        "exponent": atlas_kernels.steep_kernels,
+        "horizon": atlas_kernels.short_horizons,
+        "degree": lambda: atlas_kernels.large_degrees(data),
+        "lame": lambda: atlas_solves.lame_parameters(data),
+        "scattered": atlas_solves.scattered_points,
+        "surfaces": atlas_solves.free_surfaces,
+        "time-step": lambda: atlas_motion.critical_step(model()),
+        "energy": lambda: atlas_motion.energy_drift(model(), steps),
+        "dispersion": lambda: atlas_motion.dispersion(model(), data),
+        "strain": lambda: atlas_motion.large_strains(model()),
+        "float32": atlas_solves.single_precision,
+    }
+
+
+def section(name: str, entry: Entry, figures: str) -> str:
+    """One entry as Markdown."""
+    seen = "\n".join(f"    {line}" for line in entry.seen)
+    return (
+        f"## {entry.title}\n\n**{entry.number}**\n\n{entry.text}\n\n"
+        f"![{entry.title}]({figures}/{name}.png)\n\nWhat a user sees:\n\n{seen}\n"
+    )
+
+
+def finite(value: Any) -> Any:
+    """None for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, or 2 for bad input."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="default: docs/")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="some entries, no page")
+    parser.add_argument("--steps", type=int, default=STEPS, help="of the energy drift")
+    given = parser.parse_args(arguments)
+    try:
+        path = make_data(-1, SMOOTHING_RADIUS)
+        data = warp_peri.load_dataset(path)
+        found = entries(data, DATA.with_suffix(".cache"), given.steps)
+        unknown = set(given.only or ()) - set(found)
+        if unknown:
+            raise InputError(f"--only: expected some of {', '.join(found)}, got {sorted(unknown)}")
+        sections, values = [], {}
+        for name in given.only or found:
+            begin = time.perf_counter()
+            entry = found[name]()
+            save_figure(entry.figure, given.out / "stability" / f"{name}.png")
+            sections.append(section(name, entry, "stability"))
+            values[name] = {"number": entry.number, "seen": entry.seen, "values": entry.values}
+            print(
+                f"{entry.title}: {entry.number} ({time.perf_counter() - begin:.0f} s)", flush=True
+            )
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if not given.only:
+        write_text(given.out / "stability.md", "\n".join([HEAD, *sections]))
+        write_json(ROOT / "runs" / "stability" / "stability.json", finite(plain(values)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

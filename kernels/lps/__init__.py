@@ -1,0 +1,1 @@
+"""The linear peridynamic solid: influence, weighted volume, dilatation, force, adjoint."""

@@ -1,0 +1,414 @@
+"""The command: from dumps to a certified model, settings in TOML, exit codes."""
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel
+from tests.support.waves import fluctuation, noisy, waves
+from warp_peri import Dataset, InputError, load_dataset, load_model, save_dataset, solve
+from warp_peri.cli.inputs import atom_forces
+from warp_peri.cli.main import main
+from warp_peri.points.families import bond_classes
+
+ROOT = Path(__file__).parent.parent.parent
+HORIZON = 2.5
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Waves of a known model, noisy, and the noise alone."""
+    model = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    clean = waves(model, cells=4, highest=3)
+    sets = {"train": noisy(clean, 0.01, 1), "test": clean, "noise": fluctuation(clean, 8, 0.01, 2)}
+    path = tmp_path_factory.mktemp("command") / "data.h5"
+    save_dataset(path, Dataset(sets, 3.35, 2200.0))
+    return path
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    out = tmp_path_factory.mktemp("trained")
+    words = ["train", str(data), "--out", str(out), "--horizon", "2.5", "--degree", "3"]
+    assert main([*words, "--noise", "noise", "--json"]) == 0
+    return out
+
+
+def answer(capsys, *words):
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_train_leaves_a_certified_model_and_its_settings(trained, data, capsys):
+    model = load_model(trained / "model.json")
+    assert model.certified_on == (1.0,)
+    assert model.mu == pytest.approx(0.7, rel=0.02)
+    metrics = json.loads((trained / "metrics.json").read_text())
+    assert metrics["loss"].startswith("output (noise is")
+    assert metrics["E_u"]["test"] < 0.01
+    assert "is zero on the interior" in metrics["not_evaluated"]["noise"]
+    assert metrics["deviation"]["mu"] > 0
+    settings = tomllib.loads((trained / "train.toml").read_text())["train"]
+    assert settings["horizon"] == 2.5
+    assert settings["data"] == str(data)
+    assert "config" not in settings
+
+
+def test_a_run_is_repeated_from_its_settings(trained, tmp_path, capsys):
+    again = answer(capsys, "train", "--config", trained / "train.toml", "--out", tmp_path)
+    first = json.loads((trained / "metrics.json").read_text())["mu"]
+    assert again["mu"] == pytest.approx(first, rel=1e-12)
+    # The line goes before the file.
+    other = answer(
+        capsys, "train", "--config", trained / "train.toml", "--out", tmp_path, "--degree", "2"
+    )
+    assert load_model(tmp_path / "model.json").degree == 2
+    assert other["mu"] != again["mu"]
+
+
+def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
+    model_file = trained / "model.json"
+    proven = answer(capsys, "certify", model_file)["1 Å"]
+    assert proven["holds"] is True
+    assert proven["symbol_bound"] > 0.01
+    assert answer(capsys, "certify", model_file, "--spacing", "1", "0.8").keys() == {
+        "1 Å",
+        "0.8 Å",
+    }
+    errors = answer(capsys, "evaluate", model_file, data, "--set", "test")
+    out = tmp_path / "solved.h5"
+    answer(capsys, "solve", model_file, data, "--out", out)
+    test = load_dataset(data)["test"]
+    settings = tomllib.loads((tmp_path / "solved.solve.toml").read_text())["solve"]
+    assert settings["set"] == "test"
+    u = solve(load_model(model_file), test, test.b, test.u)
+    np.testing.assert_allclose(load_dataset(out)["test"].u, u)
+    assert answer(capsys, "info", model_file)["certified_on"] == [1.0]
+    sets = answer(capsys, "info", data)["sets"]
+    assert sets["noise"]["samples"] == 8
+    assert errors["test"]["E_u"] < 0.01
+
+
+def test_people_read_lines(trained, data, capsys):
+    assert main(["info", str(trained / "model.json")]) == 0
+    text = capsys.readouterr().out
+    assert "certified_on: 1" in text
+    assert main(["evaluate", str(trained / "model.json"), str(data), "--set", "test"]) == 0
+    assert "E_u [%]" in capsys.readouterr().out
+
+
+def info_to(output, model):
+    """A command whose output goes to an open file."""
+    command = [sys.executable, "-m", "warp_peri", "info", model]
+    return subprocess.run(
+        command, stdout=output, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False
+    )
+
+
+def test_a_reader_who_has_enough_is_no_failure(trained):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as output:
+        found = info_to(output, trained / "model.json")
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_a_full_disk_behind_the_output_is_one_line(trained):
+    with open("/dev/full", "w") as output:
+        found = info_to(output, trained / "model.json")
+    assert found.returncode == 1
+    assert found.stderr == "error: [Errno 28] No space left on device\n"
+
+
+def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
+    words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
+    found = answer(capsys, *words, "--horizons", "2.5", "--degrees", "0", "1")
+    assert found["fits"] == 2
+    assert json.loads((tmp_path / "sweep.json").read_text()) == found
+    settings = tomllib.loads((tmp_path / "sweep.toml").read_text())["sweep"]
+    assert settings["degrees"] == [0, 1]
+
+
+def dump(path, positions):
+    lines = ["ITEM: TIMESTEP", "0", "ITEM: NUMBER OF ATOMS", f"{len(positions)}"]
+    lines += ["ITEM: BOX BOUNDS pp pp pp", "0 40", "0 40", "-5 5", "ITEM: ATOMS id type x y z"]
+    lines += [f"{i} 1 {x:.12f} {y:.12f} 0" for i, (x, y) in enumerate(positions, start=1)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_dumps_become_sets_of_one_file(tmp_path, capsys):
+    grid = np.arange(0.5, 40, 1.0)
+    reference = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    moved = np.array([0.3, -0.1])
+    force = np.random.default_rng(0).normal(size=reference.shape)
+    np.savez(tmp_path / "f.npz", force)
+    np.savetxt(tmp_path / "f.csv", force, delimiter=",")
+    rest, loaded = (
+        dump(tmp_path / "r.dump", reference),
+        dump(tmp_path / "l.dump", reference + moved),
+    )
+    out = tmp_path / "own.h5"
+    words = ["coarse-grain", loaded, "--reference", rest, "--out", out, "--spacing", "4"]
+    words += ["--radius", "6", "--reach", "40", "--interior", "12", "--box", "40", "40"]
+    first = answer(capsys, *words, "--force", tmp_path / "f.npz")
+    answer(capsys, *words, "--force", tmp_path / "f.csv", "--set", "val")
+    data = load_dataset(out)
+    assert sorted(data) == ["train", "val"]
+    settings = tomllib.loads((tmp_path / "own.val.coarse-grain.toml").read_text())["coarse-grain"]
+    assert settings["box"] == [40.0, 40.0]
+    before = data["val"].b
+    line = ["coarse-grain", "--config", tmp_path / "own.val.coarse-grain.toml"]
+    assert answer(capsys, *line)["set"] == "val"
+    np.testing.assert_array_equal(load_dataset(out)["val"].b, before)
+    assert first["nodes"] == 21 * 21
+    np.testing.assert_allclose(data["train"].u, np.broadcast_to(moved, (1, 441, 2)), atol=1e-9)
+    np.testing.assert_allclose(data["train"].b, data["val"].b)
+    middle = data["train"].x.mean(axis=0)
+    np.testing.assert_allclose(middle, [20, 20])
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npz"), "--thickness", "1"]) == 2
+    assert "has 3.35 Å, got 1 Å" in capsys.readouterr().err
+    np.savez(tmp_path / "f.npz", force[:-1])
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npz")]) == 2
+    assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
+
+
+@pytest.fixture
+def crystal(tmp_path):
+    """Words of coarse-grain for one load on a small periodic body."""
+    grid = np.arange(0.5, 40, 1.0)
+    x = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    np.savez(tmp_path / "f.npz", np.ones_like(x))
+    rest, load = dump(tmp_path / "r.dump", x), dump(tmp_path / "l.dump", x + 0.1)
+    words = ["coarse-grain", load, "--reference", rest, "--force", tmp_path / "f.npz"]
+    words += ["--out", tmp_path / "own.h5", "--spacing", 4, "--reach", 16, "--interior", 8]
+    return [str(word) for word in words]
+
+
+def test_the_sheet_is_the_file_s(crystal, tmp_path, capsys):
+    words = [*crystal, "--box", "40", "40", "--radius", "6"]
+    out = tmp_path / "own.h5"
+    assert main([*words, "--density", "3000", "--thickness", "2"]) == 0
+    assert main([*words, "--set", "val"]) == 0
+    data = load_dataset(out)
+    assert (data.density, data.thickness, sorted(data)) == (3000, 2, ["train", "val"])
+    np.testing.assert_array_equal(data["train"].b, data["val"].b)
+    assert main([*words, "--density", "2200"]) == 2
+    assert "has 3000 kg/m³, got 2200 kg/m³" in capsys.readouterr().err
+    out.unlink()
+    assert main(words) == 0
+    assert (load_dataset(out).density, load_dataset(out).thickness) == (2200, 3.35)
+
+
+def test_a_typed_box_is_rounded(crystal, tmp_path, capsys):
+    out, words = tmp_path / "own.h5", [*crystal, "--radius", "6", "--box"]
+    assert main([*words, "40", "40"]) == 0
+    b = load_dataset(out)["train"].b
+    assert main([*words, "40.02", "39.98"]) == 0
+    np.testing.assert_array_equal(load_dataset(out)["train"].b, b)
+    assert main([*words, "40", "40.2"]) == 2
+    assert "expected the header's 40 x 40 Å, got 40 x 40.2 Å" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        (["--box", "40", "40"], "at most 20 Å, half the smallest period, got 1e+09 Å"),
+        ([], "at most 39 Å, the extent of the body, got 1e+09 Å"),
+    ],
+)
+def test_a_radius_fits_the_body(crystal, box, message, capsys):
+    assert main([*crystal, *box, "--radius", "1e9"]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_forces_have_two_columns(columns, kind, tmp_path):
+    """Three may be f_x, f_y, f_z or id, f_x, f_y: nobody can tell."""
+    path, force = tmp_path / f"f.{kind}", np.ones((5, columns))
+    np.savez(path, force) if kind == "npz" else np.savetxt(path, force, delimiter=",")
+    with pytest.raises(InputError, match=rf"got \[5, {columns}\]; the columns are f_x, f_y"):
+        atom_forces(path, 5)
+
+
+def test_compressed_forces_are_refused_with_the_way_out(tmp_path):
+    np.savez_compressed(tmp_path / "f.npz", np.ones((5, 2)))
+    with pytest.raises(InputError, match=r"numpy\.savez, not compressed"):
+        atom_forces(tmp_path / "f.npz", 5)
+
+
+BAD_CONFIG = {
+    "not TOML": ("horizon = ", "expected a TOML file"),
+    "no table": ("[solve]\n", "expected a table [train]"),
+    "unknown": ("[train]\nhorizons = 3\n", "no option 'horizons'"),
+    "a list": ("[train]\nhorizon = [3, 4]\n", "not what this option takes"),
+    "not a number": ('[train]\nhorizon = "far"\n', "horizon"),
+    "not a choice": ('[train]\nloss = "huber"\n', "expected of auto"),
+    "not yes or no": ("[train]\nnormalise = 3\n", "not what this option takes"),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), BAD_CONFIG.values(), ids=BAD_CONFIG)
+def test_settings_that_make_no_sense_are_refused(text, words, data, tmp_path, capsys):
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    line = ["train", str(data), "--out", str(tmp_path / "out"), "--config", str(path)]
+    assert main(line) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["info", "nowhere.h5"], 2, "no such data set"),
+        (["info", "nowhere.json"], 2, "nowhere.json"),
+        (["train", "{data}", "--out", "{tmp}/o", "--set", "none"], 2, "no set 'none'"),
+        (["train", "{data}", "--out", "{tmp}/o", "--noise", "none"], 2, "no set 'none'"),
+        (["certify", "{bare}"], 2, "give --spacing"),
+        (["sweep", "{data}", "--out", "{tmp}/o"], 2, "no set 'val'"),
+    ],
+)
+def test_errors_are_one_line(words, status, message, data, tmp_path, capsys):
+    bare = tmp_path / "bare.json"
+    dataclasses.replace(kernel("1/r", HORIZON), trained_on=(), certified_on=()).save(bare)
+    places = {"data": data, "tmp": tmp_path, "bare": bare}
+    assert main([word.format(**places) for word in words]) == status
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+
+
+def test_a_shape_is_trained_by_name(data, tmp_path, capsys):
+    words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--influence", "gaussian"]
+    found = answer(capsys, *words, "--loss", "residual")
+    model = load_model(tmp_path / "model.json")
+    width = found["influence"]["parameters"]["width"]
+    assert found["influence"] == model.provenance["influence"]
+    assert model.influence(2.0) == pytest.approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
+    settings = tomllib.loads((tmp_path / "train.toml").read_text())["train"]
+    assert settings["influence"] == "gaussian"
+    again = answer(capsys, "train", "--config", tmp_path / "train.toml")
+    assert again["mu"] == pytest.approx(found["mu"], rel=1e-12)
+
+
+def test_a_table_is_trained_from_a_file(data, tmp_path, capsys):
+    K = tmp_path / "K.csv"
+    K.write_text("# r, K\n0.5, 1.0\n2.5, 0.2\n")
+    words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
+    assert answer(capsys, *words, "--loss", "residual")["influence"]["function"] == "tabulated"
+    model = load_model(tmp_path / "run" / "model.json")
+    np.testing.assert_allclose(model.influence([1.0, 2.0]), [0.8, 0.4], rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1.0, 2.0, 3.0\n", "expected two columns r, K with a comma, or their names, got"),
+        ("x, K\n1.0, 2.0\n", "could not convert string 'x'"),
+        ("", "expected two columns r, K"),
+        ("0.5, 1.0\n2.0, 1.0\n", "expected K out to the longest bond, 2.23607 Å, got it to 2 Å"),
+        ("2.0, 1.0\n1.0, 1.0\n", "expected finite K at rising finite r"),
+        (None, "K.csv: no such file"),
+    ],
+)
+def test_tables_that_cannot_be_used(content, message, data, tmp_path, capsys):
+    K = tmp_path / "K.csv"
+    if content is not None:
+        K.write_text(content)
+    words = ["train", str(data), "--out", str(tmp_path / "run"), "--influence", str(K)]
+    assert main([*words, "--horizon", "2.5"]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_no_shape_of_that_name(data, tmp_path, capsys):
+    words = ["train", str(data), "--out", str(tmp_path / "run"), "--influence", "gausian"]
+    assert main(words) == 2
+    assert "expected gaussian, exponential, conical or a .csv file" in capsys.readouterr().err
+
+
+def test_the_table_that_was_exported_is_taken_again(trained, data, tmp_path, capsys):
+    K = tmp_path / "K.csv"
+    answer(capsys, "export", "influence", trained / "model.json", "--out", K)
+    words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
+    answer(capsys, *words, "--loss", "residual")
+    models = [load_model(folder / "model.json") for folder in (trained, tmp_path / "run")]
+    r = bond_classes(1.0, HORIZON).r
+    first, second = (model.influence(r) / np.abs(model.influence(r)).max() for model in models)
+    np.testing.assert_allclose(first, second, atol=1e-7)
+
+
+def test_zeta_is_kept(data, tmp_path, capsys):
+    words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--degree", "3"]
+    answer(capsys, *words, "--loss", "residual", "--zeta", "0.3")
+    figures = load_model(tmp_path / "model.json").certificate["1"]
+    assert figures["symbol_bound"] > 0.29
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["solve", "{model}", "{data}", "--out", "{data}"], "is read (data)"),
+        (["solve", "{model}", "{data}", "--out", "{model}"], "is read (model)"),
+        (["export", "influence", "{model}", "--out", "{model}"], "is read (model)"),
+        (["export", "fields", "{model}", "--data", "{data}", "--out", "{data}"], "is read (data)"),
+        (["train", "{data}", "--out", "{other}"], "expected a folder"),
+        (["sweep", "{data}", "--val", "test", "--out", "{other}"], "expected a folder"),
+        (["solve", "{model}", "{data}", "--out", "{folder}"], "expected a file"),
+        (["sweep", "{data}", "--val", "test", "--out", "{new}", "--jobs", "0"], "jobs: expected"),
+        (["export", "influence", "{model}", "--out", "{new}", "--spacing", "0"], "spacing"),
+    ],
+)
+def test_nothing_is_written_over_what_is_read(words, message, trained, data, tmp_path, capsys):
+    places = {"model": tmp_path / "m.json", "data": tmp_path / "d.h5", "other": tmp_path / "o.txt"}
+    shutil.copy(trained / "model.json", places["model"])
+    shutil.copy(data, places["data"])
+    places["other"].write_text("kept")
+    before = {path: path.read_bytes() for path in places.values()}
+    places |= {"folder": tmp_path, "new": tmp_path / "new"}
+    assert main([word.format(**places) for word in words]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_an_operator_is_exported_on_certified_lattices(data, tmp_path, capsys):
+    model = tmp_path / "bare.json"
+    dataclasses.replace(kernel("1/r", HORIZON), certified_on=()).save(model)
+    words = [
+        "export",
+        "operator",
+        str(model),
+        "--data",
+        str(data),
+        "--out",
+        str(tmp_path / "L.npz"),
+    ]
+    assert main(words) == 2
+    assert "certified on no spacing" in capsys.readouterr().err
+    assert not (tmp_path / "L.npz").exists()
+    assert main([*words, "--allow-uncertified"]) == 0
+    assert "warning: spacing" in capsys.readouterr().err
+
+
+def test_sets_on_the_line_take_the_place_of_those_in_the_file(trained, data, tmp_path, capsys):
+    settings = tmp_path / "e.toml"
+    settings.write_text('[evaluate]\nsets = ["train"]\n')
+    words = ["evaluate", trained / "model.json", data, "--config", settings]
+    assert set(answer(capsys, *words)) == {"train"}
+    assert set(answer(capsys, *words, "--set", "test")) == {"test"}
+    assert set(answer(capsys, *words, "--set=test", "--set", "train")) == {"test", "train"}

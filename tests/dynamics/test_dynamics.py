@@ -1,0 +1,182 @@
+"""Explicit dynamics: the proven time step, stability on either side of it, the energy kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.problems import KERNELS, ell, fitted_order, kernel, lattice, noise, periodic
+from warp_peri import InputError, critical_time_step, velocity_verlet
+from warp_peri.dynamics.verlet import INERTIA
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.families import bond_classes
+from warp_peri.stability import proof
+from warp_peri.stability.proof import largest_bound
+
+DENSITY = 2147.0
+STABLE = ("1/r", "steep", "positive", "two functions")
+ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 201)]), -1).reshape(-1, 2)
+
+
+def largest(model, k, spacing=1.0):
+    """Λmax D(k)."""
+    classes = bond_classes(spacing, model.horizon)
+    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
+    return np.linalg.eigvalsh(np.stack([d11, d12, d12, d22], axis=-1).reshape(-1, 2, 2))[:, 1]
+
+
+@pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
+    model = kernel(name, horizon, lam=-0.2)
+    classes = bond_classes(1.0, horizon)
+    bound = largest_bound(classes, *stiffnesses(model, classes))
+    found = largest(model, ZONE).max()
+    assert found <= bound <= 1.002 * found
+
+
+@pytest.mark.parametrize("lam", [-0.2, 3.0])
+@pytest.mark.parametrize("name", KERNELS)
+def test_no_cell_holds_more_than_its_bound(name, lam, monkeypatch):
+    model, classes = kernel(name, 3.0, lam=lam), bond_classes(1.0, 3.0)
+    random, half = np.random.default_rng(0), np.pi / 32
+    middle = random.uniform(0, np.pi, (100, 2))
+    inside = middle[:, None] + half * random.uniform(-1, 1, (100, 100, 2))
+    found = largest(model, inside.reshape(-1, 2)).reshape(100, 100).max(axis=1)
+    point = stiffnesses(model, classes)
+    bound = proof._cells_above(classes, *point, middle, half)[1]
+    assert (found <= bound).all()
+    monkeypatch.setattr(proof, "_second_derivative", lambda *_: 0.0)
+    straight = proof._cells_above(classes, *point, middle, half)[1]
+    assert (found > straight).any()  # without the curvature it is no bound
+
+
+def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
+    model, classes = kernel("positive", 3.0), bond_classes(1.0, 3.0)
+    tight = largest_bound(classes, *stiffnesses(model, classes))
+    monkeypatch.setattr(proof, "MOST_CELLS", 1)
+    loose = largest_bound(classes, *stiffnesses(model, classes), tolerance=1e-9)
+    assert loose > tight
+
+
+def box_of(model, spacing):
+    """A periodic box that holds the stiffest wave to a part in a thousand, and that wave."""
+    line = np.arange(0, 25) / 48
+    p, q = (line[a] for a in np.tril_indices(25))
+    k = 2 * np.pi * np.stack([p, q], axis=1)[1:] / spacing
+    k = k[largest(model, k, spacing).argmax()]
+    shape = [next(n for n in range(6, 49) if abs(n * f - round(n * f)) < 1e-9)
+             for f in k * spacing / (2 * np.pi)]  # fmt: skip
+    while min(shape) <= 2 * model.horizon / spacing:
+        shape = [2 * n for n in shape]
+    return *periodic(shape, spacing), k
+
+
+@pytest.mark.parametrize("spacing", [1.0, 5.0])
+@pytest.mark.parametrize("name", STABLE)
+def test_stable_just_below_and_unstable_just_above(name, spacing):
+    model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
+    points, box, _ = box_of(model, spacing)
+    critical = critical_time_step(model, spacing=spacing, density=DENSITY)
+    options = {"density": DENSITY, "steps": 250, "box": box}
+    u, rest = noise(points), np.zeros_like(points.x)
+    below = velocity_verlet(model, points, u, rest, step=0.99 * critical, **options)
+    assert np.abs(below.u).max() < 30 * np.abs(u).max()
+    assert below.drift < 1e-12
+    with pytest.warns(UserWarning, match="step: expected at most"):
+        above = velocity_verlet(
+            model, points, u, rest, step=1.01 * critical, allow_unstable=True, **options
+        )
+    assert np.abs(above.u).max() > 1e20 * np.abs(u).max()
+    with pytest.raises(InputError, match=f"step: expected at most {critical:.6g} ps"):
+        velocity_verlet(model, points, u, rest, step=1.01 * critical, **options)
+
+
+def test_the_step_holds_on_parts_of_the_lattice():
+    model = kernel("positive", 2.5)
+    points = lattice(ell(), 2.5)
+    unknown = np.repeat(points.interior, 2)
+    L = matrices(model, points).operator(model.lam, model.mu)[:, unknown].toarray()
+    omega = np.sqrt(np.linalg.eigvalsh(L)[-1] / (INERTIA * DENSITY))
+    assert critical_time_step(model, spacing=1.0, density=DENSITY) < 2 / omega
+
+
+def test_a_wave_turns_with_its_frequency_to_second_order():
+    model = kernel("positive", 2.5, lam=-0.2)
+    points, box = periodic((8, 6))
+    k = 2 * np.pi * np.array([1, 0]) / box
+    omega = np.sqrt(largest(model, k[None])[0] / (INERTIA * DENSITY))
+    u = np.cos(points.x @ k)[:, None] * [1.0, 0.0]
+    time = 0.7 * 2 * np.pi / omega
+    numbers = np.array([20, 40, 80])
+    errors = []
+    for n in numbers:
+        options = {"density": DENSITY, "step": time / n, "steps": int(n), "box": box}
+        found = velocity_verlet(model, points, u, 0 * u, **options)
+        errors.append(np.abs(found.u - np.cos(omega * time) * u).max())
+        assert found.time[-1] == pytest.approx(time - time / n / 2)
+    assert fitted_order(1 / numbers, errors) > 1.9
+    assert errors[-1] < 1e-2
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_energy_is_kept_with_a_collar_and_a_load(name):
+    model = kernel(name, 2.5, lam=-0.2)
+    points = lattice(ell(), 2.5)
+    step = 0.9 * critical_time_step(model, spacing=1.0, density=DENSITY)
+    u, v, b = (noise(points, seed=seed) for seed in range(3))
+    found = velocity_verlet(
+        model, points, u, v, b=b, density=DENSITY, step=step, steps=300, every=3
+    )
+    assert len(found.time) == len(found.energy) == 100
+    assert found.drift < 1e-11
+    np.testing.assert_array_equal(found.u[~points.interior], u[~points.interior])
+    np.testing.assert_array_equal(found.v[~points.interior], 0)
+
+
+def test_energy_is_that_of_the_definition():
+    model, points = kernel("1/r", 2.0), lattice(4, 2.0)
+    inside = points.interior
+    L = matrices(model, points).operator(model.lam, model.mu)
+    A, C = L[:, np.repeat(inside, 2)], L[:, np.repeat(~inside, 2)]
+    u, v, b = (noise(points, seed=seed) for seed in range(3))
+    step = 0.002
+    found = velocity_verlet(model, points, u, v, b=b, density=DENSITY, step=step, steps=1)
+    start, load = u[inside].ravel(), b[inside].ravel() - C @ u[~inside].ravel()
+    half = v[inside].ravel() + step / (2 * INERTIA * DENSITY) * (load - A @ start)
+    end = start + step * half
+    energy = INERTIA * DENSITY / 2 * half @ half + start @ (A @ end) / 2 - load @ (start + end) / 2
+    assert found.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
+    np.testing.assert_allclose(found.u[inside].ravel(), end, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_energy_over_a_hundred_thousand_steps():
+    model = kernel("positive", 2.5, lam=-0.2)
+    points, box = periodic((8, 8))
+    step = 0.9 * critical_time_step(model, spacing=1.0, density=DENSITY)
+    options = {"density": DENSITY, "step": step, "steps": 100_000, "box": box, "every": 100}
+    assert velocity_verlet(model, points, noise(points), 0 * points.x, **options).drift < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"points": replace(lattice(4, 2.0), spacing=0.0)}, "points: expected a lattice"),
+        ({"u": np.zeros((3, 2))}, "u: expected finite values of shape"),
+        ({"v": np.full((144, 2), np.nan)}, "v: expected finite values"),
+        ({"density": 0.0}, "density: expected a number > 0"),
+        ({"step": -1.0}, "step: expected a number > 0"),
+        ({"step": 1.0}, "step: expected at most"),
+        ({"steps": 0}, "steps: expected a whole number"),
+        ({"every": 1.5}, "every: expected a whole number"),
+        ({"model": kernel("1/r", 2.0, spacing=5.0)}, "certified on 5 Å, not on 1 Å"),
+    ],
+)
+def test_bad_input_is_refused(change, words):
+    points = lattice(4, 2.0)
+    given = {"model": kernel("1/r", 2.0), "points": points, "u": noise(points)}
+    given |= {"v": 0 * points.x, "density": DENSITY, "step": 1e-3, "steps": 2} | change
+    with pytest.raises(InputError, match=words):
+        velocity_verlet(**given)

@@ -1,0 +1,165 @@
+"""The examples and the command line, run as a user runs them, on data made by LAMMPS."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples import train_graphene, validate_disks
+from warp_peri import load_dataset, load_model
+from warp_peri.cli.main import main as command
+
+ROOT = Path(__file__).parent.parent.parent
+RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png", "disks.png",
+           "waves.png")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small_run(graphene, tmp_path_factory):
+    """The main job at a small horizon and degree."""
+    out = tmp_path_factory.mktemp("runs") / "small"
+    arguments = ["--horizon", "12.5", "--degree", "4", "--data", str(graphene), "--out", str(out)]
+    assert train_graphene.main(arguments) == 0
+    return out
+
+
+def test_main_job_on_a_small_setting(small_run):
+    assert all((small_run / name).stat().st_size > 500 for name in RESULTS)
+    numbers = json.loads((small_run / "metrics.json").read_text())
+    assert numbers["E_u"]["test"] <= 0.03
+    assert set(numbers["E_res"]) == set(numbers["E_u"]) == {"train", "val", "test"}
+    assert set(numbers["moduli"]) == {"C11", "C12", "C44"}
+    assert set(numbers["truth"]) == {"lambda", "mu", "E", "nu"}
+    assert set(numbers["certificate"]) == {
+        "symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min",
+    }  # fmt: skip
+    errors = [stage["E_res_train"] for stage in numbers["stages"]]
+    assert len(errors) == 3
+    assert errors[1] < errors[0]
+    assert errors[2] < errors[0]
+    assert np.ptp(list(numbers["starts"].values())) < 1e-6
+    assert {"data", "learning", "all"} <= set(numbers["seconds"])
+
+
+def test_defaults_reach_the_figures_of_the_readme(graphene, tmp_path):
+    assert train_graphene.main(["--data", str(graphene), "--out", str(tmp_path)]) == 0
+    numbers = json.loads((tmp_path / "metrics.json").read_text())
+    percent = {key: {role: 100 * e for role, e in numbers[key].items()} for key in ("E_res", "E_u")}
+    assert percent["E_res"]["train"] <= 2.9
+    assert percent["E_res"]["val"] <= 2.0
+    assert percent["E_u"]["train"] <= 1.8
+    assert percent["E_u"]["val"] <= 0.8
+    assert percent["E_u"]["test"] <= 1.2
+    assert numbers["mu"] == pytest.approx(numbers["truth"]["mu"], rel=0.01)
+    assert numbers["E"] == pytest.approx(numbers["truth"]["E"], rel=0.025)
+    assert numbers["certificate"]["symbol_min"] >= 0.01
+    assert numbers["certificate"]["gamma_min"] > 0
+    row = re.search(r"\*\*this library\*\* \|(.*)\|", (ROOT / "README.md").read_text())[1]
+    printed = [float(cell.strip(" *")) for cell in row.split("|")]
+    measured = [percent["E_res"][r] for r in ("train", "val")]
+    measured += [percent["E_u"][r] for r in ("train", "val", "test")]
+    assert printed == pytest.approx(measured, abs=0.02)
+
+
+def test_two_stage_method_stops_before_the_optimum(graphene, tmp_path):
+    arguments = ["--horizon", "12.5", "--degree", "3", "--method", "two-stage"]
+    assert train_graphene.main([*arguments, "--data", str(graphene), "--out", str(tmp_path)]) == 0
+    numbers = json.loads((tmp_path / "metrics.json").read_text())
+    assert [stage["name"][0] for stage in numbers["stages"]] == ["1", "2"]
+    assert numbers["starts"] == {}
+
+
+def test_validate_disks(small_run, graphene, tmp_path, capsys):
+    arguments = [str(small_run / "model.json"), "--data", str(graphene), "--out", str(tmp_path)]
+    assert validate_disks.main(arguments) == 0
+    assert "table2-4" in capsys.readouterr().out
+    expected = json.loads((small_run / "metrics.json").read_text())["E_u"]["test"]
+    assert json.loads((tmp_path / "test.json").read_text())["E_u"] == pytest.approx(expected)
+
+
+def test_evaluate_prints_one_object_and_reports_uncertified_sets(small_run, graphene, capsys):
+    model = str(small_run / "model.json")
+    assert command(["evaluate", model, str(graphene), "--json"]) == 0
+    tables = json.loads(capsys.readouterr().out)
+    assert set(tables) == set(load_dataset(graphene))
+    assert "certified on 5 Å, not on 2.5 Å" in tables["test_fine"]["error"]
+    table = tables["test"]
+    assert table["E_u"] == pytest.approx(np.mean(table["E_u_samples"]))
+    assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
+
+
+def test_evaluate_exits_2_for_an_uncertified_set_by_name(small_run, graphene, capsys):
+    arguments = ["evaluate", str(small_run / "model.json"), str(graphene), "--set", "test_fine"]
+    assert command([*arguments, "--json"]) == 2
+    assert capsys.readouterr().out == ""
+    # One grid does not teach another: allowed there, the operator turns out to be indefinite.
+    assert command([*arguments, "--json", "--allow-uncertified"]) == 2
+    err = capsys.readouterr().err
+    assert "warning: spacing: the model is certified on 5 Å" in err
+    assert "the operator on these 1245 nodes is indefinite" in err
+
+
+def test_evaluate_names_a_set_that_is_not_there(small_run, graphene, capsys):
+    assert command(["evaluate", str(small_run / "model.json"), str(graphene), "--set", "no"]) == 2
+    assert "no set 'no'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--horizon", "30"], "twice the horizon: 152 of 441 have not at horizon 30 Å"),
+        (["--horizon", "4"], "horizon: expected at least one spacing (5.0 Å), got 4.0"),
+        (["--degree", "-1"], "degree: expected a whole number ≥ 0, got -1"),
+        (["--spacing", "3"], "no training set on nodes 3 Å apart"),
+        (["--data", "nowhere.h5"], "nowhere.h5: no such data set"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, graphene, tmp_path, capsys):
+    out = tmp_path / "out"
+    given = ["--data", str(graphene), "--out", str(out), *arguments]
+    assert train_graphene.main(given) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert len([line for line in err.splitlines() if line.startswith("error")]) == 1
+    assert not out.exists()
+
+
+def test_interrupt_while_learning_leaves_no_file(graphene, tmp_path, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train_graphene, "fit", interrupted)
+    out = tmp_path / "out"
+    assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_failed_data_is_one_line(tmp_path, monkeypatch, capsys):
+    from tools import make_graphene
+
+    def fails(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(train_graphene, "DATA", tmp_path / "data.h5")
+    monkeypatch.setattr(make_graphene, "solve_all", fails)
+    assert train_graphene.main(["--out", str(tmp_path / "out")]) == 1
+    assert "No space left" in capsys.readouterr().err
+    assert not (tmp_path / "data.h5").exists()
+    assert not (tmp_path / "out").exists()
+
+
+def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
+    snippet = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)[1]
+    (tmp_path / "data").mkdir()
+    shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
+    monkeypatch.chdir(tmp_path)
+    exec(snippet, {})
+    error, statement = capsys.readouterr().out.split(maxsplit=1)
+    printed = re.search(r"This small fit reaches (\S+) % on", (ROOT / "README.md").read_text())[1]
+    assert f"{100 * float(error):.2f}" == printed
+    assert statement.startswith("Every static problem on any finite set of nodes")
+    assert load_model("model.json").certified_on == (5.0,)

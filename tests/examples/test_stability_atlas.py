@@ -1,0 +1,69 @@
+"""The stability atlas: quick entries run; the page has a figure and an error for each."""
+
+import re
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+from examples.studies import atlas_kernels, atlas_solves, stability_atlas
+from examples.studies.atlas_entry import words
+
+DOCS = Path(__file__).parent.parent.parent / "docs"
+NAMES = (
+    "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "surfaces",
+    "time-step", "energy", "dispersion", "strain", "float32",
+)  # fmt: skip
+
+
+def test_the_page_has_every_entry_with_figure_number_and_what_is_seen():
+    page = (DOCS / "stability.md").read_text(encoding="utf-8")
+    sections = page.split("\n## ")[1:]
+    assert len(sections) == len(NAMES)
+    for name, section in zip(NAMES, sections):
+        assert f"](stability/{name}.png)" in section
+        assert (DOCS / "stability" / f"{name}.png").stat().st_size > 10_000
+        number = re.search(r"\*\*(.*?)\*\*", section)[1]
+        assert re.search(r"\d", number)
+        seen = section.split("What a user sees:")[1]
+        assert re.search(r"^    (InputError|UserWarning|certificate): ", seen, re.M)
+
+
+def test_steep_kernels_lose_shear_and_keep_their_symbol():
+    entry = atlas_kernels.steep_kernels()
+    shear = {a: atlas_kernels.plain_symbol(a, 3.0) for a in (1.0, 2.999, 10.0)}
+    assert shear[1.0][0] == pytest.approx(1.0)
+    assert shear[2.999][0] < 0.85
+    assert shear[10.0][0] < 0.1
+    assert shear[2.999][1] > 0.3
+    assert entry.seen == ["InputError: alpha: expected less than 3, got 3.0"]
+    plt.close(entry.figure)
+
+
+def test_float32_loses_forces_under_a_rigid_shift():
+    entry = atlas_solves.single_precision()
+    error = entry.values["error"]
+    assert error["float32"][0] > 1e-8
+    assert error["float32"][-1] > 0.9
+    assert error["float64"][-1] < 1e-2
+    assert "u: expected float64" in entry.seen[0]
+    plt.close(entry.figure)
+
+
+@pytest.mark.parametrize("ratio", [-0.27, 3.0])
+def test_the_corrected_edge_is_better(ratio):
+    lam = ratio * atlas_solves.MU
+    corrected, plain = (atlas_solves.free_edge(16, lam, corrected=one) for one in (True, False))
+    assert corrected < 0.7 * plain
+
+
+def test_an_unprovoked_failure_is_not_taken_for_one():
+    with pytest.raises(RuntimeError, match="expected an error or a warning"):
+        words(lambda: None)
+
+
+def test_an_unknown_entry_is_named(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(stability_atlas, "make_data", lambda *_: tmp_path)
+    monkeypatch.setattr(stability_atlas.warp_peri, "load_dataset", lambda _: {})
+    assert stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)]) == 2
+    assert "--only: expected some of sign-changing" in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""The longer examples: what they find, asserted. Run with -m slow."""
+
+import functools
+import json
+
+import numpy as np
+import pytest
+
+from examples import train_graphene
+from examples.studies import influence_shapes, manufactured
+from warp_peri import load_dataset
+from warp_peri.learning.sweep import sweep
+
+
+def test_sweep_from_the_command_line(graphene, tmp_path, monkeypatch, capsys):
+    few = functools.partial(sweep, horizons=(10.0, 12.5), degrees=(0, 5))
+    monkeypatch.setattr(train_graphene, "sweep", few)
+    arguments = ["--sweep", "--data", str(graphene), "--out", str(tmp_path), "--jobs", "1"]
+    assert train_graphene.main(arguments) == 0
+    assert "Table 3" in capsys.readouterr().out
+    found = json.loads((tmp_path / "sweep.json").read_text())
+    assert len(found["trials"]) == 4
+    assert found["printed_choice"]["horizon"] == 12.5
+    assert found["printed_choice"]["E_u_test"] < 0.03
+    for name in ("sweep.md", "sweep_errors.png", "sweep_kernels.png"):
+        assert (tmp_path / name).stat().st_size > 500
+
+
+def test_continuum_symbol_has_the_long_waves_of_elasticity():
+    k = 1e-3 * np.array([0.6, 0.8])
+    D = manufactured.continuum_symbol(k) / (k @ k)
+    n = np.array([0.6, 0.8])
+    expected = manufactured.MU * np.eye(2) + (manufactured.LAM + manufactured.MU) * np.outer(n, n)
+    np.testing.assert_allclose(D, expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_manufactured_loss_falls_with_degree_and_spacing(tmp_path):
+    assert manufactured.main(["--out", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "manufactured.json").read_text())
+    residual = np.array(found["fixed_alpha"]["residual"])  # by spacing, by degree
+    assert (residual[:, -1] < residual[:, 0]).all()
+    assert (np.diff(residual, axis=0) < 0).all()  # finer is better at every degree
+    assert found["fixed_alpha"]["kernel_order"] > 2
+    assert np.all(np.diff(found["fixed_alpha"]["kernel_error"]) < 0)
+
+
+def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_path):
+    data = load_dataset(graphene)
+    found = influence_shapes.fits(data["train"])
+    rows = [influence_shapes.row(name, *one, data) for name, one in found.items()]
+    disks = {one["shape"]: one["E_u test"] for one in rows}
+    assert disks["damped wave"] < 1.2
+    assert disks["table, 9 knots"] < 1.3
+    assert min(disks[name] for name in ("gaussian", "exponential", "conical")) > 10
+    assert {one["shape"]: round(one["E"], 2) for one in rows}["gaussian"] == 0.04
+    influence_shapes.picture(found, rows, tmp_path / "shapes.png")
+    assert (tmp_path / "shapes.png").stat().st_size > 10_000

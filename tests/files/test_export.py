@@ -1,0 +1,185 @@
+"""Files for other tools, read back."""
+
+import sys
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.support.clouds import cloud, plain
+from tests.support.problems import kernel, lattice, manufactured
+from warp_peri import Dataset, InputError, LPSOperator, save_dataset, solve
+from warp_peri.cli.main import main
+from warp_peri.export import write_fields, write_influence, write_operator
+from warp_peri.operator.stress import node_fields
+from warp_peri.operator.symbol import stiffnesses
+from warp_peri.points.families import bond_classes
+
+HORIZON = 2.5
+
+
+@pytest.fixture
+def model():
+    return kernel("two functions", HORIZON)
+
+
+@pytest.fixture
+def points(model):
+    return manufactured(model, lattice(4, HORIZON), 2)
+
+
+def test_fields_for_paraview(model, points, tmp_path):
+    u = 1.01 * points.u
+    paths = write_fields(tmp_path, model, points, u)
+    assert [path.name for path in paths] == ["sample_0000.vtu", "sample_0001.vtu"]
+    found = node_fields(model, points, u)
+    inside = points.interior
+    for s, path in enumerate(paths):
+        mesh = meshio.read(path)
+        side = round(np.sqrt(len(points.x)))
+        assert len(mesh.cells_dict["quad"]) == (side - 1) ** 2
+        corners = mesh.points[mesh.cells_dict["quad"]][:, :, :2]
+        edge = np.diff(corners, axis=1)
+        np.testing.assert_allclose(np.abs(edge).sum(axis=2), 1.0)  # around, not across
+        data = mesh.point_data
+        np.testing.assert_array_equal(data["displacement"][:, :2], u[s])
+        np.testing.assert_allclose(data["error"][:, :2], 0.01 * points.u[s], atol=1e-12)
+        for name, tensor in (("stress", found.stress[s]), ("strain", found.strain[s])):
+            np.testing.assert_array_equal(symmetric(data[name][inside])[:, :2, :2], tensor)
+            assert not symmetric(data[name][inside])[:, 2].any()
+            assert np.isnan(data[name][~inside]).all()
+        np.testing.assert_array_equal(data["energy"][inside], found.energy[s])
+
+
+def symmetric(six):
+    """VTK's order of a symmetric tensor: XX, YY, ZZ, XY, YZ, XZ."""
+    return six[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
+
+
+def test_xdmf_holds_what_the_vtu_files_hold(model, points, tmp_path):
+    u = 1.01 * points.u
+    singles = [meshio.read(path) for path in write_fields(tmp_path / "a", model, points, u)]
+    paths = write_fields(tmp_path / "b", model, points, u, format="xdmf")
+    assert [path.name for path in paths] == ["samples.xdmf", "samples.h5"]
+    moved = (tmp_path / "b").rename(tmp_path / "c")  # the two files belong together, not the place
+    assert sorted(path.name for path in moved.iterdir()) == ["samples.h5", "samples.xdmf"]
+    with meshio.xdmf.TimeSeriesReader(moved / "samples.xdmf") as reader:
+        x, cells = reader.read_points_cells()
+        np.testing.assert_array_equal(x, singles[0].points)
+        np.testing.assert_array_equal(cells[0].data, singles[0].cells_dict["quad"])
+        assert reader.num_steps == len(singles) == 2
+        for s, single in enumerate(singles):
+            time, data, _ = reader.read_data(s)
+            assert time == s
+            assert data.keys() == single.point_data.keys()
+            for name, values in data.items():
+                np.testing.assert_array_equal(values, single.point_data[name])
+
+
+def test_every_step_of_the_xdmf_file_stands_for_itself(model, points, tmp_path):
+    # what ParaView's readers need and meshio's does not look at
+    path, heavy = write_fields(tmp_path, model, points, points.u, format="xdmf")
+    steps = ElementTree.parse(path).findall("./Domain/Grid/Grid")
+    assert [step.find("Time").get("Value") for step in steps] == ["0", "1"]
+    with h5py.File(heavy) as arrays:
+        for step in steps:
+            kinds = {name.get("Name"): name.get("AttributeType") for name in step.iter("Attribute")}
+            assert kinds["stress"] == "Matrix"  # Tensor6 comes back permuted from XDMFReader
+            assert {"Geometry", "Topology"} <= {part.tag for part in step}
+            for item in step.iter("DataItem"):
+                file, _, place = item.text.partition(":")
+                assert file == "samples.h5"
+                array = arrays[place]
+                assert item.get("Dimensions") == " ".join(map(str, array.shape))
+                assert item.get("Precision") == str(array.dtype.itemsize)
+
+
+@pytest.mark.parametrize("broken", ["create_dataset", "write"])
+def test_a_failed_export_leaves_the_files_of_the_last(model, points, tmp_path, monkeypatch, broken):
+    paths = write_fields(tmp_path, model, points, points.u, format="xdmf")
+    before = [path.read_bytes() for path in paths]
+
+    def full(*_, **__):
+        raise OSError("No space left on device")
+
+    where = h5py.Group if broken == "create_dataset" else ElementTree.ElementTree
+    monkeypatch.setattr(where, broken, full)
+    with pytest.raises(OSError, match="No space left"):
+        write_fields(tmp_path, model, points, 2 * points.u, format="xdmf")
+    assert [path.read_bytes() for path in paths] == before
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
+
+
+def test_refused_formats_and_folders(model, points, tmp_path):
+    with pytest.raises(InputError, match="expected one of vtu, xdmf, got 'vtk'"):
+        write_fields(tmp_path, model, points, points.u, format="vtk")
+    write_fields(tmp_path, model, points, points.u)
+    one = replace(points, u=points.u[:1], b=points.b[:1])
+    with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
+        write_fields(tmp_path, model, one, one.u)
+    write_fields(tmp_path, model, points, points.u)  # as many as before: they are replaced
+
+
+def test_scattered_points_stand_alone(tmp_path):
+    points = cloud(3, 3.0)
+    u = np.zeros((1, len(points.x), 2))
+    points = type(points)(points.x, points.interior, 0.0, u=u)
+    (path,) = write_fields(tmp_path, plain(3.0), points, u)
+    assert list(meshio.read(path).cells_dict) == ["vertex"]
+    path, _ = write_fields(tmp_path, plain(3.0), points, u, format="xdmf")
+    with meshio.xdmf.TimeSeriesReader(path) as reader:
+        _, (cells,) = reader.read_points_cells()
+    assert cells.type == "vertex"
+    assert len(cells.data) == len(points.x)
+
+
+def test_the_table_holds_what_enters_the_model(model, tmp_path):
+    path = write_influence(tmp_path / "K.csv", model, 1.0)
+    r, bonds, K, over_m, over_m_dilatation, W = np.loadtxt(path, delimiter=",", skiprows=3).T
+    classes = bond_classes(1.0, HORIZON)
+    v, z, _ = stiffnesses(model, classes)
+    np.testing.assert_allclose(model.mu * over_m * W, v, rtol=1e-14)
+    np.testing.assert_allclose(model.mu * over_m_dilatation * W, z, rtol=1e-14)
+    np.testing.assert_array_equal(r, classes.r)
+    np.testing.assert_array_equal(bonds, classes.count)
+    np.testing.assert_allclose(K, model.influence(r), rtol=1e-14)
+
+
+def test_the_matrix_is_the_operator(model, points, tmp_path):
+    L = sp.load_npz(write_operator(tmp_path / "L.npz", model, points))
+    force = LPSOperator(model, points)(points.u)
+    found = (L @ points.u.reshape(2, -1).T).T.reshape(force.shape)
+    np.testing.assert_allclose(found, force, atol=1e-12 * np.abs(force).max())
+
+
+def test_the_command(model, points, tmp_path, capsys):
+    model.save(tmp_path / "m.json")
+    save_dataset(tmp_path / "d.h5", Dataset({"test": points}, 3.35, 2200.0))
+    m, d = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
+    assert main(["export", "fields", m, "--data", d, "--out", str(tmp_path / "vtu")]) == 0
+    mesh = meshio.read(tmp_path / "vtu" / "sample_0001.vtu")
+    u = solve(model, points, points.b, points.u)
+    np.testing.assert_allclose(mesh.point_data["displacement"][:, :2], u[1], atol=1e-12)
+    again = ["export", "fields", m, "--data", d, "--format", "xdmf", "--out", str(tmp_path / "x")]
+    assert main(again) == 0
+    with meshio.xdmf.TimeSeriesReader(tmp_path / "x" / "samples.xdmf") as reader:
+        reader.read_points_cells()
+        _, data, _ = reader.read_data(1)
+    np.testing.assert_allclose(data["displacement"][:, :2], u[1], atol=1e-12)
+    assert main(["export", "influence", m, "--out", str(tmp_path / "K.csv")]) == 0
+    assert main(["export", "operator", m, "--data", d, "--out", str(tmp_path / "L.npz")]) == 0
+    for settings in ("vtu/export.toml", "K.export.toml", "L.export.toml"):
+        assert main(["export", "--config", str(tmp_path / settings)]) == 0
+    capsys.readouterr()
+    assert main(["export", "operator", m, "--out", str(tmp_path / "L.npz")]) == 2
+    assert "needs the nodes of a data file" in capsys.readouterr().err
+
+
+def test_a_missing_extra_is_named(model, points, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    with pytest.raises(InputError, match=r"warp_peri\[export\]"):
+        write_fields(tmp_path, model, points, points.u)

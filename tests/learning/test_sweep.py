@@ -1,0 +1,113 @@
+"""Algorithm 2: choices among trials, and a sweep that resumes."""
+
+import dataclasses
+import sys
+
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured
+from warp_peri import InputError, sweep
+from warp_peri.learning.sweep import Trial, choose
+
+sweeps = sys.modules["warp_peri.learning.sweep"]  # the package holds the function of that name
+
+
+def trial(horizon, degree, *errors, bonds=20):
+    return Trial(horizon, degree, bonds, *errors, None, -0.2, 0.7, 1.0, 0.01, "m.json")
+
+
+def test_horizons_are_chosen_by_training_residual_and_degrees_by_the_average():
+    base = trial(10, 0, 0.4, 0.4, 0.4, 0.4)
+    trials = [
+        base,
+        trial(20, 0, 0.5, 0.1, 0.1, 0.1),  # better but for E_res_train
+        trial(10, 5, 0.1, 0.2, 0.2, 0.2),
+        trial(20, 5, 0.2, 0.1, 0.1, 0.1),
+        trial(10, 9, 0.1, 0.3, 0.3, 0.3),
+    ]
+    found = choose(trials)
+    assert [t.horizon for t in found.by_degree] == [10, 10, 10]
+    assert found.average == pytest.approx([1.0, (0.25 + 3 * 0.5) / 4, (0.25 + 3 * 0.75) / 4])
+    assert (found.printed.horizon, found.printed.degree) == (10, 5)
+
+
+def test_equal_averages_choose_the_lower_degree():
+    trials = [trial(10, M, *4 * [error]) for M, error in ((0, 1.0), (5, 0.20001), (9, 0.2))]
+    assert choose(trials).printed.degree == 5
+
+
+def test_the_cheapest_good_one_has_the_fewest_bonds():
+    trials = [
+        trial(10, 0, *4 * [1.0], bonds=12),
+        trial(20, 5, *4 * [0.109], bonds=48),
+        trial(25, 5, *4 * [0.100], bonds=80),
+        trial(15, 5, *4 * [0.120], bonds=28),
+        trial(30, 3, *4 * [0.104], bonds=112),
+    ]
+    assert choose(trials).cheapest.bonds == 48
+
+
+@pytest.fixture
+def sets():
+    model = kernel("positive", 2.5, lam=-0.2)
+    return [manufactured(model, lattice(5, 3.0), 5, seed=seed) for seed in (0, 1)]
+
+
+def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path, monkeypatch):
+    train, val = sets
+    options = {"horizons": (2.0, 2.5), "degrees": (0, 3), "jobs": 1}
+    found = sweep(train, val, tmp_path, test=val, **options)
+    assert len(found.trials) == 4
+    assert (found.printed.horizon, found.printed.degree) == (2.5, 3)
+    assert found.printed.E_u_test == pytest.approx(found.printed.E_u_val)
+    files = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
+
+    broken = next(
+        file for file in files if file.name.startswith("d2_M3") and "model" not in file.name
+    )
+    broken.write_text("{")
+    again = sweep(train, val, tmp_path, test=val, **options)
+    assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in found.trials]
+    made = {file for file in files if file.stat().st_mtime_ns != files[file]}
+    assert {file.name.split("_")[0] + file.name.split("_")[1] for file in made} == {"d2M3"}
+
+
+def test_other_data_are_not_taken_for_finished(sets, tmp_path):
+    train, val = sets
+    options = {"horizons": (2.0,), "degrees": (0,), "jobs": 1}
+    first = sweep(train, val, tmp_path, **options)
+    louder = dataclasses.replace(train, b=1.1 * train.b)
+    second = sweep(louder, val, tmp_path, **options)
+    assert second.trials[0].mu == pytest.approx(1.1 * first.trials[0].mu, rel=1e-6)
+
+
+def test_an_empty_sweep_is_refused(sets, tmp_path):
+    with pytest.raises(InputError, match="at least one horizon"):
+        sweep(*sets, tmp_path, horizons=())
+
+
+def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
+    train, val = sets
+    options = {"horizons": (2.0, 2.5), "degrees": (0,), "jobs": 1}
+    fit, horizons = sweeps.fit, []
+
+    def fails(points, *, horizon, **rest):
+        horizons.append(horizon)
+        if horizon == 2.0:
+            raise RuntimeError("stage 3: no start ended with the conditions kept")
+        return fit(points, horizon=horizon, **rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sweeps, "fit", fails)
+        with pytest.warns(UserWarning, match=r"sweep: δ = 2 Å, M = 0: stage 3: no start"):
+            found = sweep(train, val, tmp_path, **options)
+        assert [t.horizon for t in found.trials] == [2.5]
+        with pytest.warns(UserWarning, match="δ = 2 Å"):
+            sweep(train, val, tmp_path, **options)
+        assert horizons == [2.0, 2.5, 2.0]
+        with (
+            pytest.warns(UserWarning, match="δ = 2 Å"),
+            pytest.raises(RuntimeError, match="every fit failed"),
+        ):
+            sweep(train, val, tmp_path, **options | {"horizons": (2.0,)})
+    assert len(sweep(train, val, tmp_path, **options).trials) == 2

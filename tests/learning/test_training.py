@@ -1,0 +1,254 @@
+"""Learning from fields that a known model made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured, noise
+from warp_peri import InputError, certify, evaluate, fit
+from warp_peri.learning import fit as training
+from warp_peri.learning import optimum, two_stage
+from warp_peri.operator.symbol import moduli, stiffnesses
+from warp_peri.points.families import bond_classes
+from warp_peri.stability.conditions import Conditions, ZoneSearch
+
+LAM, MU = -0.2, 0.7
+ZETA = 0.01
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    """Few epochs: stage 3 does not depend on how far the others came."""
+    monkeypatch.setattr(two_stage, "EPOCHS", 250)
+    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 40)
+    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 4)
+
+
+def data(name, horizon, spacing=1.0, lam=LAM):
+    """Ten samples in equilibrium with a known model, and the model."""
+    model = kernel(name, horizon, spacing, lam=lam, mu=MU)
+    points = lattice(6, horizon, spacing)
+    return manufactured(model, points, 10, wave_number=2 / spacing), model
+
+
+def shares(model, spacing=1.0):
+    """μ K W / m of each bond class, of the deviatoric part and the dilatation, and κ."""
+    return stiffnesses(model, bond_classes(spacing, model.horizon))
+
+
+RECOVERED = {
+    # name, horizon, degree, precision of λ, μ and the stiffnesses; starts that end elsewhere
+    "plain": ("1/r", 2.5, 3, 1e-6, 0),
+    "as many coefficients as lengths": ("positive", 2.5, 3, 1e-6, 0),
+    "more coefficients than lengths": ("positive", 2.5, 7, 1e-6, 0),
+    "sign-changing": ("sign-changing", 3.0, 5, 1e-6, 0),
+    "free exponent, constant": ("steep", 3.0, 0, 1e-6, 0),
+    "free exponent, line": ("steep", 4.0, 1, 1e-5, 0),
+    "free exponent, cubic": ("positive", 3.0, 3, 1e-5, 1),
+    "two functions": ("two functions", 3.0, 5, 1e-5, 0),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "horizon", "degree", "precision", "astray"), RECOVERED.values(), ids=RECOVERED
+)
+def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, precision, astray):
+    points, true = data(name, horizon)
+    found = fit(
+        points,
+        horizon=horizon,
+        degree=degree,
+        method="optimum",
+        two_functions="two functions" in name,
+    )
+    model = found.model
+    assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=precision)
+    for found_table, true_table in zip(shares(model), shares(true)):
+        size = np.abs(true_table).max()
+        np.testing.assert_allclose(found_table, true_table, rtol=0, atol=precision * size)
+    reached = sorted(found.starts.values())
+    assert len(reached) == 3
+    assert max(reached[: 3 - astray]) < 1e-5
+    assert model.certified_on == model.trained_on == (1.0,)
+    assert evaluate(model, points)["E_u"] < 1e-4
+
+
+def test_all_stages_lead_to_the_same_optimum():
+    points, _ = data("sign-changing", 3.0)
+    found = fit(points, horizon=3.0, degree=5)
+    assert [stage.name[0] for stage in found.history] == ["1", "2", "3"]
+    assert len(found.starts) == 3
+    assert max(found.starts.values()) < 1e-5
+    first, second, third = found.history
+    assert (first.parameters.D >= 0).all()
+    assert (third.parameters.D < 0).any()
+    assert first.loss[-1] < first.loss[0]
+    assert second.loss[-1] < first.loss[-1]
+    assert third.E_res_train < second.E_res_train < first.E_res_train
+    full = evaluate(found.model, points)
+    assert full["E_res"] == pytest.approx(third.E_res_train, rel=1e-6)
+
+
+def test_a_violating_model_ends_feasible_with_the_condition_active():
+    points, true = data("sign-changing", 2.5)
+    assert certify(true, spacing=1.0).symbol_min < -0.01
+    found = fit(points, horizon=2.5, degree=4, method="optimum", zeta=ZETA)
+    assert ZETA <= found.certificate.symbol_min <= 1.02 * ZETA
+    assert found.certificate.holds
+    assert found.model.certified_on == (1.0,)
+    losses = np.array(list(found.starts.values()))
+    assert np.ptp(losses) < 1e-6 * losses.max()
+    assert losses.min() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+def test_the_printed_conditions_hold_densely_and_are_active(name):
+    horizon = 3.0
+    points, _ = data(name, horizon)
+    conditions = {"conditions": "paper", "zeta": ZETA, "two_functions": name == "two functions"}
+    found = fit(points, horizon=horizon, degree=5, method="optimum", **conditions)
+    dense = certify(found.model, spacing=1.0, points=points)
+    assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
+    assert dense.schwarz
+    assert dense.gamma_min > 0
+    search = ZoneSearch(Conditions(bond_classes(1.0, horizon), "paper", ZETA))
+    margins, _ = search.worst(*shares(found.model))
+    assert (margins >= -1e-8).all()
+    if name == "sign-changing":  # the model that made the data keeps (i) and breaks (iii)
+        assert margins[2] == pytest.approx(0, abs=1e-6)
+        assert min(found.starts.values()) > 1e-3
+    assert found.model.certified_on == (1.0,)
+
+
+def test_two_stage_stops_after_two_stages():
+    points, _ = data("sign-changing", 3.0)
+    found = fit(points, horizon=3.0, degree=5, method="two-stage")
+    assert [stage.name[0] for stage in found.history] == ["1", "2"]
+    assert found.starts == {}
+    first, second = found.history
+    assert (first.parameters.D >= 0).all()
+    assert second.E_res_train < first.E_res_train
+    assert found.model.mu == second.parameters.mu
+
+
+@pytest.mark.parametrize("parametrisation", ["projected", "relu"])
+def test_stage_one_stays_inside_its_bounds(parametrisation):
+    points, _ = data("sign-changing", 3.0)
+    kwargs = {"method": "two-stage", "parametrisation": parametrisation}
+    for stage in fit(points, horizon=3.0, degree=5, **kwargs).history:
+        at = stage.parameters
+        assert at.mu > 0
+        assert at.lam + at.mu > 0
+        assert at.alpha < 3
+
+
+def test_the_same_seed_gives_the_same_bits():
+    points, _ = data("positive", 2.5)
+    points = replace(points, b=points.b + 0.05 * noise(points, 10))
+    first, second, other = (
+        fit(points, horizon=2.5, degree=3, method="two-stage", seed=seed) for seed in (1, 1, 2)
+    )
+    for name in ("lam", "mu", "alpha", "D"):
+        assert np.array_equal(getattr(first.model, name), getattr(second.model, name))
+    assert first.history[0].loss == second.history[0].loss
+    assert first.history[0].loss != other.history[0].loss
+    whole = [fit(points, horizon=2.5, degree=3, seed=1, jobs=jobs).model for jobs in (1, 2)]
+    assert np.array_equal(whole[0].D, whole[1].D)
+
+
+def test_two_lattices_are_learned_together():
+    sets, models = zip(*(data("positive", 2.0, spacing) for spacing in (1.0, 0.9)))
+    found = fit(sets, horizon=2.0, degree=3, method="optimum")
+    assert found.model.trained_on == found.model.certified_on == (1.0, 0.9)
+    assert (found.model.lam, found.model.mu) == pytest.approx((LAM, MU), abs=1e-5)
+    for model, points in zip(models, sets):
+        found_tables, true_tables = (
+            shares(found.model, points.spacing),
+            shares(model, points.spacing),
+        )
+        np.testing.assert_allclose(found_tables[0], true_tables[0], atol=1e-4)
+        assert evaluate(found.model, points)["E_res"] < 1e-4
+
+
+def test_held_moduli_are_held():
+    points, _ = data("positive", 3.0)
+    held = fit(points, horizon=3.0, degree=5, method="optimum", moduli=(0.1, 0.65)).model
+    assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
+    expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
+    assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
+    loose = fit(points, horizon=3.0, degree=5, method="optimum", moduli="isotropic").model
+    assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == pytest.approx(loose.mu, abs=1e-8)
+
+
+def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
+    points, _ = data("positive", 3.0)
+    points = replace(points, b=points.b + 0.1 * noise(points, 10))
+    size = np.logspace(-1, 1, 10)[:, None, None]
+    scaled = replace(points, u=size * points.u, b=size * points.b)
+    first, second = (
+        fit(one, horizon=3.0, degree=5, method="optimum", normalise=True).model
+        for one in (points, scaled)
+    )
+    assert (second.lam, second.mu) == pytest.approx((first.lam, first.mu), abs=1e-6)
+    absolute = fit(scaled, horizon=3.0, degree=5, method="optimum").model
+    assert abs(absolute.mu - first.mu) > 1e-4
+
+
+def test_a_reduced_loss_that_departs_from_the_full_one_is_caught(monkeypatch):
+    points, _ = data("positive", 2.5)
+    reduce = training.reduce
+
+    def wrong(*given):
+        right = reduce(*given)
+        return replace(right, R=right.R * (1 + 1e-9))
+
+    monkeypatch.setattr(training, "reduce", wrong)
+    with pytest.raises(RuntimeError, match="the reduced loss .* departs from the full"):
+        fit(points, horizon=2.5, degree=3, method="optimum")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"degree": -1}, "degree: expected a whole number ≥ 0, got -1"),
+        ({"degree": 1.5}, "degree: expected a whole number ≥ 0, got 1.5"),
+        ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0 Å\), got 0.5"),
+        ({"horizon": np.nan}, "horizon: expected at least one spacing"),
+        ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
+        ({"horizon": 3.0}, "twice the horizon: .* the largest that fits is"),
+        ({"method": "best"}, "method: expected one of constrained, two-stage, .* got 'best'"),
+        ({"conditions": "none"}, "conditions: expected one of direct, paper, got 'none'"),
+        ({"zeta": -0.01}, "zeta: expected a stiffness > 0 TPa, got -0.01"),
+        ({"seed": -1}, "seed: expected a whole number ≥ 0, got -1"),
+        ({"moduli": (0.3, -0.8)}, "moduli: expected .* with μ > 0"),
+        ({"moduli": "held"}, "moduli: expected .* got 'held'"),
+        ({"moduli": (0.3, 0.8), "method": "two-stage"}, "moduli: the two-stage method"),
+    ],
+)
+def test_bad_choices_are_refused(change, words):
+    points, _ = data("positive", 2.0)
+    with pytest.raises(InputError, match=words):
+        fit(points, **{"horizon": 2.0, "degree": 2, **change})
+
+
+def test_sets_that_cannot_be_learned_from_are_refused():
+    points, _ = data("positive", 2.0)
+    none = np.empty((0, len(points.x), 2))
+    for change, words in (
+        ({"u": none, "b": none}, "no samples"),
+        ({"b": 0 * points.b}, "no loads"),
+        ({"spacing": 0.0}, "scattered points need"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit(replace(points, **change), horizon=2.0, degree=2)
+    with pytest.raises(InputError, match="at least one training set"):
+        fit([], horizon=2.0, degree=2)
+
+
+def test_conditions_that_were_not_kept_in_the_end_are_an_error(monkeypatch):
+    points, _ = data("sign-changing", 3.0)
+    monkeypatch.setattr(optimum, "ROUNDS", 1)
+    monkeypatch.setattr(optimum, "FIRST_CUTS", 1)
+    with pytest.raises(RuntimeError, match="no start ended with the conditions kept"):
+        fit(points, horizon=3.0, degree=5, method="optimum", conditions="paper")

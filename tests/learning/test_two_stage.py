@@ -1,0 +1,82 @@
+"""The margins that stage 2 sees, and where it goes."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
+from warp_peri import certify, fit
+from warp_peri.learning import two_stage
+from warp_peri.learning.margins import DENSE_ZETA, DenseMargins, SymbolMargins
+from warp_peri.operator.symbol import stiffnesses
+from warp_peri.points.families import bond_classes
+from warp_peri.stability.conditions import Conditions, ZoneSearch
+
+HORIZON, ZETA = 3.0, 0.02
+CLASSES = bond_classes(1.0, HORIZON)
+
+
+def class_weights(model):
+    v, z, _ = stiffnesses(model, CLASSES)
+    return v / model.mu, z / model.mu
+
+
+def margins_of(kind):
+    if kind == "dense":
+        return DenseMargins([lattice(ell(), HORIZON)], HORIZON)
+    return SymbolMargins([Conditions(CLASSES, "paper", ZETA)])
+
+
+@pytest.mark.parametrize("kind", ["symbol", "dense"])
+@pytest.mark.parametrize("name", ["sign-changing", "steep", "two functions"])
+def test_gradients_of_the_margins(kind, name):
+    margins = margins_of(kind)
+    given = np.concatenate([[-0.2, 0.7], *class_weights(kernel(name, HORIZON))])
+
+    sigma = torch.from_numpy(CLASSES.count * CLASSES.r**2)
+
+    def values(x):
+        # Σ n r² w = 1 must stay: without it the margin of (iii) has a kink at long waves.
+        weights = [one / (sigma @ one) for one in torch.tensor_split(x[2:], 2)]
+        return margins(x[0], x[1], [weights])
+
+    expected = difference(lambda x: values(torch.from_numpy(x)).numpy(), given, 1e-5).T
+    at = torch.from_numpy(given).requires_grad_()
+    found = np.array([torch.autograd.grad(one, at, retain_graph=True)[0] for one in values(at)])
+    assert np.abs(found - expected).max() <= GRADIENT * np.abs(expected).max()
+
+
+def test_dense_margins_are_those_of_the_certificate():
+    model, points = kernel("two functions", HORIZON), lattice(ell(), HORIZON)
+    weights = [tuple(map(torch.from_numpy, class_weights(model)))]
+    lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
+    found = DenseMargins([points], HORIZON)(lam, mu, weights).numpy()
+    certificate = certify(model, spacing=1.0, points=points)
+    expected = [certificate.gamma_min - DENSE_ZETA, certificate.gamma_minus_2phi_min]
+    np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-9)
+    if certificate.inf_sup_rank == points.interior.sum():
+        assert found[1] == pytest.approx(certificate.inf_sup_min - DENSE_ZETA, rel=1e-6)
+
+
+def test_symbol_margins_are_the_smallest_of_the_zone():
+    model = kernel("sign-changing", HORIZON, lam=-0.2)
+    conditions = Conditions(CLASSES, "paper", ZETA)
+    weights = [tuple(map(torch.from_numpy, class_weights(model)))]
+    lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
+    found = SymbolMargins([conditions])(lam, mu, weights).numpy()
+    smallest, _ = ZoneSearch(conditions).worst(*stiffnesses(model, CLASSES))
+    np.testing.assert_allclose(found, smallest, atol=2e-3)
+    assert (found >= smallest - 1e-12).all()
+
+
+def test_stage_two_moves_a_violating_start_towards_the_conditions(monkeypatch):
+    """On data of a kernel that violates them, the conditions are kept to a small remainder."""
+    monkeypatch.setattr(two_stage, "EPOCHS", 500)
+    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 200)
+    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 10)
+    true = kernel("sign-changing", 2.5)
+    assert certify(true, spacing=1.0).symbol_min < -0.03
+    points = manufactured(true, lattice(6, 2.5), 6, wave_number=2.0)
+    found = fit(points, horizon=2.5, degree=4, method="two-stage")
+    assert found.certificate.symbol_min > -0.003
+    assert found.history[1].E_res_train < found.history[0].E_res_train

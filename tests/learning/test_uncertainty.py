@@ -1,0 +1,164 @@
+"""Bands around a fit hold the truth as often as they say."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured
+from tests.support.waves import fluctuation, noisy, waves
+from warp_peri import InputError, fit
+from warp_peri.learning.fit import Fit, Settings
+from warp_peri.learning.loss_choice import LossChoice
+from warp_peri.learning.output_error import as_model, output_optimum
+from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
+from warp_peri.losses.response import WaveResponse
+from warp_peri.operator.symbol import moduli, stiffnesses
+from warp_peri.points.families import bond_classes
+from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.statics.solve import solve
+
+HORIZON = 2.5
+CLASSES = bond_classes(1.0, HORIZON)
+REPLICATES = 200
+SIZE = 0.02
+
+
+def fitted(data, start, zeta=0.01):
+    """The output-error fit alone, without the stages and proofs around it."""
+    asked = [Conditions(CLASSES, "direct", zeta)]
+    found = output_optimum([WaveResponse(data, HORIZON)], start, asked, HORIZON)
+    settings = Settings(asked, normalise=True, two_functions=False, moduli=None)
+    return Fit(
+        as_model(found.parameters, HORIZON), [], [], [], {}, LossChoice("output", ""), settings
+    )
+
+
+def constants(model):
+    """λ, μ, E, the moduli, and K at the bonds, scaled to unit weighted volume."""
+    K = model.influence(CLASSES.r)
+    K = K / (CLASSES.count @ (K * CLASSES.weight * CLASSES.r**2))
+    return np.array([model.lam, model.mu, model.E, *moduli(model, CLASSES).values(), *K])
+
+
+def in_a_body(model, points):
+    """Displacement in the middle of a small body under its loads, its collar held."""
+    u = solve(model, points, points.b, points.u, allow_uncertified=True)
+    return u[:, len(points.x) // 2]
+
+
+@pytest.mark.filterwarnings("ignore:spacing. the model is certified on no spacing")
+def test_the_band_holds_the_truth_as_often_as_it_says():
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    start = Parameters(true.lam, true.mu, true.alpha, true.D)
+    clean = waves(true, cells=4, highest=3)
+    body = manufactured(true, lattice(3, HORIZON), 1, seed=3)
+
+    def quantities(model):
+        return np.concatenate([constants(model), in_a_body(model, body).ravel()])
+
+    expected = quantities(true)
+    held = []
+    for replicate in range(REPLICATES):
+        data = noisy(clean, SIZE, seed=2 * replicate)
+        noise = fluctuation(clean, 12, SIZE, seed=2 * replicate + 1)
+        found = fitted(data, start)
+        lower, upper = fit_uncertainty(found, data, noise).band(found.model, quantities, level=0.9)
+        held.append((lower <= expected) & (expected <= upper))
+    coverage = np.mean(held, axis=0)
+    assert coverage.min() >= 0.80, coverage
+    assert coverage.max() <= 0.97, coverage
+
+
+def test_samples_of_one_seed_share_their_noise():
+    """Noise that every sample carries does not average out."""
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    start = Parameters(true.lam, true.mu, true.alpha, true.D)
+    data = noisy(waves(true, cells=4, highest=3), SIZE, seed=1)
+    noise = fluctuation(data, 12, SIZE, seed=2)
+    found = fitted(data, start)
+    pairs = np.arange(len(data)) // 2
+    twice = dataclasses.replace(
+        data,
+        **{name: np.concatenate([getattr(data, name)] * 2) for name in ("u", "b")},
+        samples={"wave_vector": np.concatenate([data.samples["wave_vector"]] * 2)},
+    )
+
+    def spread(points, seed=None):
+        samples = points.samples if seed is None else {**points.samples, "seed": seed}
+        points = dataclasses.replace(points, samples=samples)
+        return fit_uncertainty(found, points, noise).deviation(constants)
+
+    once = spread(data)
+    seeds = np.tile(np.arange(len(data)), 2)
+    np.testing.assert_allclose(spread(twice, seeds), once, rtol=1e-6)
+    np.testing.assert_allclose(spread(twice), once / np.sqrt(2), rtol=1e-2)
+    assert (spread(data, pairs) != once).any()
+
+
+def test_an_active_condition_stays_where_it_is():
+    """The margin at its worst wave vector does not move along with the noise."""
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    start = Parameters(true.lam, true.mu, true.alpha, true.D)
+    data = noisy(waves(true, cells=4, highest=3), SIZE, seed=1)
+    noise = fluctuation(data, 12, SIZE, seed=2)
+    margin = float(
+        ZoneSearch(Conditions(CLASSES, "direct", 1e-9))
+        .worst(*stiffnesses(fitted(data, start).model, CLASSES))[0]
+        .min()
+    )
+
+    def smallest(model):
+        table = ZoneSearch(Conditions(CLASSES, "direct", 1e-9))
+        return table.worst(*stiffnesses(model, CLASSES))[0].min()
+
+    free = fit_uncertainty(fitted(data, start), data, noise).deviation(smallest)
+    held = fit_uncertainty(fitted(data, start, zeta=1.3 * margin), data, noise).deviation(smallest)
+    assert held < 0.05 * free
+
+
+def test_deviations_add_in_squares():
+    true = kernel("1/r", HORIZON)
+    pairs = [
+        (*(dataclasses.replace(true, mu=true.mu + sign * off * step) for sign in (1, -1)), off)
+        for step, off in ((0.03, 1.0), (0.04, 0.25))
+    ]
+    found = Uncertainty(pairs)
+    assert found.deviation(lambda model: model.mu) == pytest.approx(0.05)
+    lower, upper = found.band(true, lambda model: model.mu, level=0.6826894921)
+    assert (upper - lower) / 2 == pytest.approx(0.05)
+    with pytest.raises(InputError, match="between 0 and 1"):
+        found.band(true, lambda model: model.mu, level=90)
+
+
+def test_a_deviation_beyond_every_solid_is_still_told():
+    """One standard deviation off there is no solid any more; the deviation is that of a part."""
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    start = Parameters(true.lam, true.mu, true.alpha, true.D)
+    data = waves(true, cells=4, highest=3)
+    found = fitted(data, start)
+    small, large = (
+        fit_uncertainty(found, data, fluctuation(data, 12, size, seed=2)) for size in (1e-4, 10.0)
+    )
+    assert {off for *_, off in small.pairs} == {1.0}
+    assert min(off for *_, off in large.pairs) < 1
+    ratio = large.deviation(lambda model: model.mu) / small.deviation(lambda model: model.mu)
+    assert ratio == pytest.approx(1e5, rel=0.3)
+
+
+def test_what_it_cannot_do_is_refused():
+    true = kernel("1/r", HORIZON, lam=-0.1, mu=0.7)
+    data = waves(true, cells=3, highest=2)
+    noise = fluctuation(data, 3, SIZE, seed=2)
+    found = fit(data, horizon=HORIZON, degree=0, method="optimum", normalise=True)
+    with pytest.raises(InputError, match="two fields"):
+        fit_uncertainty(found, data, fluctuation(data, 1, SIZE, seed=2))
+    with pytest.raises(InputError, match="expected 1 sets"):
+        fit_uncertainty(found, [data, data], noise)
+    with pytest.raises(InputError, match="wave_vector"):
+        fit_uncertainty(
+            dataclasses.replace(found, loss=LossChoice("output", "")),
+            dataclasses.replace(data, samples={}),
+            noise,
+        )

@@ -1,0 +1,84 @@
+"""Errors of a model on data, against their definitions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support import reference
+from tests.support.problems import kernel, lattice, manufactured, noise
+from warp_peri import InputError, evaluate, solve
+
+HORIZON = 3.0
+MODEL = kernel("sign-changing", HORIZON)
+OTHER = kernel("positive", HORIZON)
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Three samples in equilibrium with another model."""
+    return manufactured(OTHER, lattice(3, HORIZON), 3)
+
+
+def test_numbers_are_their_definitions(points):
+    table = evaluate(MODEL, points)
+    inside = points.interior
+    residual, load, wrong, size = [], [], [], []
+    for u, b in zip(points.u, points.b):
+        Lu = reference.operator(points.x, inside, MODEL, u)
+        residual.append(np.sqrt(((Lu - b[inside]) ** 2).sum()))
+        load.append(np.sqrt((b[inside] ** 2).sum()))
+        solved = solve(MODEL, points, b, u)
+        wrong.append(np.sqrt(((solved - u)[inside] ** 2).sum()))
+        size.append(np.sqrt((u[inside] ** 2).sum()))
+    residual, load, wrong, size = map(np.array, (residual, load, wrong, size))
+    expected = {
+        "E_res": np.mean(residual / load),
+        "E_res_abs": np.mean(residual),
+        "E_u": np.mean(wrong / size),
+        "E_res_rms": np.sqrt(np.mean((residual / load) ** 2)),
+        "E_u_rms": np.sqrt(np.mean((wrong / size) ** 2)),
+        "E_res_samples": residual / load,
+        "E_res_abs_samples": residual,
+        "E_u_samples": wrong / size,
+    }
+    assert set(table) >= set(expected)
+    for key, value in expected.items():
+        assert table[key] == pytest.approx(value, rel=1e-9), key
+    assert table["E_res"] > 0.01
+
+
+def test_the_true_model_has_no_error(points):
+    table = evaluate(OTHER, points)
+    assert table["E_res"] < 1e-12
+    assert table["E_u"] < 1e-12
+
+
+def test_collar_loads_play_no_part(points):
+    b = points.b.copy()
+    b[:, ~points.interior] = 1e9
+    assert evaluate(MODEL, replace(points, b=b)) == evaluate(MODEL, points)
+
+
+def test_sets_that_have_no_error_to_speak_of_are_refused(points):
+    none = np.empty((0, *points.u.shape[1:]))
+    with pytest.raises(InputError, match="the set has no samples"):
+        evaluate(MODEL, replace(points, u=none, b=none))
+    for name in ("u", "b"):
+        zero = getattr(points, name).copy()
+        zero[1, points.interior] = 0
+        with pytest.raises(InputError, match=f"{name}: sample 1 is zero on the interior"):
+            evaluate(MODEL, replace(points, **{name: zero}))
+
+
+def test_uncertified_spacings_are_refused_or_warned_about(points):
+    model = replace(MODEL, certified_on=(2.0,))
+    with pytest.raises(InputError, match="certified on 2 Å, not on 1 Å"):
+        evaluate(model, points)
+    with pytest.warns(UserWarning, match="certified on 2 Å, not on 1 Å"):
+        assert evaluate(model, points, allow_uncertified=True) == evaluate(MODEL, points)
+
+
+def test_scattered_points_are_refused(points):
+    with pytest.raises(InputError, match="not on scattered points|expected a lattice"):
+        evaluate(MODEL, replace(points, spacing=0.0, u=noise(points, 3)))

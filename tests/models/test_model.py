@@ -1,0 +1,171 @@
+"""The model and its file."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support import reference
+from tests.support.problems import KERNELS, kernel
+from warp_peri import InputError, Model, load_model
+
+MODEL = replace(
+    kernel("sign-changing", 20.0, spacing=5.0),
+    certificate={"5": {"symbol_min": np.float64(0.1)}},
+    provenance={"seed": 1},
+)
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A good model in a file."""
+    MODEL.save(tmp_path / "model.json")
+    return tmp_path / "model.json"
+
+
+def test_round_trip_keeps_every_bit(path):
+    back = load_model(path)
+    for name in vars(MODEL):
+        assert np.array_equal(getattr(back, name), getattr(MODEL, name)), name
+    r = np.linspace(1, 20, 9)
+    assert np.array_equal(back.influence(r), MODEL.influence(r))
+    before = path.read_bytes()
+    back.save(path)
+    assert path.read_bytes() == before
+
+
+def test_the_file_says_what_it_is(path):
+    content = json.loads(path.read_text())
+    assert {key: content[key] for key in ("format", "version", "length_unit", "stress_unit")} == {
+        "format": "warp_peri.model",
+        "version": 1,
+        "length_unit": "angstrom",
+        "stress_unit": "TPa",
+    }
+    assert content["degree"] == 4
+    assert content["quadrature"] == {"degree": 5, "singularity": 3}
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_influence_is_the_bernstein_sum(name):
+    model = kernel(name, 3.0)
+    r = np.array([0.1, 1.0, np.sqrt(2), 2.9, 3.0])
+    for found, D in (
+        (model.influence(r), KERNELS[name]["D"]),
+        (model.influence_dilatation(r), KERNELS[name].get("D_dilatation", KERNELS[name]["D"])),
+    ):
+        expected = [reference.influence(value, 3.0, model.alpha, D) for value in r]
+        np.testing.assert_allclose(found, expected, rtol=1e-13)
+
+
+def test_continuum_constants_are_those_of_the_plane():
+    model = Model(0.4, 0.8, 1.0, [1.0], 3.0)
+    E, nu = model.E, model.nu
+    assert E / (2 * (1 + nu)) == pytest.approx(0.8)  # μ
+    assert E * nu / (1 - nu**2) == pytest.approx(0.4)  # λ in the plane
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"alpha": 3.0}, "alpha: expected less than 3, got 3.0"),
+        ({"alpha": np.nan}, "alpha: expected a finite number, got nan"),
+        ({"horizon": 0.0}, "horizon: expected a length > 0 Å, got 0.0"),
+        ({"horizon": "20"}, "horizon: expected a finite number, got '20'"),
+        ({"mu": 0.0}, "expected μ > 0 and λ . μ > 0, got 0.3, 0.0"),
+        ({"lam": -0.8}, "expected μ > 0 and λ . μ > 0, got -0.8, 0.8"),
+        ({"lam": True}, "lam: expected a finite number, got True"),
+        ({"mu": 10**400}, "mu: expected a finite number"),
+        ({"D": []}, r"D: expected at least one coefficient \(degree ≥ 0\), got none"),
+        ({"D": [0.0, 0.0]}, "D: expected a coefficient other than 0"),
+        ({"D": [1.0, np.inf]}, "D: expected a finite number, got inf"),
+        ({"D": [1.0, None]}, "D: expected a finite number, got None"),
+        ({"D": [True, 1.0]}, "D: expected a finite number, got True"),
+        ({"D": [[1.0, 2.0]]}, "D: expected a finite number"),
+        ({"D": [[1.0], [2.0, 3.0]]}, "D: expected a finite number"),
+        ({"D_dilatation": [1.0, 2.0]}, "D_dilatation: expected 1 coefficients, got 2"),
+        ({"D_dilatation": [0.0]}, "expected a coefficient other than 0"),
+        ({"certified_on": (5.0, np.nan)}, "certified_on: expected a finite number, got nan"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(change, words):
+    given = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
+    with pytest.raises(InputError, match=words):
+        Model(**given | change)
+
+
+BAD_FILES = {
+    "format": ("format", "other", "format: expected 'warp_peri.model', got 'other'"),
+    "version": ("version", 2, "version: expected 1, got 2"),
+    "no version": ("version", None, "version: expected 1, got None"),
+    "length unit": ("length_unit", "nm", "length_unit: expected 'angstrom', got 'nm'"),
+    "stress unit": ("stress_unit", "GPa", "stress_unit: expected 'TPa', got 'GPa'"),
+    "unknown key": ("colour", "red", "unknown keys: colour"),
+    "missing key": ("alpha", None, "missing keys: alpha"),
+    "alpha": ("alpha", 3.5, "alpha: expected less than 3, got 3.5"),
+    "alpha NaN": ("alpha", np.nan, "alpha: expected a finite number, got nan"),
+    "mu text": ("mu", "0.8", "mu: expected a finite number, got '0.8'"),
+    "mu": ("mu", -0.8, "expected μ > 0"),
+    "horizon": ("horizon", -20.0, "horizon: expected a length > 0"),
+    "degree": ("degree", 3, "degree: expected 4 for 5 coefficients, got 3"),
+    "degree text": ("degree", "4", "degree: expected 4 for 5 coefficients, got '4'"),
+    "D short": ("D", [1.0], "coefficients, got"),
+    "D a number": ("D", 1.0, "D: expected a list, got 1.0"),
+    "D text": ("D", ["a"] * 5, "D: expected a finite number, got 'a'"),
+    "D NaN": ("D", [np.nan] * 5, "D: expected a finite number, got nan"),
+    "D nested": ("D", [[1.0], [1.0, 2.0]], "D: expected a finite number"),
+    "quadrature": ("quadrature", {"degree": 3, "singularity": 3}, "quadrature: expected"),
+    "spacings": ("certified_on", 5.0, "certified_on: expected a list, got 5.0"),
+    "certificate": ("certificate", [], r"certificate: expected an object, got \[\]"),
+}
+
+
+@pytest.mark.parametrize(("key", "value", "words"), BAD_FILES.values(), ids=BAD_FILES)
+def test_a_wrong_file_is_refused_by_name(path, key, value, words):
+    content = json.loads(path.read_text())
+    content[key] = value
+    if value is None:
+        del content[key]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=words) as caught:
+        load_model(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[" * 100_000, '{"format": ', b"\xff\xfe\x00"], ids=range(5)
+)
+def test_what_is_no_json_is_refused(path, text):
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match="not a readable JSON file"):
+        load_model(path)
+
+
+def test_what_is_no_model_is_refused(tmp_path):
+    with pytest.raises(InputError, match="nowhere.json: no such model file"):
+        load_model(tmp_path / "nowhere.json")
+    with pytest.raises(InputError, match="not a readable JSON file"):
+        load_model(tmp_path)
+    (tmp_path / "list.json").write_text("[]")
+    with pytest.raises(InputError, match="expected a JSON object, got list"):
+        load_model(tmp_path / "list.json")
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(path):
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="JSON compliant"):
+        replace(MODEL, errors={"train": np.nan}).save(path)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_spacings_without_certificate_are_refused_or_warned_about():
+    MODEL.check_spacing(5.0)
+    MODEL.check_spacing(5.0 * (1 + 1e-9))
+    with pytest.raises(InputError, match="certified on 5 Å, not on 2.5 Å"):
+        MODEL.check_spacing(2.5)
+    with pytest.warns(UserWarning, match="certified on 5 Å, not on 2.5 Å"):
+        MODEL.check_spacing(2.5, allow_uncertified=True)
+    with pytest.raises(InputError, match="certified on no spacing, not on 5 Å"):
+        replace(MODEL, certified_on=()).check_spacing(5.0)

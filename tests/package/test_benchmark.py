@@ -1,0 +1,42 @@
+"""The rivals of the benchmark compute what the library computes."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+import torch
+
+from tools import benchmark, rivals
+from warp_peri.operator.sweeps import Sweeps
+
+
+@pytest.mark.parametrize("kind", ["lattice", "scattered"])
+def test_rivals_agree(kind):
+    points, box = benchmark.problem(kind, 12)
+    sweeps = Sweeps(points, benchmark.HORIZON, box=box)
+    fields = np.random.default_rng(0).normal(size=(2, len(points.x), 2))
+    t = rivals.tables(sweeps, points.x, np.array(box), *fields, **benchmark.MODEL)
+    forward, both = (
+        dict(zip(("first", "torch"), pair))
+        for pair in zip(
+            benchmark.ours(sweeps, fields, torch.float64), rivals.torch_scatter(t, torch.float64)
+        )
+    )
+    forward["csr"] = rivals.scipy_csr(t)
+    for candidates in (forward, both):
+        seconds = benchmark.interleaved(candidates, rounds=1, tolerance=1e-9)
+        assert seconds.keys() == candidates.keys()
+        candidates["wrong"] = lambda: [2 * np.ones(1)] * 3
+        with pytest.raises((RuntimeError, ValueError)):
+            benchmark.interleaved(candidates, rounds=1, tolerance=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not importlib.util.find_spec("numba"), reason="needs the extra bench")
+@pytest.mark.filterwarnings("ignore")
+def test_the_whole_benchmark_runs(capsys):
+    assert benchmark.main(["operator", "--quick"]) == 0
+    said = capsys.readouterr().out
+    assert "Numba parallel" in said
+    assert "of copy bandwidth" in said
+    assert "LAMMPS peri/lps" in said

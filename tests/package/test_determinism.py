@@ -1,0 +1,76 @@
+"""Same seed, same machine, same bits: fits, solves and sweeps, in fresh processes and threads."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.jobs import problem
+from tests.support.problems import kernel, lattice, noise
+from warp_peri import LPSOperator, set_threads, solve
+from warp_peri.launch import threads
+
+ROOT = Path(__file__).parent.parent.parent
+LEARN = """
+import hashlib, sys
+import numpy as np
+from tests.support.jobs import problem
+from warp_peri import fit, solve
+from warp_peri.learning import two_stage
+two_stage.EPOCHS, two_stage.INNER_EPOCHS, two_stage.OUTER_ITERATIONS = 60, 30, 3
+points = problem()
+digest = lambda *parts: hashlib.sha256(b"".join(np.asarray(p).tobytes() for p in parts)).hexdigest()
+for seed in map(int, sys.argv[1:]):
+    model = fit(points, horizon=2.5, degree=4, seed=seed).model
+    u = solve(model, points, points.b, points.u, allow_uncertified=True)
+    print(digest(model.lam, model.mu, model.alpha, model.D), digest(u))
+"""
+
+
+def learn(seeds, threads):
+    """Hashes of models and of solves with them, made in a process of its own."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, str(threads))
+    found = subprocess.run(
+        [sys.executable, "-c", LEARN, *map(str, seeds)],
+        cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stderr
+    return found.stdout.split()
+
+
+def test_a_seed_decides_every_bit_of_a_fit_and_a_solve():
+    first, again = learn((3, 4), threads=2), learn((3, 4), threads=2)
+    assert first == again
+    assert first[0] != first[2]
+
+
+@pytest.fixture
+def _threads():
+    before = threads()
+    yield
+    set_threads(before)
+
+
+@pytest.mark.usefixtures("_threads")
+def test_sweeps_and_solves_have_the_same_bits_on_any_number_of_threads():
+    points, model = lattice(70, 2.5), kernel("positive", 2.5)
+    u = noise(points)
+    found = set()
+    for count in (1, 2, 3, 5):
+        set_threads(count)
+        Lu = LPSOperator(model, points)(u)
+        found.add(hashlib.sha256(Lu.tobytes()).hexdigest())
+    assert len(found) == 1
+    small = problem()
+    solutions = set()
+    for count in (1, 2, 3):
+        set_threads(count)
+        model = kernel("positive", 2.5, lam=-0.2)
+        solutions.add(solve(model, small, small.b, small.u).tobytes())
+    assert len(solutions) == 1
+    assert np.isfinite(np.frombuffer(solutions.pop())).all()

@@ -1,0 +1,85 @@
+"""Every Warp path on every device that is there, against the processor."""
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, manufactured, noise
+from warp_peri import InputError, LPSOperator, solve
+from warp_peri.losses.full import sample_weights
+from warp_peri.losses.reduced import reduce
+from warp_peri.operator.lps import lps_force
+from warp_peri.operator.stencil import Torus
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.statics.preconditioners import dst, odd_dst
+
+HORIZON = 3.0
+DEVICES = [str(device) for device in wp.get_devices()]
+MODEL = kernel("two functions", HORIZON)
+
+
+def gradients(device):
+    """Derivatives of a scalar of L u to u and D of both influence functions."""
+    sweeps = Sweeps(lattice(5, HORIZON), HORIZON, device=device)
+    u = noise(lattice(5, HORIZON))
+    leaves = [torch.tensor(v, device=device) for v in (u, MODEL.D, MODEL.dilatation)]
+    u, D, Dd = (leaf.requires_grad_() for leaf in leaves)
+    Lu = lps_force(sweeps, u, MODEL.lam, MODEL.mu, MODEL.alpha, D, Dd)
+    weight = torch.cos(torch.arange(Lu.numel(), dtype=Lu.dtype, device=device)).reshape(Lu.shape)
+    return [part.cpu().numpy() for part in torch.autograd.grad(Lu, (u, D, Dd), weight)]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_forces_are_those_of_the_processor(device):
+    points = lattice(6, HORIZON, angle=0.3)
+    u = noise(points, 2)
+    here, there = LPSOperator(MODEL, points)(u), LPSOperator(MODEL, points, device=device)(u)
+    np.testing.assert_allclose(there, here, rtol=0, atol=ROUNDING * np.abs(here).max())
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_the_tape_that_a_gpu_uses_gives_the_gathered_gradient(device, monkeypatch):
+    gathered = gradients("cpu")
+    monkeypatch.setattr("warp_peri.operator.lps.DEVICE", "none: the tape is used everywhere")
+    for there, here in zip(gradients(device), gathered):
+        np.testing.assert_allclose(there, here, rtol=0, atol=GRADIENT * np.abs(here).max())
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("method", ["sine", "multigrid"])
+def test_solves_recover_a_manufactured_solution(device, method):
+    points = manufactured(MODEL, lattice(48, HORIZON), 1)  # more nodes than the coarsest level
+    found = solve(MODEL, points, points.b, points.u, method=method, tolerance=1e-11, device=device)
+    np.testing.assert_allclose(found, points.u, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_the_reduced_loss_is_that_of_the_processor(device):
+    points = manufactured(MODEL, lattice(5, HORIZON), 3)
+    weight = sample_weights([points], normalise=False)[0]
+    here = reduce(points, HORIZON, weight).R
+    there = reduce(points, HORIZON, weight, device=device).R
+    np.testing.assert_allclose(there.T @ there, here.T @ here, rtol=0, atol=1e-10 * here.max() ** 2)
+
+
+def test_a_gpu_transforms_sines_as_the_processor_does():
+    field = torch.from_numpy(np.random.default_rng(0).normal(size=(2, 6, 9)))
+    for inverse in (False, True):
+        expected = dst(field, inverse=inverse)
+        np.testing.assert_allclose(odd_dst(field, inverse=inverse), expected, atol=1e-13)
+
+
+def test_a_torus_transforms_alike_with_torch_and_scipy():
+    here = Torus((6, 9), torch.device("cpu"))
+    field = torch.from_numpy(np.random.default_rng(0).normal(size=(2, 5, 7)))
+    wave, back = here.forward(field), here.backward(here.forward(field))
+    np.testing.assert_allclose(torch.fft.rfft2(field, s=here.shape), wave, atol=1e-13)
+    np.testing.assert_allclose(torch.fft.irfft2(wave, s=here.shape), back, atol=1e-13)
+
+
+def test_a_device_that_is_not_there_is_named():
+    with pytest.raises(InputError, match="device: expected one of .*cpu.*got 'cuda:99'"):
+        LPSOperator(MODEL, lattice(3, HORIZON), device="cuda:99")
+    with pytest.raises(InputError, match="device: expected one of"):
+        solve(MODEL, lattice(3, HORIZON), *2 * [np.zeros((225, 2))], method="sine", device="tpu")

@@ -1,0 +1,93 @@
+"""Limits that the library sees coming: cancelled kernels, strains, degrees, spread-out nodes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.clouds import cloud
+from tests.support.problems import kernel, lattice, manufactured, noise
+from warp_peri import InputError, LPSOperator, Model, PointSet, certify, fit, load_model, solve
+from warp_peri.models.influence import bernstein_basis
+from warp_peri.points.families import bond_classes, families_of
+from warp_peri.points.strain import largest_strain
+
+
+def cancelled(horizon=2.0):
+    """A kernel whose positive and negative parts cancel in m on the unit lattice."""
+    classes = bond_classes(1.0, horizon)
+    sigma = classes.count * classes.weight * classes.r**2
+    a, b = (sigma @ Model(0.3, 0.8, 1.0, D, horizon).influence(classes.r) for D in ([1, 0], [0, 1]))
+    return Model(0.3, 0.8, 1.0, [1.0, -a / b], horizon, certified_on=(1.0,))
+
+
+def test_a_vanishing_weighted_volume_is_refused():
+    model, points = cancelled(), lattice(3, 2.0)
+    for use in (
+        lambda: LPSOperator(model, points),
+        lambda: certify(model, spacing=1.0),
+        lambda: solve(model, points, noise(points), noise(points)),
+    ):
+        with pytest.raises(InputError, match="weighted volume m .* is zero"):
+            use()
+    nearly = replace(model, D=model.D * [1.0, 1.0 + 1e-6], D_dilatation=None)
+    assert np.isfinite(LPSOperator(nearly, points)(noise(points))).all()
+
+
+@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+def test_a_vanishing_weighted_volume_of_scattered_points_is_counted():
+    points = cloud(3, 3.5)
+    families = families_of(points, 3.5)
+    node = np.flatnonzero(points.interior)[0]
+    bonds = slice(*families.row[node : node + 2])
+    sigma = families.weight[bonds] * families.r[bonds] ** 2
+    a, b = (
+        sigma @ Model(0.3, 0.8, 1.0, D, 3.5).influence(families.r[bonds]) for D in ([1, 0], [0, 1])
+    )
+    model = Model(0.3, 0.8, 1.0, [1.0, -a / b], 3.5)
+    with pytest.raises(InputError, match="is zero at 1 nodes"):
+        LPSOperator(model, points, allow_uncertified=True)
+
+
+def test_strain_of_known_fields():
+    points = lattice(3, 2.0, spacing=2.5, angle=0.3)
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    stretch = turn @ np.diag([0.02, -0.05]) @ turn.T
+    assert largest_strain(points, points.x @ stretch.T) == pytest.approx(0.05)
+    assert largest_strain(points, np.stack([0 * points.x, points.x @ stretch.T])) > 0.049
+    assert largest_strain(points, 0 * points.x + 3.0) == 0
+    assert largest_strain(cloud(3, 2.5), cloud(3, 2.5).x * 0.1) == pytest.approx(0.1)
+    far = points.x[:, 0] > points.x[points.interior, 0].max() + 1
+    u = np.where(far[:, None], 1e3, points.x @ stretch.T)
+    assert largest_strain(points, u, far) == pytest.approx(0.05)
+
+
+def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
+    points = manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 2.5), 4)
+    model = fit(points, horizon=2.5, degree=2, method="optimum").model
+    assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
+    model.save(tmp_path / "m.json")
+    assert load_model(tmp_path / "m.json").trained_strain == model.trained_strain
+    solve(model, points, points.b, points.u)
+    with pytest.warns(UserWarning, match="strain: the solution reaches"):
+        solve(model, points, 3 * points.b, 3 * points.u)
+    with pytest.raises(InputError, match="trained_strain: expected a finite number"):
+        replace(model, trained_strain=np.nan)
+
+
+def test_degrees_beyond_floating_point_are_refused():
+    assert np.isfinite(bernstein_basis(np.linspace(0, 1, 50), 1.0, 1000)).all()
+    with pytest.raises(InputError, match="degree: expected at most 1000, got 1001"):
+        bernstein_basis([0.5], 1.0, 1001)
+    with pytest.raises(InputError, match="D: expected at most 1001, got 1002"):
+        Model(0.3, 0.8, 1.0, np.ones(1002), 2.0)
+
+
+def test_what_would_take_memory_without_limit_is_refused():
+    with pytest.raises(InputError, match="horizon: expected at most 100 spacings"):
+        bond_classes(1e-6, 1.0)
+    points = lattice(1, 2.0)
+    x = np.concatenate([points.x, [[1e5, 1e5]]])
+    far = PointSet(x, np.append(points.interior, False), 1.0)
+    with pytest.raises(InputError, match="nodes spread over 1.0e.10 lattice places"):
+        families_of(far, 2.0)

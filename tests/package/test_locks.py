@@ -1,0 +1,106 @@
+"""Two jobs on one output: the second is refused, and a dead job holds nothing."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import tools.make_graphene as tool
+from examples import train_graphene
+from tests.support.jobs import problem
+from warp_peri import InputError, fit, sweep
+from warp_peri.files.whole import PART, locked, whole_file
+from warp_peri.learning import two_stage
+
+ROOT = Path(__file__).parent.parent.parent
+HOLD = """
+import sys
+from contextlib import ExitStack
+from warp_peri.files.whole import locked
+with ExitStack() as stack:
+    for path in sys.argv[1:]:
+        stack.enter_context(locked(path))
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def holder():
+    """Starts processes that hold a path until they are killed."""
+    started = []
+
+    def hold(*paths):
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLD, *map(str, paths)],
+            cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        started.append(process)
+        assert process.stdout.readline() == "held\n"
+        return process
+
+    yield hold
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def refused():
+    return pytest.raises(InputError, match="another job is writing here")
+
+
+def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(two_stage, "EPOCHS", 5)
+    holder(*(tmp_path / name for name in ("out", "g.h5", "state.npz")))
+    with pytest.raises(InputError, match="out: another job is writing here"):
+        sweep(problem(), problem(1), tmp_path / "out", horizons=(2.0,), degrees=(0,), jobs=1)
+    assert tool.main(["--out", str(tmp_path / "g.h5"), "--quiet"]) == 1
+    assert "g.h5: another job is writing here" in capsys.readouterr().err
+    arguments = ["--data", "nowhere.h5", "--out", str(tmp_path / "out")]
+    assert train_graphene.main(arguments) == 2
+    assert "out: another job is writing here" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"state\.npz: another job"):
+        fit(problem(), horizon=2.0, degree=0, method="two-stage", checkpoint=tmp_path / "state.npz")
+
+
+def test_a_killed_holder_holds_nothing(holder, tmp_path):
+    process = holder(tmp_path / "out")
+    process.kill()
+    process.communicate()
+    with locked(tmp_path / "out"):
+        pass
+
+
+def test_the_lock_ends_with_an_error_and_leaves_no_file(tmp_path):
+    def fails():
+        with locked(tmp_path / "out"):
+            raise KeyError("x")
+
+    with pytest.raises(KeyError):
+        fails()
+    with locked(tmp_path / "out"), refused(), locked(tmp_path / "out"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_output_by_two_names_is_one(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "out")
+    with locked(tmp_path / "out"), refused(), locked(tmp_path / "link"):
+        pass
+
+
+def test_half_written_files_of_a_killed_job_are_removed(tmp_path):
+    target, folder = tmp_path / "g.h5", tmp_path / "out"
+    folder.mkdir()
+    with whole_file(target) as part:
+        assert PART in part.name
+    parts = [tmp_path / f".g.h5{PART}abc.h5", folder / f".m.json{PART}abc.json"]
+    others = [tmp_path / f".h.h5{PART}abc.h5", folder / ".hidden", folder / "m.json"]
+    for path in parts + others:
+        path.write_text("half")
+    with locked(target), locked(folder):
+        pass
+    assert not any(path.exists() for path in parts)
+    assert all(path.exists() for path in others)

@@ -1,0 +1,63 @@
+"""Data walks one way: a file imports only what stands below it."""
+
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent / "warp_peri"
+FLOORS = (
+    ("errors",),
+    ("launch", "files", "cluster"),
+    ("kernels",),
+    ("points",),
+    ("sources", "models"),
+    ("operator",),
+    ("stability",),
+    ("statics", "dynamics", "losses"),
+    ("learning",),
+    ("choice", "plots", "export", "dumps", "shapes", "stress", "flow"),
+    ("cli",),
+)
+FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
+
+
+def modules():
+    """Every file of the package but the public face, by its place below warp_peri."""
+    files = (path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
+    return sorted(path for path in files if path.stem not in ("__init__", "__main__"))
+
+
+def imported(path):
+    """What a file imports of the package, as tuples of names below warp_peri."""
+    for node in ast.walk(ast.parse((ROOT / path).read_text())):
+        if isinstance(node, ast.Import):
+            named = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            named = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        yield from (tuple(name.split(".")[1:]) for name in named if name.startswith("warp_peri."))
+
+
+@pytest.mark.parametrize("path", modules(), ids=str)
+def test_a_file_imports_only_what_stands_below(path):
+    own = path.with_suffix("").parts[0]
+    for names in imported(path):
+        assert names[0] == own or FLOOR[names[0]] < FLOOR[own], f"{path} imports {names}"
+
+
+@pytest.mark.parametrize("wing", sorted(path.parent.name for path in ROOT.glob("*/__init__.py")))
+def test_no_circle_inside_a_wing(wing):
+    inside = {path.stem: path for path in (ROOT / wing).glob("*.py")}
+    links = {
+        name: {used[1] for used in imported(path.relative_to(ROOT)) if used[0] == wing} & {*inside}
+        for name, path in inside.items()
+    }
+    TopologicalSorter(links).prepare()  # raises CycleError naming the circle
+
+
+def test_a_kernel_knows_no_more_than_kernels():
+    for path in (ROOT / "kernels").rglob("*.py"):
+        assert {names[0] for names in imported(path.relative_to(ROOT))} <= {"kernels"}

@@ -1,0 +1,124 @@
+"""The public face."""
+
+import ast
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import warp_peri
+
+ROOT = Path(__file__).parent.parent.parent
+FACE = ast.parse((ROOT / "warp_peri/__init__.py").read_text())
+
+
+def fresh(code, *options, **environment):
+    """What a new interpreter prints for some code."""
+    found = subprocess.run(
+        [sys.executable, *options, "-c", code],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 0, found.stderr
+    return found.stdout.strip()
+
+
+def test_every_public_name_is_there_and_documented():
+    for name in warp_peri.__all__:
+        assert getattr(warp_peri, name).__doc__, name
+    assert sorted(warp_peri.__all__) == warp_peri.__all__
+    assert set(warp_peri.__all__) | {"stress", "export", "dumps"} <= set(dir(warp_peri))
+
+
+def test_every_public_name_is_what_type_checkers_see():
+    """Types are read from the imports under TYPE_CHECKING, the objects from another table."""
+    imports = [
+        (node.module, alias.name)
+        for node in ast.walk(FACE)
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("warp_peri.")
+        for alias in node.names
+    ]
+    assert sorted(name for _, name in imports) == warp_peri.__all__
+    for module, name in imports:
+        found = getattr(warp_peri, name)
+        assert found is getattr(sys.modules[module], name)
+        assert found.__module__ == module
+        assert pickle.loads(pickle.dumps(found)) is found
+
+
+def test_the_package_alone_loads_neither_torch_nor_warp():
+    code = (
+        "import sys, warp_peri; before = set(sys.modules); warp_peri.load_dataset; "
+        "print(*({'torch', 'warp', 'numpy'} & before), *({'torch', 'warp'} & set(sys.modules)))"
+    )
+    assert fresh(code) == ""
+
+
+@pytest.mark.parametrize("words", [["--help"], ["info", "--help"], ["info", "nowhere.h5"]])
+def test_help_and_info_load_neither_torch_nor_warp(words):
+    code = (
+        "import contextlib, io, sys; from warp_peri.cli.main import main\n"
+        "with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):\n"
+        f"    main({words})\n"
+        "print(*({'torch', 'warp'} & set(sys.modules)))"
+    )
+    assert fresh(code) == ""
+
+
+def test_functions_stay_functions_when_their_modules_come_first():
+    """`solve` names a function, and in its wing the module that it stands in."""
+    code = (
+        "import warp_peri, warp_peri.learning.sweep\n"
+        "for name in warp_peri.__all__:\n"
+        "    assert callable(getattr(warp_peri, name)), name\n"
+        "from warp_peri import equilibrium, solvability, solve, sweep\n"
+        "print(solve.__module__, sweep.__module__, warp_peri.stress.__name__)"
+    )
+    assert fresh(code) == "warp_peri.statics.solve warp_peri.learning.sweep warp_peri.stress"
+
+
+def test_no_kernel_is_compiled_by_resolving_every_name(tmp_path):
+    cache = tmp_path / "kernels"
+    code = (
+        "import warp_peri\n"
+        "for name in warp_peri.__all__: getattr(warp_peri, name)\n"
+        "import warp as wp; wp.init(); print(wp.config.kernel_cache_dir)"
+    )
+    used = Path(fresh(code, WARP_CACHE_PATH=str(cache)))
+    assert used.is_relative_to(cache)
+    assert not [path for path in cache.rglob("*") if path.is_file()]
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'warp_peri' has no attribute 'slove'"):
+        _ = warp_peri.slove
+    with pytest.raises(ImportError, match="cannot import name 'slove' from 'warp_peri'"):
+        from warp_peri import slove  # noqa: F401
+
+
+def test_a_missing_dependency_is_no_attribute_error():
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import warp_peri\n"
+        "try: warp_peri.fit\n"
+        "except ModuleNotFoundError as error: print(error.name)"
+    )
+    assert fresh(code) == "torch"
+
+
+def test_input_errors_are_value_errors():
+    assert issubclass(warp_peri.InputError, ValueError)
+
+
+@pytest.mark.parametrize("name", ["kernels", "kernels.lps"])
+def test_kernels_refuse_to_be_imported_under_another_name(name):
+    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, '.'); import {name}"]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert found.returncode == 1
+    assert "ImportError: import warp_peri.kernels, not kernels" in found.stderr

@@ -1,0 +1,67 @@
+"""What a scene does not use is not computed again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.clouds import cloud
+from tests.support.problems import kernel, lattice, noise
+from warp_peri import LPSOperator
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points import families
+from warp_peri.points.families import bond_classes
+
+HORIZON = 3.0
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """Names of the kernels that sweeps launch, in order."""
+    names = []
+    launch = Sweeps._launch
+
+    def note(tape, kernel, *rest):
+        names.append(kernel.key)
+        launch(tape, kernel, *rest)
+
+    monkeypatch.setattr(Sweeps, "_launch", staticmethod(note))
+    return names
+
+
+@pytest.mark.parametrize("points", [lattice(4, HORIZON), cloud(4, HORIZON, 0.1)])
+def test_influence_is_not_computed_again_while_only_u_changes(points, launched):
+    model = replace(kernel("two functions", HORIZON), certified_on=(points.spacing,))
+    operator = LPSOperator(model, points)
+    first, second = noise(points, seed=1), noise(points, seed=2)
+    operator(first)
+    before = len(launched)
+    again = operator(second)
+    assert len(launched) - before == 2  # dilatation and force
+    fresh = LPSOperator(model, points)(second)
+    np.testing.assert_array_equal(again, fresh)
+
+
+def test_another_model_on_the_same_sweeps_is_computed(launched):
+    points = lattice(4, HORIZON)
+    one, other = kernel("positive", HORIZON), kernel("sign-changing", HORIZON)
+    operator = LPSOperator(one, points)
+    operator(noise(points))
+    operator.model = other
+    expected = LPSOperator(other, points)(noise(points))
+    np.testing.assert_array_equal(operator(noise(points)), expected)
+
+
+def test_no_dilatation_is_swept_where_the_constants_are_equal(launched):
+    points = lattice(4, HORIZON)
+    LPSOperator(kernel("positive", HORIZON, lam=0.8), points)(noise(points))
+    assert not any("dilatation" in name for name in launched)
+    LPSOperator(kernel("positive", HORIZON), points)(noise(points))
+    assert any("dilatation" in name for name in launched)
+
+
+def test_a_pattern_is_weighted_once(monkeypatch):
+    found = bond_classes(1.0, 3.7)
+    found.weight[:] = np.nan  # what a caller does to its own copy
+    monkeypatch.setattr(families, "quadrature_weights", None)
+    assert np.isfinite(bond_classes(1.0, 3.7).weight).all()

@@ -1,0 +1,142 @@
+"""What a user writes, with types: every public name once, as in the README.
+
+tests/package/test_types.py has mypy check this file as a user would, and runs it.
+"""
+
+import sys
+from pathlib import Path
+from typing import assert_type
+
+import numpy as np
+import torch
+
+import warp_peri
+from warp_peri import stress
+from warp_peri.operator.stress import NodeFields
+
+SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
+
+
+def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_peri.PointSet:
+    """Smooth displacements of a lattice and the loads that a model answers them with."""
+    generator = np.random.default_rng(seed)
+    line = SPACING * np.arange(-8, 9)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    interior = np.abs(x).max(axis=1) <= 3
+    points = warp_peri.PointSet(x=x, interior=interior, spacing=SPACING)
+    operator = warp_peri.LPSOperator(model, points)
+    waves = generator.normal(size=(6, 2, 2))
+    phase = np.einsum("swa,na->swn", waves, x)
+    u = 0.01 * np.stack([np.sin(phase[:, 0]), np.cos(phase[:, 1])], axis=-1)
+    b = np.zeros_like(u)
+    b[:, interior] = assert_type(operator(u), np.ndarray)
+    u += noise * generator.normal(size=u.shape)
+    return warp_peri.PointSet(x=x, interior=interior, spacing=SPACING, u=u, b=b)
+
+
+def learn(folder: Path) -> warp_peri.Fit:
+    """Data of a known model to a learned one."""
+    known = warp_peri.Model(
+        lam=-0.2,
+        mu=0.7,
+        alpha=1.0,
+        D=np.array([1.0, 0.6]),
+        horizon=HORIZON,
+        trained_on=(SPACING,),
+        certified_on=(SPACING,),
+    )
+    sets = {"train": samples(known, 1), "test": samples(known, 2)}
+    warp_peri.save_dataset(folder / "data.h5", warp_peri.Dataset(sets, THICKNESS, DENSITY))
+    data = assert_type(warp_peri.load_dataset(folder / "data.h5"), warp_peri.Dataset)
+    train = assert_type(data["train"], warp_peri.PointSet)
+    fit = warp_peri.fit(train, horizon=HORIZON, degree=1, method="optimum")
+    assert_type(fit, warp_peri.Fit)
+    fit.model.save(folder / "model.json")
+    shape = warp_peri.InfluenceFunction(
+        lambda r, length: np.exp(-r / length), {"length": 1.5}, {"length": (0.5, 9.0)}
+    )
+    by_shape = warp_peri.fit(train, horizon=HORIZON, influence=shape)
+    assert_type(by_shape.influence, warp_peri.InfluenceFunction | None)
+    noise = warp_peri.PointSet(
+        x=train.x,
+        interior=train.interior,
+        spacing=SPACING,
+        u=1e-4 * np.random.default_rng(3).normal(size=train.u.shape),
+        b=np.zeros_like(train.b),
+    )
+    sure = assert_type(warp_peri.fit_uncertainty(fit, train, noise), warp_peri.Uncertainty)
+    assert_type(sure.deviation(lambda model: model.mu), np.ndarray)
+    found = warp_peri.sweep(
+        train, data["test"], folder / "sweep", horizons=[HORIZON], degrees=[0, 1], jobs=1
+    )
+    assert_type(assert_type(found, warp_peri.Sweep).cheapest.degree, int)
+    return fit
+
+
+def use(model: warp_peri.Model, test: warp_peri.PointSet) -> float:
+    """Everything that is done with a model; E_u on a set."""
+    certificate = assert_type(warp_peri.certify(model, spacing=SPACING), warp_peri.Certificate)
+    assert_type(certificate.holds, bool)
+    figures = assert_type(warp_peri.solvability(model, test), warp_peri.Solvability)
+    assert_type(figures.symmetric_min, float)
+
+    operator = warp_peri.LPSOperator(model, test)
+    tensor = torch.tensor(test.u, requires_grad=True)
+    force = assert_type(operator(tensor), torch.Tensor)
+    torch.autograd.grad(force.sum(), tensor)
+
+    u = assert_type(warp_peri.solve(model, test, test.b, test.u), np.ndarray)
+    fields = assert_type(stress.node_fields(model, test, u), NodeFields)
+    assert_type(fields.stress, np.ndarray)
+    mu = torch.tensor(model.mu, dtype=torch.float64, requires_grad=True)
+    same = warp_peri.equilibrium(
+        test,
+        torch.tensor(test.b),
+        torch.tensor(test.u),
+        horizon=model.horizon,
+        lam=model.lam,
+        mu=mu,
+        alpha=model.alpha,
+        D=model.D,
+        method="lu",
+    )
+    torch.autograd.grad(assert_type(same, torch.Tensor).sum(), mu)
+    sheet = np.random.default_rng(0).normal(size=(8, 8, 2))
+    assert_type(warp_peri.solve_periodic(model, sheet, spacing=SPACING), np.ndarray)
+
+    step = warp_peri.critical_time_step(model, spacing=SPACING, density=DENSITY)
+    motion = warp_peri.velocity_verlet(
+        model, test, u[0], np.zeros_like(u[0]), density=DENSITY, step=step / 2, steps=3
+    )
+    assert_type(assert_type(motion, warp_peri.Motion).drift, float)
+    table = warp_peri.evaluate(model, test)
+    return float(table["E_u"])
+
+
+def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Atoms to nodes."""
+    omega = warp_peri.smoothing_matrix(atoms, nodes, radius=3.0)
+    fields = np.zeros((1, len(atoms), 2))
+    return warp_peri.coarse_grain(
+        omega, displacement=fields, force=fields, node_area=SPACING**2, thickness=THICKNESS
+    )
+
+
+def main(folder: Path) -> None:
+    warp_peri.set_threads(1)
+    learn(folder)
+    model = assert_type(warp_peri.load_model(folder / "model.json"), warp_peri.Model)
+    test = warp_peri.load_dataset(folder / "data.h5")["test"]
+    print(use(model, test))
+    coarse(test.x, test.x[test.interior])
+    scene = warp_peri.Scene(size=(100.0, 100.0), shortest_wave=50.0)
+    choice = assert_type(warp_peri.choose_model(tolerance=0.05, scene=scene), warp_peri.Choice)
+    print(assert_type(choice.method, str))
+    try:
+        warp_peri.load_model(folder / "none.json")
+    except warp_peri.InputError as error:
+        print(error)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

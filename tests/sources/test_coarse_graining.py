@@ -1,0 +1,164 @@
+"""From atoms to nodes, against a brute-force sum."""
+
+import numpy as np
+import pytest
+
+from tests.support import reference
+from tests.support.problems import ROUNDING
+from warp_peri import InputError, coarse_grain, smoothing_matrix
+
+RANDOM = np.random.default_rng(3)
+BOX = (11.0, 13.5)  # not commensurate with the nodes
+ATOMS = RANDOM.uniform(0, 1, (40, 2)) * BOX
+H = 2.5
+
+
+def nodes(low, high):
+    return H * np.stack(np.meshgrid(*2 * [np.arange(low, high)], indexing="ij"), -1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("shape", ["cone", "paraboloid"])
+@pytest.mark.parametrize("box", [None, BOX], ids=["free", "periodic"])
+@pytest.mark.parametrize("spacing", [None, H], ids=["given nodes", "infinite lattice"])
+def test_is_the_brute_force_sum(shape, box, spacing):
+    where = nodes(-2, 6) + 0.1  # beyond the box on both sides
+    found = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
+    expected = reference.smoothing(ATOMS, where, 4.0, shape, box, spacing)
+    np.testing.assert_allclose(found.toarray(), expected, rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("shape", ["cone", "paraboloid"])
+def test_every_atom_is_shared_out_completely(shape):
+    omega = smoothing_matrix(ATOMS, nodes(-3, 9), radius=4.0, shape=shape, spacing=H)
+    np.testing.assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
+    few = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape)
+    np.testing.assert_allclose(few.sum(axis=0), 1, rtol=ROUNDING)
+    periodic = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape, box=BOX)
+    np.testing.assert_allclose(periodic.sum(axis=0), 1, rtol=ROUNDING)
+
+
+def test_periodic_images_of_a_commensurate_box_carry_equal_values():
+    box, where = (4 * H, 4 * H), nodes(0, 8)
+    atoms = ATOMS % box
+    omega = smoothing_matrix(atoms, where, radius=4.0, box=box, spacing=H).toarray()
+    grid = omega.reshape(8, 8, -1)
+    for a, b in ((4, 0), (0, 4), (4, 4)):
+        np.testing.assert_allclose(grid[a : a + 4, b : b + 4], grid[:4, :4], atol=ROUNDING)
+    np.testing.assert_allclose(grid[:4, :4].sum((0, 1)), 1, rtol=ROUNDING)
+
+
+def test_an_atom_on_a_node_and_one_at_the_radius():
+    omega = smoothing_matrix([[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]], radius=4.0)
+    np.testing.assert_allclose(omega.toarray(), [[4 / 7, 0], [3 / 7, 1]], atol=ROUNDING)
+
+
+def test_an_atom_that_no_node_reaches_is_left_out():
+    for atoms, box in ((ATOMS, None), ([[50.0, 50.0]], None), ([[50.0, 50.0]], (100.0, 100.0))):
+        far = smoothing_matrix(atoms, nodes(0, 2) - 90.0, radius=4.0, box=box, spacing=H)
+        assert far.shape == (4, len(atoms))
+        assert abs(far).sum() == 0
+
+
+def test_force_is_conserved():
+    force = RANDOM.normal(size=(2, 40, 2))
+    omega = smoothing_matrix(ATOMS, nodes(-3, 9), radius=4.0, spacing=H)
+    omega = omega[np.flatnonzero(omega.sum(axis=1))]
+    _, b = coarse_grain(omega, displacement=0 * force, force=force, node_area=H**2, thickness=3.35)
+    total = b.sum(axis=1) * H**2 * 3.35 / 0.1602176634  # back to eV/Å
+    np.testing.assert_allclose(total, force.sum(axis=1), rtol=0, atol=1e-11)
+
+
+def test_fields_are_the_printed_sums():
+    displacement, force = RANDOM.normal(size=(2, 3, 40, 2))
+    mass = RANDOM.uniform(1, 3, 40)
+    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+    u, b = coarse_grain(
+        omega, displacement=displacement, force=force, mass=mass, node_area=6.0, thickness=2.0
+    )
+    dense = omega.toarray()
+    for s in range(3):
+        for i in range(16):
+            share = dense[i] * mass
+            expected = (share[:, None] * displacement[s]).sum(0) / share.sum()
+            np.testing.assert_allclose(u[s, i], expected, rtol=0, atol=ROUNDING)
+            expected = (dense[i][:, None] * force[s]).sum(0) * 0.1602176634 / (6.0 * 2.0)
+            np.testing.assert_allclose(b[s, i], expected, rtol=0, atol=ROUNDING)
+
+
+def test_a_rigid_displacement_stays_as_it_is_whatever_the_masses():
+    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+    rigid = np.broadcast_to([0.3, -0.2], (1, 40, 2))
+    u, _ = coarse_grain(
+        omega,
+        displacement=rigid,
+        force=0 * rigid,
+        mass=RANDOM.uniform(1, 9, 40),
+        node_area=1.0,
+        thickness=1.0,
+    )
+    np.testing.assert_allclose(u, rigid[:, :16], rtol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
+        ({"radius": 0.0}, "radius: expected a length > 0"),
+        ({"radius": np.nan}, "radius: expected a length > 0"),
+        ({"radius": np.inf}, "radius: expected a length > 0"),
+        ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
+        ({"spacing": 0.0}, "spacing: expected a length > 0"),
+        ({"spacing": -1.0}, "spacing: expected a length > 0"),
+        ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
+        ({"nodes": np.ones((3, 3))}, r"nodes: expected shape \[N, 2\]"),
+        ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
+        ({"atoms": [[0.0, np.nan]]}, "atoms: expected finite values"),
+        ({"box": (0.0, 10.0)}, "box: expected two periods > 0"),
+        ({"box": (10.0, -10.0)}, "box: expected two periods > 0"),
+        ({"box": (np.nan, 10.0)}, "box: expected two periods > 0"),
+        ({"box": (10.0,)}, "box: expected two periods > 0"),
+    ],
+)
+def test_bad_input_is_refused(change, words):
+    given = {"atoms": ATOMS, "nodes": nodes(0, 4), "radius": 4.0, "spacing": H} | change
+    with pytest.raises(InputError, match=words):
+        smoothing_matrix(given.pop("atoms"), given.pop("nodes"), **given)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"displacement": np.ones((40, 2))}, r"displacement: expected shape \[S, 40, 2\]"),
+        ({"force": np.ones((1, 39, 2))}, r"force: expected shape \[S, 40, 2\], got \[1, 39, 2\]"),
+        ({"force": np.full((1, 40, 2), np.nan)}, "force: expected finite values"),
+        ({"displacement": np.full((1, 40, 2), np.inf)}, "displacement: expected finite values"),
+        ({"mass": np.ones(3)}, r"mass: expected one number or shape \[40\]"),
+        ({"mass": np.nan}, "mass: expected values > 0"),
+        ({"mass": -np.ones(40)}, "mass: expected values > 0"),
+        ({"node_area": 0.0}, "node_area: expected a number > 0"),
+        ({"thickness": np.nan}, "thickness: expected a number > 0"),
+    ],
+)
+def test_bad_fields_are_refused(change, words):
+    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+    fields = {"displacement": np.ones((1, 40, 2)), "force": np.ones((1, 40, 2))}
+    with pytest.raises(InputError, match=words):
+        coarse_grain(omega, **{**fields, "node_area": 6.25, "thickness": 3.35, **change})
+
+
+def test_nodes_without_atoms_are_named():
+    omega = smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99.0]], radius=5.0)
+    fields = np.ones((1, 40, 2))
+    with pytest.raises(InputError, match="1 nodes have no atom .* the first is 16"):
+        coarse_grain(omega, displacement=fields, force=fields, node_area=1.0, thickness=1.0)
+
+
+@pytest.mark.parametrize("shape", ["cone", "paraboloid"])
+def test_a_density_integrates_to_one_over_nodes(shape):
+    atoms = np.array([[0.3, -0.2], [4.1, 2.2]])
+    line = np.arange(-15, 20, 0.1)
+    nodes = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    omega = smoothing_matrix(atoms, nodes, radius=8.0, shape=shape, density=True)
+    np.testing.assert_allclose(omega.sum(axis=0) * 0.01, 1.0, rtol=1e-4)
+    with pytest.raises(InputError, match="density"):
+        smoothing_matrix(atoms, nodes, radius=8.0, spacing=0.1, density=True)

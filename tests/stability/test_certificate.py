@@ -1,0 +1,193 @@
+"""The certificate: what it computes, what it proves, and that it proves nothing false."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support import reference
+from tests.support.problems import KERNELS, MU, difference, ell, kernel, lattice
+from warp_peri import InputError, LPSOperator, Model, certify
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.symbol import stiffnesses, symbol, zone_wedge
+from warp_peri.points.families import bond_classes
+from warp_peri.stability import proof
+from warp_peri.stability.proof import proven_bound, taylor_radius
+
+ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
+ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]
+VIOLATING = kernel("sign-changing", 2.5)
+
+
+def smallest_ratio(model):
+    classes = bond_classes(1.0, model.horizon)
+    return symbol(classes, ZONE).ratio(*stiffnesses(model, classes)).min()
+
+
+@pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])
+def test_the_plain_kernel_holds(horizon):
+    certificate = certify(kernel("1/r", horizon), spacing=1.0)
+    assert certificate.holds
+    assert 0 < certificate.symbol_bound <= certificate.symbol_min
+    assert "exactly one solution" in certificate.statement
+
+
+def test_a_planted_violation_is_reported():
+    certificate = certify(VIOLATING, spacing=1.0)
+    assert certificate.symbol_min < -0.03
+    assert certificate.symbol_bound == 0
+    assert not certificate.holds
+    assert certificate.statement == "Nothing is proven on the lattice of spacing 1 Å."
+
+
+def test_a_violation_in_the_dilatation_alone_is_reported():
+    """Γ is that of a plain kernel; λ below μ lets the dilatation pull it down."""
+    wild = {"D": [1.0, 1.0, 1.0], "D_dilatation": [1.0, -1.0, 0.3]}
+    model = Model(lam=-0.6, mu=0.8, alpha=1.0, horizon=3.0, **wild)
+    assert certify(replace(model, lam=0.8), spacing=1.0).holds
+    certificate = certify(model, spacing=1.0, points=lattice(4, 3.0))
+    assert certificate.gamma_min > 0
+    assert certificate.symbol_min < 0
+    assert not certificate.holds
+
+
+@pytest.mark.parametrize("horizon", [2.0, 2.5, 3.0])
+@pytest.mark.parametrize("name", KERNELS)
+def test_minimum_and_bound_against_a_fine_grid(name, horizon):
+    model = kernel(name, horizon, lam=-0.2)
+    certificate = certify(model, spacing=1.0)
+    expected = smallest_ratio(model)
+    assert certificate.symbol_min <= expected + 1e-12
+    assert certificate.symbol_min == pytest.approx(expected, abs=1e-3)
+    assert certificate.symbol_bound <= max(expected, 0)
+    if expected > 0.05:
+        assert certificate.symbol_bound >= 0.9 * expected
+
+
+@pytest.mark.parametrize("name", ["1/r", "positive"])
+def test_nothing_above_the_minimum_is_ever_proven(name):
+    """The proof by itself, told that more was sampled than there is."""
+    model = kernel(name, 2.0)
+    classes = bond_classes(1.0, 2.0)
+    expected = smallest_ratio(model)
+    for factor in (1.02, 4.0):
+        assert proven_bound(classes, *stiffnesses(model, classes), factor * expected) <= expected
+
+
+@pytest.mark.parametrize("name", ["1/r", "steep", "positive", "two functions"])
+def test_the_ball_around_zero_is_sound(name):
+    model, classes = kernel(name, 3.0), bond_classes(1.0, 3.0)
+    point = stiffnesses(model, classes)
+    slowest = symbol(classes, zone_wedge(1.0, 1)[:9]).ratio(*point).min()
+    for c in np.array([0.0, 0.5, 0.9, 0.999]) * slowest:
+        radius = taylor_radius(classes, *point, c)
+        assert radius > 0
+        angle = np.linspace(0, np.pi, 50)
+        ring = np.stack([np.cos(angle), np.sin(angle)], 1)
+        k = np.concatenate([radius * part * ring for part in (0.01, 0.3, 0.7, 1.0)])
+        assert (symbol(classes, k).ratio(*point) >= c).all()
+    assert taylor_radius(classes, *point, 1.001 * slowest) == 0
+
+
+@pytest.mark.parametrize("lam", [-0.2, MU], ids=["both parts", "deviatoric alone"])
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
+    """Slopes of D − c s are right, and no second derivative is above its bound."""
+    classes = bond_classes(1.0, 3.0)
+    point, c = stiffnesses(kernel(name, 3.0, lam=lam), classes), 0.1
+    random = np.random.default_rng(4)
+    steepest = 0.0
+    for k in random.uniform(-np.pi, np.pi, (20, 2)):
+
+        def entries(at):
+            d, _ = proof._affine(classes, *point, c, at[None])
+            return d[:, 0]
+
+        _, slopes = proof._affine(classes, *point, c, k[None])
+        expected = difference(entries, k, 0.01)
+        np.testing.assert_allclose(slopes[:, :, 0], expected, atol=1e-9)
+        step, (e, n) = 1e-3, random.normal(size=(2, 2))
+        e, n = e / np.hypot(*e), n / np.hypot(*n)
+        if steepest == 0.0:  # where Γ is bent most
+            k, e = np.array([1e-2, 1e-2]), n
+        form = np.array([e[0] ** 2, e[1] ** 2, 2 * e[0] * e[1]])
+        bend = entries(k + step * n) - 2 * entries(k) + entries(k - step * n)
+        steepest = max(steepest, abs(form @ bend) / step**2)
+    bound = proof._second_derivative(classes, *point) + 2 * c
+    assert 0.01 * bound < steepest <= bound
+
+
+def test_the_proof_sets_the_curvature_aside(monkeypatch):
+    classes = bond_classes(1.0, 2.0)
+    point = stiffnesses(kernel("1/r", 2.0), classes)
+    assert proven_bound(classes, *point, 0.5) > 0
+    monkeypatch.setattr(proof, "MOST_CELLS", 5000)
+    monkeypatch.setattr(proof, "_second_derivative", lambda *_: 1e6)
+    assert proven_bound(classes, *point, 0.5) == 0
+
+
+def five_point(interior):
+    """The 5-point Dirichlet Laplacian on given nodes of a unit lattice."""
+    at = np.argwhere(interior)
+    step = np.abs(at[:, None] - at[None]).sum(-1)
+    return 4.0 * (step == 0) - (step == 1)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("shape", ["square", "ell", "line"])
+def test_the_statement_holds_on_any_set_of_nodes(name, shape):
+    interior = {"square": np.ones((6, 6), bool), "ell": ell(), "line": np.ones((1, 9), bool)}[shape]
+    model = kernel(name, 3.0, lam=-0.2)
+    certificate = certify(model, spacing=1.0)
+    points = lattice(interior, 3.0)
+    unknown = np.repeat(points.interior, 2)
+    L = matrices(model, points).operator(model.lam, model.mu)[:, unknown].toarray()
+    np.testing.assert_allclose(L, L.T, atol=1e-12)
+    smallest = np.linalg.eigvalsh(L)[0]
+    laplacian = np.linalg.eigvalsh(five_point(interior))[0]
+    assert smallest >= certificate.symbol_min * laplacian - 1e-12
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_dense_figures_are_those_of_the_definition(name):
+    model = kernel(name, 3.0)
+    points = lattice(ell(), 3.0)
+    inside = np.flatnonzero(points.interior)
+    pulls = np.zeros((2 * len(inside), len(points.x), 2))
+    for number, (i, a) in enumerate((i, a) for i in inside for a in (0, 1)):
+        pulls[number, i, a] = 1.0
+    equal = replace(model, lam=1.0, mu=1.0)  # L = Γ
+    gamma = LPSOperator(equal, points)(pulls).reshape(len(pulls), -1).T
+    phi = np.array(
+        [[reference.dilatation(points.x, i, model, pull) for pull in pulls] for i in inside]
+    )
+    found = certify(model, spacing=1.0, points=points)
+    schwarz = np.linalg.eigvalsh(gamma - 2 * phi.T @ phi)
+    assert found.gamma_min == pytest.approx(np.linalg.eigvalsh(gamma)[0], rel=1e-9)
+    assert found.gamma_minus_2phi_min == pytest.approx(schwarz[0], rel=1e-9)
+    assert found.gamma_max == pytest.approx(schwarz[-1], rel=1e-9)
+    assert found.schwarz == (schwarz[0] >= -1e-10 * schwarz[-1])
+    values = np.linalg.eigvalsh(phi @ np.linalg.solve(gamma, phi.T))
+    values = values[values > 1e-9 * values[-1]]
+    assert found.inf_sup_min == pytest.approx(values[0], rel=1e-6)
+    assert found.inf_sup_rank == len(values)
+
+
+def test_figures_are_plain_numbers():
+    figures = certify(kernel("1/r", 2.0), spacing=1.0, points=lattice(3, 2.0)).figures()
+    assert {type(value) for value in figures.values()} <= {float, int, str}
+    assert set(figures) >= {"symbol_min", "symbol_bound", "gamma_min", "inf_sup_min"}
+
+
+@pytest.mark.parametrize(
+    ("spacing", "points", "words"),
+    [
+        (2.1, None, "horizon: expected at least one spacing"),
+        (0.0, None, "spacing: expected a lattice spacing > 0"),
+        (1.0, lattice(3, 2.0, spacing=0.9), "spacing: expected that of the points, 0.9 Å, got 1"),
+        (1.0, lattice(3, 1.5), "out to twice the horizon"),
+    ],
+)
+def test_lattices_that_do_not_fit_are_refused(spacing, points, words):
+    with pytest.raises(InputError, match=words):
+        certify(kernel("1/r", 2.0), spacing=spacing, points=points)

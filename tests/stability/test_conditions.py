@@ -1,0 +1,96 @@
+"""The solvability conditions on the symbol, their gradients, and the search for violations."""
+
+import numpy as np
+import pytest
+
+from tests.support.problems import GRADIENT, KERNELS, difference, kernel
+from warp_peri import InputError
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.families import bond_classes
+from warp_peri.stability.conditions import CONDITIONS, Conditions, ZoneSearch
+
+CLASSES = bond_classes(1.0, 3.0)
+K = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
+every_kernel = pytest.mark.parametrize("name", KERNELS)
+every_kind = pytest.mark.parametrize("kind", CONDITIONS)
+
+
+def eigenvalues(at, v, z, kappa):
+    """Of Γ + κ φφᵗ at each wave vector."""
+    d11, d22, d12 = at.entries(v, z, kappa)
+    return np.linalg.eigvalsh(np.stack([d11, d12, d12, d22], -1).reshape(-1, 2, 2))
+
+
+@every_kernel
+@pytest.mark.parametrize("lam", [-0.2, 0.9])
+def test_gradient_of_the_ratio(name, lam):
+    at = symbol(CLASSES, K)
+    v, z, kappa = stiffnesses(kernel(name, 3.0, lam=lam), CLASSES)
+    found = at.ratio_gradient(v, z, kappa)
+    expected = (
+        difference(lambda v: at.ratio(v, z, kappa), v, 1e-3 * np.abs(v).max()).T,
+        difference(lambda z: at.ratio(v, z, kappa), z, 1e-3 * np.abs(z).max()).T,
+        difference(lambda x: at.ratio(v, z, x[0]), [kappa], 1e-3)[0],
+    )
+    for gradient, reference in zip(found, expected):
+        assert np.abs(gradient - reference).max() <= GRADIENT * np.abs(reference).max()
+
+
+@every_kernel
+@every_kind
+def test_gradients_of_the_margins(name, kind):
+    at, conditions = symbol(CLASSES, K), Conditions(CLASSES, kind, 0.02)
+    v, z, kappa = stiffnesses(kernel(name, 3.0), CLASSES)
+
+    def margins(x):
+        v, z = np.split(x[1:], 2)
+        return conditions.margins(at, v, z, x[0])
+
+    scale = 1e-3 * np.abs(v).max()
+    expected = np.moveaxis(difference(margins, np.concatenate([[kappa], v, z]), scale), 0, -1)
+    found = conditions.gradients(at, v, z, kappa)
+    assert found.shape == (len(conditions.names), len(K), 1 + 2 * len(v))
+    assert np.abs(found - expected).max() <= GRADIENT * np.abs(expected).max()
+
+
+@every_kernel
+def test_margins_are_the_printed_conditions(name):
+    model = kernel(name, 3.0, lam=0.1, mu=0.6)
+    v, z, kappa = stiffnesses(model, CLASSES)
+    at = symbol(CLASSES, K)
+    s = at.laplacian
+    found = Conditions(CLASSES, "paper", 0.02).margins(at, v, z, kappa)
+    np.testing.assert_allclose(found[0], eigenvalues(at, v, z, kappa)[:, 0] / s - 0.02, atol=1e-12)
+    np.testing.assert_allclose(found[1], eigenvalues(at, v, z, 0.0)[:, 0] / s - 0.02, atol=1e-12)
+    w, p = v / 0.6, z / 0.6  # Γ − 2φφᵗ of w, times μ
+    expected = 0.6 * eigenvalues(at, w, p, -2.0)[:, 0] / s
+    np.testing.assert_allclose(found[2], expected, atol=1e-12)
+    direct = Conditions(CLASSES, "direct", 0.02).margins(at, v, z, kappa)
+    assert np.array_equal(direct, found[:1])
+
+
+@every_kernel
+@every_kind
+def test_the_search_finds_what_a_finer_grid_finds(name, kind):
+    conditions = Conditions(CLASSES, kind, 0.02)
+    point = stiffnesses(kernel(name, 3.0, lam=0.7), CLASSES)
+    smallest, where = ZoneSearch(conditions, 30).worst(*point)
+    line = np.linspace(1e-3, np.pi, 301)
+    fine = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    expected = conditions.margins(symbol(CLASSES, fine), *point).min(axis=1)
+    assert (smallest <= expected + 1e-5).all()
+    again = conditions.margins(symbol(CLASSES, where), *point).min(axis=1)
+    np.testing.assert_allclose(again, smallest, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "zeta", "words"),
+    [
+        ("plain", 0.01, "conditions: expected one of direct, paper, got 'plain'"),
+        ("direct", 0.0, "zeta: expected a stiffness > 0 TPa, got 0.0"),
+        ("direct", np.nan, "zeta: expected a stiffness > 0 TPa, got nan"),
+    ],
+)
+def test_bad_choices_are_refused(kind, zeta, words):
+    with pytest.raises(InputError, match=words):
+        Conditions(CLASSES, kind, zeta)

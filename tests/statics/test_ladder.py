@@ -1,0 +1,208 @@
+"""The solver ladder: every method gives the same answer, or says why there is none."""
+
+import importlib
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.clouds import cloud
+from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
+from tools.solve_study import TABLE
+from warp_peri import InputError, LPSOperator, Model, equilibrium, load_model, solve
+from warp_peri.operator.stencil import smallest_ratio, stencil
+from warp_peri.statics.dirichlet import Dirichlet
+from warp_peri.statics.domain import domain
+from warp_peri.statics.multigrid import prolong, restrict
+from warp_peri.statics.preconditioners import additive, sine
+from warp_peri.statics.solve import choose_method
+
+HORIZON = 3.0
+CPU = torch.device("cpu")
+
+
+def numbers(model):
+    return [
+        torch.tensor(value, dtype=torch.float64)
+        for value in (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+    ]
+
+
+def notched(n=40):
+    """A mask with a re-entrant corner and a hole."""
+    mask = np.ones((n, n - 7), bool)
+    mask[n // 2 :, n // 2 :] = False
+    mask[n // 4 : n // 4 + 5, 6:9] = False
+    return mask
+
+
+@pytest.mark.parametrize("name", ["1/r", "sign-changing", "two functions"])
+@pytest.mark.parametrize("method", ["sine", "multigrid", "fft", "cg"])
+def test_iterative_solves_recover_a_manufactured_solution(name, method):
+    model = kernel(name, HORIZON, lam=-0.2)
+    mask = np.ones((23, 31), bool) if method == "sine" else notched()
+    points = lattice(mask, HORIZON, angle=0.4, origin=(3.0, -8.0))
+    points = manufactured(model, points, 2)
+    assert np.abs(points.u[:, ~points.interior]).max() > 0.1
+    records = []
+    collar = np.where(points.interior[:, None], np.nan, points.u)
+    load = np.where(points.interior[:, None], points.b, np.nan)
+    found = solve(model, points, load, collar, method=method, tolerance=1e-11, records=records)
+    np.testing.assert_allclose(found, points.u, rtol=0, atol=2e-8)
+    left = (LPSOperator(model, points)(found) - points.b[:, points.interior]).reshape(2, -1)
+    assert len(records) == 2
+    assert all(record.residual <= 1e-11 and record.iterations > 1 for record in records)
+    size = np.linalg.norm(points.b[:, points.interior].reshape(2, -1), axis=1)
+    assert (np.linalg.norm(left, axis=1) < 1e-9 * size).all()  # by the sweeps, not the stencil
+
+
+@pytest.mark.parametrize("kind", [sine, additive])
+def test_preconditioners_are_symmetric_and_positive(kind):
+    model = kernel("sign-changing", HORIZON)
+    mask = np.ones((21, 26), bool) if kind is sine else notched(48)
+    nodes = domain(lattice(mask, HORIZON), HORIZON, device=CPU)
+    precondition = kind(nodes, stencil(nodes.classes, *numbers(model)))
+    r, q = torch.randn(2, 2, *mask.shape, dtype=torch.float64) * nodes.mask
+    a, b = float((precondition(r) * q).sum()), float((precondition(q) * r).sum())
+    scale = float((precondition(r) * r).sum())
+    assert abs(a - b) < 1e-4 * scale  # single precision inside
+    assert scale > 0
+    assert precondition(r).dtype == torch.float64
+
+
+@pytest.mark.parametrize("shape", [(8, 9), (9, 8), (3, 2)])
+def test_restriction_is_the_transpose_of_interpolation(shape):
+    fine = torch.randn(2, *shape, dtype=torch.float64)
+    coarse = torch.randn(2, shape[0] // 2, shape[1] // 2, dtype=torch.float64)
+    a, b = (restrict(fine) * coarse).sum(), (fine * prolong(coarse, fine.shape[1:])).sum()
+    assert abs(float(a - b)) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["1/r", "learned"])
+def test_iterations_do_not_grow_with_the_domain(name):
+    model = load_model(TABLE) if name == "learned" else kernel(name, HORIZON)
+    for method, mask in (("sine", lambda n: np.ones((n, n), bool)), ("multigrid", notched)):
+        iterations = []
+        for n in (64, 192):
+            points = lattice(mask(n), model.horizon, spacing=model.certified_on[0])
+            nodes = domain(points, model.horizon, device=CPU)
+            system = Dirichlet(nodes, stencil(nodes.classes, *numbers(model)), method)
+            random = torch.Generator().manual_seed(0)
+            b = torch.randn(2, *nodes.mask.shape, dtype=torch.float64, generator=random)
+            iterations.append(system.solve(b * nodes.mask, 1e-8)[1].iterations)
+        assert iterations[1] <= 1.25 * iterations[0]
+
+
+def test_the_method_follows_size_and_shape(monkeypatch):
+    module = importlib.import_module("warp_peri.statics.solve")
+    monkeypatch.setattr(module, "DIRECT", 30)
+    monkeypatch.setattr(module, "LARGEST_LU", 30)
+    assert choose_method(lattice(5, HORIZON), plain=True) == "lu"
+    assert choose_method(lattice(6, HORIZON, angle=0.3), plain=True) == "sine"
+    assert choose_method(lattice(notched(), HORIZON), plain=True) == "multigrid"
+    assert choose_method(lattice(6, HORIZON), plain=False) == "gmres"
+
+
+def test_an_indefinite_operator_is_named_by_every_method():
+    model = Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
+    points = lattice(8, HORIZON)
+    nodes = domain(points, HORIZON, device=CPU)
+    A = stencil(nodes.classes, *numbers(model))
+    assert smallest_ratio(nodes.torus.symbol(A), nodes.torus) < 0
+    for method in ("lu", "sine", "multigrid", "fft", "cg"):
+        with pytest.raises(InputError, match="nodes is indefinite"):
+            solve(model, points, noise(points), noise(points), method=method)
+
+
+def test_a_direction_without_energy_is_named(monkeypatch):
+    """What conjugate gradients see themselves, where no symbol is asked."""
+    monkeypatch.setattr(Dirichlet, "check_definite", lambda self: None)
+    model = Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
+    points = lattice(12, HORIZON)
+    with pytest.raises(InputError, match="indefinite: a direction has the energy -"):
+        solve(model, points, noise(points), noise(points), method="cg")
+
+
+def test_a_tolerance_out_of_reach_is_an_error():
+    points = lattice(12, HORIZON)
+    with pytest.raises(InputError, match="the solve stalled: residual"):
+        solve(
+            kernel("1/r", HORIZON),
+            points,
+            noise(points),
+            noise(points),
+            method="cg",
+            tolerance=1e-17,
+        )
+
+
+def test_methods_that_do_not_fit_are_refused():
+    model = kernel("1/r", HORIZON)
+    points = lattice(notched(), HORIZON)
+    zero = np.zeros((len(points.x), 2))
+    with pytest.raises(InputError, match="sine is for rectangles"):
+        solve(model, points, zero, zero, method="sine")
+    with pytest.raises(InputError, match="expected one of auto, lu, gmres, multigrid"):
+        solve(model, points, zero, zero, method="jacobi")
+    outside = np.zeros(len(points.x), bool)
+    with pytest.raises(InputError, match="multigrid is for lattices without a box"):
+        solve(model, points, zero, zero, method="multigrid", outside=outside)
+
+
+@pytest.mark.parametrize(
+    ("method", "bond_based"),
+    [("lu", False), ("lu", True), ("sine", True), ("multigrid", False), ("scattered", False)],
+)
+def test_the_implicit_gradient_is_that_of_differences(method, bond_based):
+    mask = ell() if method in ("lu", "multigrid") else np.ones((4, 5), bool)
+    points = lattice(mask, HORIZON, angle=0.3)
+    if method == "scattered":
+        points = cloud(4, HORIZON, 0.1)
+    name = "lu" if method == "scattered" else method
+    b, u = noise(points, 2, seed=1), noise(points, 2, seed=2)
+    weight = torch.from_numpy(noise(points, 2, seed=3))
+    D = np.array(kernel("two functions", HORIZON).D)
+    Dd = np.array(kernel("two functions", HORIZON).dilatation)
+    flat = np.concatenate([[0.8, 0.3, 1.3], D, Dd])
+
+    def value(mu, lam, alpha, D, Dd, b, u):
+        found = equilibrium(
+            points,
+            b,
+            u,
+            horizon=HORIZON,
+            lam=mu if bond_based else lam,
+            mu=mu,
+            alpha=alpha,
+            D=D,
+            D_dilatation=Dd,
+            method=name,
+            tolerance=1e-12,
+        )
+        return (weight * found).sum()
+
+    def of(vector):
+        mu, lam, alpha = torch.as_tensor(vector[:3])
+        D_, Dd_ = torch.as_tensor(vector[3:]).reshape(2, -1)
+        return value(mu, lam, alpha, D_, Dd_, torch.from_numpy(b), torch.from_numpy(u))
+
+    leaves = [torch.tensor(flat, dtype=torch.float64, requires_grad=True)]
+    fields = [torch.from_numpy(field).requires_grad_() for field in (b, u)]
+    mu, lam, alpha = leaves[0][:3]
+    D_, Dd_ = leaves[0][3:].reshape(2, -1)
+    exact = torch.autograd.grad(value(mu, lam, alpha, D_, Dd_, *fields), leaves + fields)
+    with torch.no_grad():
+        by_step = difference(lambda vector: float(of(vector)), flat, 1e-2)
+        scale = np.abs(by_step).max()
+        np.testing.assert_allclose(exact[0].numpy(), by_step, rtol=0, atol=1e-8 * scale)
+        for field, gradient in zip((b, u), exact[1:]):
+            direction = np.random.default_rng(5).normal(size=field.shape)
+
+            def along(t, field=field, direction=direction):
+                moved = [
+                    torch.from_numpy(one + t[0] * direction * (one is field)) for one in (b, u)
+                ]
+                return float(value(mu, lam, alpha, D_, Dd_, *moved))
+
+            step = difference(along, [0.0], 1.0)[0]
+            assert abs(float((gradient.numpy() * direction).sum()) - step) < 1e-8 * abs(step)

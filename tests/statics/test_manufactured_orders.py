@@ -1,0 +1,99 @@
+"""u_h^δ → u at fixed δ/h for K = 1/r: manufactured solutions of the local limit, fitted orders."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from tests.support import clouds
+from tests.support.problems import fitted_order, lattice
+from warp_peri import solvability, solve
+
+pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+LENGTH, MU = 2.0, 0.8
+NUMBERS = np.array([8, 16, 32])
+LATTICE, CLOUD = 1.9, 1.8  # least orders
+
+
+def ordered(number, horizon):
+    points = lattice(number, horizon, LENGTH / number)
+    return replace(points, x=points.x + LENGTH / number / 2)
+
+
+def scattered(number, horizon, seed=0):
+    return clouds.cloud(number, horizon, seed=seed, length=LENGTH)
+
+
+def orders(make, ratio, field, load, lam):
+    """Fitted orders of the root mean square and the largest error."""
+    errors = []
+    for number in NUMBERS:
+        horizon = ratio * LENGTH / number
+        points = make(number, horizon)
+        exact = field(points.x)
+        model = clouds.plain(horizon, lam, MU)
+        u = solve(model, points, load(points.x), exact, allow_uncertified=True)
+        error = (u - exact)[points.interior]
+        errors.append((np.sqrt((error**2).mean()), np.abs(error).max()))
+    return [fitted_order(LENGTH / NUMBERS, column) for column in np.transpose(errors)]
+
+
+def bond_based(make, ratio):
+    load = partial(clouds.bond_based_load, mu=MU)
+    return orders(make, ratio, clouds.bond_based_field, load, MU)
+
+
+def state_based(make, ratio, lam):
+    field = partial(clouds.state_based_field, lam=lam, mu=MU)
+    return orders(make, ratio, field, partial(clouds.state_based_load, lam=lam, mu=MU), lam)
+
+
+def test_the_loads_are_those_of_the_fields():
+    x, step = np.array([0.3, 0.7]), 1e-3
+    for field, load, lam in (
+        (clouds.bond_based_field, partial(clouds.bond_based_load, mu=MU), MU),
+        (
+            partial(clouds.state_based_field, lam=0.3, mu=MU),
+            partial(clouds.state_based_load, lam=0.3, mu=MU),
+            0.3,
+        ),
+    ):
+
+        def at(p, q, field=field):
+            return field((x + step * np.array([p, q]))[None])[0]
+
+        xx, yy = (at(*e) - 2 * at(0, 0) + at(*-e) for e in np.eye(2))
+        xy = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4
+        divergence = np.array([xx[0] + xy[1], xy[0] + yy[1]])
+        expected = -(MU * (xx + yy) + (lam + MU) * divergence) / step**2
+        np.testing.assert_allclose(load(x[None])[0], expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [2.0, 3.0])
+def test_bond_based_on_lattices(ratio):
+    assert min(bond_based(ordered, ratio)) >= LATTICE
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_bond_based_on_perturbed_points(seed):
+    assert min(bond_based(partial(scattered, seed=seed), 3.0)) >= CLOUD
+
+
+@pytest.mark.parametrize("ratio", [2.0, 3.0])
+@pytest.mark.parametrize("stiffer", [0.4, 100.0, 1e4])
+def test_state_based_on_lattices_however_incompressible(stiffer, ratio):
+    assert min(state_based(ordered, ratio, stiffer * MU)) >= LATTICE
+
+
+@pytest.mark.parametrize("stiffer", [0.4, 10.0, 100.0])
+def test_state_based_on_perturbed_points(stiffer):
+    assert min(state_based(scattered, 3.0, stiffer * MU)) >= CLOUD
+
+
+def test_perturbed_points_lose_order_where_the_material_is_nearly_incompressible():
+    """Φ and Ψ are no transposes there: at λ = 10⁴ μ their mismatch outweighs μΓ."""
+    assert max(state_based(scattered, 3.0, 1e4 * MU)) < 1
+    points = scattered(8, 3.0 * LENGTH / 8)
+    assert solvability(clouds.plain(3.0 * LENGTH / 8, 1e4 * MU, MU), points).symmetric_min < 0
+    assert solvability(clouds.plain(3.0 * LENGTH / 8, 100 * MU, MU), points).symmetric_min > 0

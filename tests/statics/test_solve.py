@@ -1,0 +1,129 @@
+"""Forward solves, with a Dirichlet collar and on a periodic sheet."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
+from warp_peri import InputError, LPSOperator, Model, solve, solve_periodic
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.families import bond_classes
+
+SOLVABLE = ("1/r", "steep", "positive", "growing", "sign-changing")
+HORIZON = 3.0  # at which all of them are
+
+
+@pytest.mark.parametrize("name", SOLVABLE)
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_a_manufactured_solution_is_recovered_whatever_the_collar(name, angle):
+    model = kernel(name, HORIZON, lam=-0.2)
+    points = manufactured(model, lattice(ell(), HORIZON, angle=angle, origin=(4.0, 9.0)), 3)
+    assert np.abs(points.u[:, ~points.interior]).min() > 0
+    collar = np.where(points.interior[:, None], np.nan, points.u)
+    load = np.where(points.interior[:, None], points.b, np.nan)
+    found = solve(model, points, load, collar)
+    np.testing.assert_allclose(found, points.u, rtol=0, atol=1e-11)
+    assert np.array_equal(found[:, ~points.interior], points.u[:, ~points.interior])
+    assert np.isnan(collar[:, points.interior]).all()  # what was given stays as it was
+    np.testing.assert_allclose(solve(model, points, load[1], collar[1]), points.u[1], atol=1e-11)
+
+
+def test_without_samples_there_is_nothing_to_solve():
+    points = lattice(2, HORIZON)
+    none = np.empty((0, len(points.x), 2))
+    assert solve(kernel("1/r", HORIZON), points, none, none).shape == none.shape
+
+
+@pytest.mark.parametrize("name", SOLVABLE)
+def test_the_periodic_solve_is_the_inverse_of_the_operator(name):
+    model = kernel(name, HORIZON * 2.5, spacing=2.5)
+    points, box = periodic((9, 12), spacing=2.5)
+    u = noise(points, 2)
+    u -= u.mean(axis=1, keepdims=True)
+    b = LPSOperator(model, points, box=box)(u).reshape(2, 9, 12, 2)
+    found = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
+    np.testing.assert_allclose(found.reshape(u.shape), u, rtol=0, atol=1e-11)
+    assert np.abs(found.mean(axis=(1, 2))).max() < 1e-14
+
+
+def test_uncertified_spacings_are_refused_or_warned_about():
+    model = replace(kernel("1/r", HORIZON), certified_on=())
+    points = lattice(2, HORIZON)
+    zero = np.zeros((len(points.x), 2))
+    sheet = np.zeros((8, 8, 2))
+    with pytest.raises(InputError, match="certified on no spacing, not on 1 Å"):
+        solve(model, points, zero, zero)
+    with pytest.raises(InputError, match="certified on no spacing, not on 1 Å"):
+        solve_periodic(model, sheet, spacing=1.0)
+    with pytest.warns(UserWarning, match="certified on no spacing"):
+        solve(model, points, zero, zero, allow_uncertified=True)
+    with pytest.warns(UserWarning, match="certified on no spacing"):
+        solve_periodic(model, sheet, spacing=1.0, allow_uncertified=True)
+
+
+def passing(a):
+    """A kernel that passes through singular ones as a grows, taken as certified."""
+    return Model(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
+
+
+def symbol_at_the_corner(a):
+    """Smallest ratio at (π, π)."""
+    classes = bond_classes(1.0, HORIZON)
+    corner = symbol(classes, np.full((1, 2), np.pi))
+    return corner.ratio(*stiffnesses(passing(a), classes))[0]
+
+
+def smallest_eigenvalue(a, points):
+    """Of the operator on the unknowns."""
+    unknown = np.flatnonzero(np.repeat(points.interior, 2))
+    pulls = np.eye(2 * len(points.x))[unknown].reshape(len(unknown), -1, 2)
+    forces = LPSOperator(passing(a), points)(pulls).reshape(len(unknown), -1)
+    return np.linalg.eigvalsh(forces)[0]
+
+
+def test_a_singular_symbol_is_refused():
+    model = passing(brentq(symbol_at_the_corner, -1.1, -1.0, xtol=1e-16))
+    b = np.random.default_rng(0).normal(size=(8, 8, 2))
+    with pytest.raises(InputError, match="the symbol is singular at a wave vector of this sheet"):
+        solve_periodic(model, b, spacing=1.0)
+    solve_periodic(model, b[:7, :7], spacing=1.0)  # no such wave on it
+
+
+@pytest.mark.parametrize(
+    ("interior", "low", "high"), [(1, -0.9, -0.8), (ell(), -0.775, -0.75)], ids=["one node", "more"]
+)
+def test_a_singular_operator_is_refused(interior, low, high):
+    points = lattice(interior, HORIZON)
+    model = passing(brentq(smallest_eigenvalue, low, high, args=(points,), xtol=1e-16))
+    b = noise(points)
+    with pytest.raises(InputError, match="nodes is singular"):
+        solve(model, points, b, 0 * b)
+
+
+@pytest.mark.parametrize(
+    ("b", "u", "words"),
+    [
+        (np.zeros((3, 2)), np.zeros((3, 2)), r"b, u_collar: expected shape \[S, 196, 2\]"),
+        (np.zeros((2, 196, 2)), np.zeros((196, 2)), r"got \[2, 196, 2\] and \[196, 2\]"),
+        (np.full((196, 2), np.nan), np.zeros((196, 2)), "b, u_collar: expected finite values"),
+        (np.zeros((196, 2)), np.full((196, 2), np.inf), "b, u_collar: expected finite values"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(b, u, words):
+    with pytest.raises(InputError, match=words):
+        solve(kernel("1/r", HORIZON), lattice(2, HORIZON), b, u)
+
+
+@pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((8, 8)), np.full((8, 8, 2), np.nan)])
+def test_sheets_that_do_not_fit_are_refused(b):
+    with pytest.raises(InputError, match=r"b: expected finite values of shape \[..., n1, n2, 2\]"):
+        solve_periodic(kernel("1/r", HORIZON), b, spacing=1.0)
+
+
+def test_a_collar_that_is_too_thin_is_refused():
+    points = lattice(2, 2.0)
+    zero = np.zeros((len(points.x), 2))
+    with pytest.raises(InputError, match="the largest that fits is 2.82843 Å"):
+        solve(kernel("1/r", HORIZON), points, zero, zero)

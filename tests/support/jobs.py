@@ -1,0 +1,63 @@
+"""Small jobs that write files, to be killed and run again: data, sweep, training.
+
+python -m tests.support.jobs NAME FOLDER
+"""
+
+import sys
+from pathlib import Path
+
+from tests.support.problems import kernel, lattice, manufactured
+
+
+def data(folder):
+    """The data tool on a small sheet, a small disk and nine of the loads."""
+    import tools.make_graphene as tool
+    from tools.loads import PatchLoad, RimLoad, WaveLoad
+
+    tool.SHEET_CELLS, tool.DISK_RADIUS, tool.REACH = (8, 5), 65.0, 60.0
+    tool.TRAINING = [WaveLoad(a, (p, 1)) for a in (0, 1) for p in range(3)]
+    tool.VALIDATION = [PatchLoad(1, 0, 0, 8.0), PatchLoad(2, 1, 1, 5.0)]
+    tool.TEST = [RimLoad(3)]
+    tool.make_graphene(folder / "g.h5", jobs=1, progress=False)
+    return ["g.h5"]
+
+
+def problem(seed=0):
+    return manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 3.0), 5, seed=seed)
+
+
+def sweep(folder):
+    """Six fits and the choice."""
+    from dataclasses import asdict
+
+    from warp_peri import sweep as run
+    from warp_peri.files.whole import write_json
+
+    found = run(
+        problem(0), problem(1), folder / "fits", horizons=(2.0, 2.5), degrees=(0, 1, 2), jobs=1
+    )
+    write_json(folder / "choice.json", asdict(found))
+    return ["choice.json", *sorted(f"fits/{path.name}" for path in (folder / "fits").iterdir())]
+
+
+def training(folder):
+    """All three stages, with a checkpoint."""
+    from warp_peri import fit
+    from warp_peri.learning import two_stage
+
+    two_stage.EPOCHS, two_stage.INNER_EPOCHS, two_stage.OUTER_ITERATIONS = 100, 50, 12
+    found = fit(problem(), horizon=2.5, degree=4, checkpoint=folder / "state.npz", seed=3)
+    found.model.save(folder / "model.json")
+    return ["model.json", "state.npz"]
+
+
+JOBS = {"data": data, "sweep": sweep, "training": training}
+
+
+def main(name, folder):
+    print("imported", flush=True)
+    print("\n".join(JOBS[name](Path(folder))), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,360 @@
+"""What each command does: from files to files, and a result that prints as JSON or as lines.
+
+What needs torch or Warp is reached through the package, which imports it on first use: `--help` and
+`info` do without.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+import warp_peri
+from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
+from warp_peri.cli.settings_file import keep
+from warp_peri.errors import InputError
+from warp_peri.files.whole import locked, write_json
+from warp_peri.models.lps import Model, load_model
+from warp_peri.points.dataset import Dataset, PointSet, load_dataset, save_dataset
+from warp_peri.sources.coarse_graining import smoothing_matrix
+
+Result = dict[str, Any]
+
+DEGREE = 10
+"""M of the Bernstein polynomials that are learned where nothing else was asked for."""
+
+SHEET = {"thickness": 3.35, "density": 2200.0}
+"""Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
+
+TYPED_BOX = 1e-3
+"""Relative difference of a typed period from that of the dump."""
+
+
+def check_output(given: argparse.Namespace) -> None:
+    """Refuse, before anything is done, to write over what is read, or a folder over a file.
+
+    Raises InputError saying which it is.
+    """
+    if getattr(given, "out", None) is None:
+        return
+    out = given.out.resolve()
+    for name in ("data", "model", "reference", "dumps", "force", "unloaded"):
+        read = getattr(given, name, None) or []
+        for path in read if isinstance(read, list) else [read]:
+            if path.resolve() == out:
+                raise InputError(f"out: {given.out} is read ({name}); name another file")
+    folder = given.command in ("train", "sweep") or getattr(given, "what", "") == "fields"
+    if given.out.exists() and given.out.is_dir() != folder:
+        wanted, found = ("folder", "file") if folder else ("file", "folder")
+        raise InputError(f"out: expected a {wanted}, {given.out} is a {found}")
+
+
+def run_coarse_grain(given: argparse.Namespace) -> Result:
+    """Dumps → a set of a data file; sets of other names that the file has stay in it."""
+    _take_sheet(given)
+    frame = next(warp_peri.dumps.dump_frames(given.reference))
+    reference, box = frame.x, None
+    if given.box:
+        warp_peri.dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
+        box = frame.box  # typed lengths are rounded
+    limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
+    if given.radius > limit:
+        what = "half the smallest period" if box else "the extent of the body"
+        raise InputError(f"radius: expected at most {limit:g} Å, {what}, got {given.radius:g} Å")
+    force = np.stack([atom_forces(path, len(reference)) for path in given.force])
+    mass = np.ones(len(reference))
+    if given.mass:
+        mass = warp_peri.dumps.dump_masses(given.reference, given.mass)
+    points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
+    points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
+    omega = smoothing_matrix(
+        reference, points.x, radius=given.radius, box=box, spacing=given.spacing
+    )
+    found = warp_peri.dumps.coarse_grain_dumps(
+        given.dumps,
+        omega,
+        points,
+        reference=reference,
+        force=force,
+        mass=mass,
+        unloaded=given.unloaded or [],
+        ids=frame.ids,
+        box=box,
+        skip=given.skip,
+        iota=given.iota,
+        node_area=given.spacing**2,
+        thickness=given.thickness,
+        progress=not given.json,
+    )
+    with locked(given.out):
+        before = _take_sheet(given)  # another job may have written it meanwhile
+        sets = dict(before.sets) if before else {}
+        provenance = dict(before.provenance) if before else {"source": "warp-peri coarse-grain"}
+        sets[given.set] = found
+        save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
+        keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
+    return {
+        "file": str(given.out),
+        "set": given.set,
+        "samples": len(found),
+        "nodes": len(found.x),
+        "interior": int(found.interior.sum()),
+    }
+
+
+def _take_sheet(given: argparse.Namespace) -> Dataset | None:
+    """Set thickness and density to the data file's, or the defaults; the file, if it is there.
+
+    Raises InputError for a given value that is not the file's.
+    """
+    before = load_dataset(given.out) if given.out.exists() else None
+    for name, unit in (("thickness", "Å"), ("density", "kg/m³")):
+        asked = getattr(given, name)
+        kept = getattr(before, name) if before else SHEET[name] if asked is None else asked
+        if asked is not None and asked != kept:
+            raise InputError(f"{name}: {given.out} has {kept:g} {unit}, got {asked:g} {unit}")
+        setattr(given, name, kept)
+    return before
+
+
+def run_train(given: argparse.Namespace) -> Result:
+    """Data → model.json, metrics.json and the settings, in a folder."""
+    data = load_dataset(given.data)
+    train = data[given.set]
+    noise = data[given.noise] if given.noise else None
+    influence = None
+    if given.influence:
+        influence = shape_of(given.influence, given.horizon, train.spacing)
+    degree = DEGREE if influence is None and given.degree is None else given.degree
+    with locked(given.out):
+        found = warp_peri.fit(
+            train,
+            horizon=given.horizon,
+            degree=degree,
+            influence=influence,
+            method=given.method,
+            conditions=given.conditions,
+            zeta=given.zeta,
+            normalise=given.normalise,
+            loss=given.loss,
+            noise=noise,
+            seed=given.seed,
+            progress=not given.json,
+        )
+        tables, errors = {}, {}
+        for name in data:
+            try:
+                tables[name] = warp_peri.evaluate(found.model, data[name])
+            except InputError as error:  # no load, another spacing, a collar too small
+                errors[name] = str(error)
+        result: Result = {
+            "certified": bool(found.model.certified_on),
+            "statement": found.certificate.statement,
+            "loss": f"{found.loss.name} ({found.loss.reason})",
+            "lambda": found.model.lam,
+            "mu": found.model.mu,
+            "E": found.model.E,
+            "nu": found.model.nu,
+            "moduli": found.moduli[0],
+            "E_res": {name: table["E_res"] for name, table in tables.items()},
+            "E_u": {name: table["E_u"] for name, table in tables.items()},
+            "not_evaluated": errors,
+        }
+        if found.influence is not None:
+            result |= found.model.provenance
+        if noise is not None:
+            sure = warp_peri.fit_uncertainty(found, train, noise)
+            result["deviation"] = {
+                "lambda": float(sure.deviation(lambda model: model.lam)),
+                "mu": float(sure.deviation(lambda model: model.mu)),
+                "E": float(sure.deviation(lambda model: model.E)),
+            }
+        model = dataclasses.replace(
+            found.model,
+            errors={key: result[key] for key in ("E_res", "E_u")},
+            provenance={
+                **found.model.provenance,
+                "data": given.data.name,
+                "sha256": hashlib.sha256(given.data.read_bytes()).hexdigest(),
+                "data_provenance": data.provenance,
+            },
+        )
+        model.save(given.out / "model.json")
+        write_json(given.out / "metrics.json", result)
+        keep(given, given.out / f"{given.command}.toml")
+    return {**result, "model": str(given.out / "model.json")}
+
+
+def run_certify(given: argparse.Namespace) -> Result:
+    """The certificate of a model on a lattice."""
+    model = load_model(given.model)
+    spacings = given.spacing or list(model.trained_on)
+    if not spacings:
+        raise InputError("spacing: the model names no training lattice; give --spacing")
+    found = {}
+    for spacing in spacings:
+        certificate = warp_peri.certify(model, spacing=spacing)
+        found[f"{spacing:g} Å"] = {
+            "holds": certificate.holds,
+            "statement": certificate.statement,
+            **certificate.figures(),
+        }
+    return found
+
+
+def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Errors of a model on the sets of a file."""
+    model, data = load_model(given.model), load_dataset(given.data)
+    tables: dict[str, dict[str, Any]] = {}
+    for name in given.sets or data:
+        points = data[name]
+        try:
+            tables[name] = warp_peri.evaluate(
+                model, points, allow_uncertified=given.allow_uncertified
+            )
+        except InputError as error:
+            if given.sets:
+                raise InputError(f"set '{name}': {error}") from None
+            tables[name] = {"error": str(error)}
+    return tables
+
+
+def run_solve(given: argparse.Namespace) -> Result:
+    """Displacement under the loads of a set, its collar held: a data file with the solution."""
+    model, data = load_model(given.model), load_dataset(given.data)
+    points = data[given.set]
+    u = warp_peri.solve(
+        model,
+        points,
+        points.b,
+        points.u,
+        method=given.method,
+        allow_uncertified=given.allow_uncertified,
+    )
+    solved = dataclasses.replace(points, u=u)
+    provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
+    with locked(given.out):
+        save_dataset(
+            given.out, Dataset({given.set: solved}, data.thickness, data.density, provenance)
+        )
+        keep(given, given.out.with_suffix(".solve.toml"))
+    size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
+    return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
+
+
+def run_export(given: argparse.Namespace) -> Result:
+    """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
+    model, settings = load_model(given.model), given.out.with_suffix(".export.toml")
+    if given.what == "influence":
+        if given.spacing is None and not model.trained_on:
+            raise InputError("spacing: the model names no training lattice; give --spacing")
+        spacing = model.trained_on[0] if given.spacing is None else given.spacing
+        paths = [warp_peri.export.write_influence(given.out, model, spacing)]
+    elif given.data is None:
+        raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
+    else:
+        points = load_dataset(given.data)[given.set]
+        if given.what == "operator":
+            model.check_spacing(points.spacing, allow_uncertified=given.allow_uncertified)
+            paths = [warp_peri.export.write_operator(given.out, model, points)]
+        else:
+            settings = given.out / "export.toml"
+            u = warp_peri.solve(
+                model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
+            )
+            with locked(given.out):
+                paths = warp_peri.export.write_fields(
+                    given.out, model, points, u, format=given.format
+                )
+    keep(given, settings)
+    return {"files": [str(path) for path in paths]}
+
+
+def run_sweep(given: argparse.Namespace) -> Result:
+    """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
+    data = load_dataset(given.data)
+    found = warp_peri.sweep(
+        data[given.set],
+        data[given.val],
+        given.out,
+        test=data[given.test] if given.test else None,
+        noise=data[given.noise] if given.noise else None,
+        horizons=given.horizons,
+        degrees=given.degrees,
+        conditions=given.conditions,
+        jobs=given.jobs,
+        progress=not given.json,
+    )
+    result: Result = {
+        "fits": len(found.trials),
+        "smallest_AvgE": dataclasses.asdict(found.printed),
+        "cheapest": dataclasses.asdict(found.cheapest),
+    }
+    with locked(given.out):
+        write_json(given.out / "sweep.json", result)
+        keep(given, given.out / f"{given.command}.toml")
+    return result
+
+
+def run_info(given: argparse.Namespace) -> Result:
+    """What a model or data file holds."""
+    if given.file.suffix == ".json":
+        return model_summary(load_model(given.file))
+    data = load_dataset(given.file)
+    return {
+        "format": "data set",
+        "thickness": data.thickness,
+        "density": data.density,
+        "sets": {name: set_summary(data[name]) for name in data},
+        "provenance": data.provenance,
+    }
+
+
+def model_summary(model: Model) -> Result:
+    """Constants, lattices and errors of a model."""
+    return {
+        "format": "model",
+        "lambda": model.lam,
+        "mu": model.mu,
+        "E": model.E,
+        "nu": model.nu,
+        "alpha": model.alpha,
+        "degree": model.degree,
+        "horizon": model.horizon,
+        "trained_on": list(model.trained_on),
+        "certified_on": list(model.certified_on),
+        "errors": model.errors,
+        "versions": model.versions,
+    }
+
+
+def set_summary(points: PointSet) -> Result:
+    """Sizes of a point set."""
+    return {
+        "samples": len(points),
+        "nodes": len(points.x),
+        "interior": int(points.interior.sum()),
+        "spacing": points.spacing,
+        "arrays": sorted(points.samples),
+    }
+
+
+def lines_of(result: Result, indent: str = "") -> Sequence[str]:
+    """A result as text, one number a line."""
+    lines = []
+    for key, value in result.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{key}:", *lines_of(value, indent + "  ")]
+        elif isinstance(value, float):
+            lines.append(f"{indent}{key}: {value:.6g}")
+        elif isinstance(value, list):
+            shown = ", ".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in value)
+            lines.append(f"{indent}{key}: {shown}")
+        else:
+            lines.append(f"{indent}{key}: {value}")
+    return lines

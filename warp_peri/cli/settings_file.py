@@ -1,0 +1,109 @@
+"""Settings of a command in a TOML file: read before the command line, kept beside the results."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from warp_peri.errors import InputError
+from warp_peri.files.whole import write_text
+
+NOT_KEPT = ("command", "config", "json", "run")
+
+
+def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Arguments of a command, those missing on the line taken from the file of --config.
+
+    The file has one table with the name of the command; its keys are the long options with `_` for
+    `-`, and the names of the positional arguments.
+
+    Raises InputError for a file that is not TOML, has no such table or a key that is no option.
+    """
+    ahead = argparse.ArgumentParser(prog=parser.prog, add_help=False)
+    ahead.add_argument("command", nargs="?")
+    ahead.add_argument("--config")
+    early, _ = ahead.parse_known_args(arguments)
+    if early.config is None:
+        return parser.parse_args(arguments)
+    command = _commands(parser).get(early.command)
+    if command is None:
+        return parser.parse_args(arguments)
+    settings = _table(early.config, early.command)
+    actions = {action.dest: action for action in command._actions}
+    for key, value in settings.items():
+        action = actions.get(key)
+        if action is None or key in (*NOT_KEPT, "help"):
+            known = ", ".join(sorted(set(actions) - {*NOT_KEPT, "help"}))
+            raise InputError(f"{early.config}: no option {key!r}; '{early.command}' has {known}")
+        action.required = False
+        if isinstance(action, argparse._ExtendAction) and _typed(action, arguments):
+            continue  # it would be added to, not replaced
+        action.default = _converted(early.config, action, value)
+        if not action.option_strings:
+            action.nargs = "*" if action.nargs in ("+", "*") else "?"
+    return parser.parse_args(arguments)
+
+
+def keep(given: argparse.Namespace, path: str | os.PathLike[str]) -> None:
+    """Write the settings of a command to a file; `--config` takes it again."""
+    table = {}
+    for key, value in vars(given).items():
+        if key in NOT_KEPT or value is None:
+            continue
+        table[key] = [_plain(item) for item in value] if isinstance(value, list) else _plain(value)
+    write_text(path, tomli_w.dumps({given.command: table}))
+
+
+def _typed(action: argparse.Action, arguments: Sequence[str] | None) -> bool:
+    """Whether an option is on the line."""
+    words = sys.argv[1:] if arguments is None else arguments
+    return any(word.split("=", 1)[0] in action.option_strings for word in words)
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, Path) else value
+
+
+def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    return {}
+
+
+def _table(path: str, command: str) -> dict[str, Any]:
+    try:
+        with open(path, "rb") as file:
+            content = tomllib.load(file)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: expected a TOML file ({error})") from None
+    if not isinstance(content.get(command), dict):
+        raise InputError(f"{path}: expected a table [{command}]")
+    return dict(content[command])
+
+
+def _converted(path: str, action: argparse.Action, value: Any) -> Any:
+    """A value as the option's own type makes it from text."""
+    if action.nargs == 0 and isinstance(value, bool):
+        return value
+    several = isinstance(value, list)
+    if action.nargs == 0 or several != bool(action.nargs):
+        raise InputError(f"{path}: {action.dest}: {value!r} is not what this option takes")
+    kind = action.type if callable(action.type) else str
+    try:
+        found = [kind(str(item)) for item in (value if several else [value])]
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise InputError(f"{path}: {action.dest}: {error}") from None
+    if action.choices is not None and not set(found) <= set(action.choices):
+        known = ", ".join(map(str, action.choices))
+        raise InputError(f"{path}: {action.dest}: expected of {known}, got {value!r}")
+    return found if several else found[0]

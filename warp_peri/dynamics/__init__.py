@@ -1,0 +1,1 @@
+"""Bodies in motion: velocity Verlet and the steps it may take."""

@@ -1,0 +1,1 @@
+"""How a model is learned, and how sure it is: fits, sweeps, errors, uncertainty."""

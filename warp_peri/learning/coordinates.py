@@ -1,0 +1,193 @@
+"""Coordinates of the constrained optimum: κ and the kernels, without redundancy (theory.md, 26–28).
+
+A kernel r^(−α) Σ D_k B_k,M gives every bond class of every lattice a table entry K W. Only the span
+of these tables can be told apart; its coordinates q take the place of D, and the scale of K falls
+out because stiffnesses are v = μ w. α is a variable only where the coefficients do not already
+reach every bond length; elsewhere it is redundant and keeps its value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.learning.parameters import LARGEST_ALPHA, Parameters
+from warp_peri.models.influence import bernstein_basis
+from warp_peri.points.families import BondClasses
+
+RANK_TOLERANCE = 1e-11
+SMALLEST_ALPHA = -6.0
+ALPHA_IN_SIGHT = (-12.0, 6.0)
+
+
+@dataclass(frozen=True)
+class Point:
+    """What one y stands for, and derivatives to y.
+
+    Attributes:
+        kappa, alpha: κ = (λ−μ)/μ² [1/TPa] and α.
+        mu: μ [TPa]; dmu its derivative, shape [Y].
+        v, z: stiffnesses of the deviatoric part and of the dilatation on each lattice [TPa/Å²].
+        dv, dz: their derivatives, each of shape [C, Y].
+        limits: what must not be negative for y to be within its bounds; dlimits its derivative.
+    """
+
+    kappa: float
+    alpha: float
+    mu: float
+    dmu: np.ndarray
+    v: list[np.ndarray]
+    z: list[np.ndarray]
+    dv: list[np.ndarray]
+    dz: list[np.ndarray]
+    limits: np.ndarray
+    dlimits: np.ndarray
+
+
+class Coordinates:
+    """y = (κ, q of the deviatoric kernel[, q of the dilatation's kernel][, α]).
+
+    Args:
+        lattices: bond classes of each lattice; the first sets the scale of the kernels.
+        alpha: exponent to start from, or to keep.
+        degree: M.
+        two_functions: whether the dilatation has coefficients of its own.
+    """
+
+    def __init__(
+        self,
+        lattices: Sequence[BondClasses],
+        alpha: float,
+        degree: int,
+        *,
+        two_functions: bool = False,
+    ) -> None:
+        self.lattices, self.alpha = lattices, alpha
+        self.two_functions = two_functions
+        tables = np.concatenate([_tables(one, alpha, degree) for one in lattices])
+        scale = np.abs(tables).max()
+        left, size, right = np.linalg.svd(tables / scale)
+        rank = int(np.sum(size > RANK_TOLERANCE * size[0]))
+        lengths = np.concatenate([one.r for one in lattices])
+        reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
+        self.free_alpha = rank < len(np.unique(lengths[reached].round(9)))
+        self.rank = rank
+        ends = np.cumsum([len(one.r) for one in lattices])
+        self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
+        self._q_of_D = size[:rank, None] * right[:rank] * scale
+        self._D_of_q = right[:rank].T / (size[:rank] * scale)
+        self._second = np.diff(np.eye(degree + 1), n=2, axis=0)
+        free = right[rank:].T  # coefficients that no bond sees: take those that smooth
+        if free.size and len(self._second):
+            smooth = np.linalg.lstsq(self._second @ free, self._second @ self._D_of_q, rcond=None)
+            self._D_of_q = self._D_of_q - free @ smooth[0]
+        self._sigma = [one.count * one.r**2 for one in lattices]
+        self._log_r = [np.log(one.r / one.horizon) for one in lattices]
+
+    def start(self, parameters: Parameters) -> np.ndarray:
+        """y of given parameters."""
+        kernels = [parameters.D]
+        if self.two_functions:
+            kernels.append(parameters.dilatation)
+        parts = [np.array([(parameters.lam - parameters.mu) / parameters.mu**2])]
+        for D in kernels:
+            q = self._q_of_D @ D
+            parts.append(q * parameters.mu / (self._sigma[0] @ (self._basis[0] @ q)))
+        if self.free_alpha:
+            parts.append(np.array([self.alpha]))
+        return np.concatenate(parts)
+
+    def point(self, y: np.ndarray) -> Point:
+        """v, z, κ and μ at y, with their derivatives."""
+        # Constraints bound α; on its way SLSQP may look where r^(−α) overflows.
+        alpha = float(np.clip(y[-1], *ALPHA_IN_SIGHT)) if self.free_alpha else self.alpha
+        deviatoric = slice(1, 1 + self.rank)
+        dilatation = slice(1 + self.rank, 1 + 2 * self.rank) if self.two_functions else deviatoric
+        v, dv = self._kernels(y, alpha, deviatoric)
+        mu, dmu = float(self._sigma[0] @ v[0]), self._sigma[0] @ dv[0]
+        z, dz = (v, dv) if dilatation == deviatoric else self._kernels(y, alpha, dilatation)
+        # Σ n r² v = μ on every lattice, and for z.
+        for tables, slopes, kept in ((v, dv, 1), (z, dz, 0)):
+            for number in range(kept, len(tables)):
+                tables[number], slopes[number] = scaled(
+                    tables[number], slopes[number], self._sigma[number], mu, dmu
+                )
+        limits, dlimits = np.zeros(0), np.zeros((0, len(y)))
+        if self.free_alpha:
+            limits = np.array([LARGEST_ALPHA - alpha, alpha - SMALLEST_ALPHA])
+            dlimits = np.zeros((2, len(y)))
+            dlimits[:, -1] = (-1, 1)
+        return Point(float(y[0]), alpha, mu, dmu, v, z, dv, dz, limits, dlimits)
+
+    def directions(self, y: np.ndarray) -> np.ndarray:
+        """Directions that change a stiffness, shape [Y, Y]: here all."""
+        return np.eye(len(y))
+
+    def _kernels(
+        self, y: np.ndarray, alpha: float, part: slice
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Tables K W of each lattice and their derivatives to y, before any scaling."""
+        values, slopes = [], []
+        for basis, log_r in zip(self._basis, self._log_r):
+            tilted = np.exp((self.alpha - alpha) * log_r)[:, None] * basis
+            values.append(tilted @ y[part])
+            slope = np.zeros((len(basis), len(y)))
+            slope[:, part] = tilted
+            if self.free_alpha:
+                slope[:, -1] = -log_r * values[-1]
+            slopes.append(slope)
+        return values, slopes
+
+    def _plain_volume(self, alpha: float) -> tuple[float, float]:
+        """Σ n r² K W of K = (r/δ)^(−α) on the first lattice, and its derivative to α."""
+        one, log_r = self.lattices[0], self._log_r[0]
+        terms = self._sigma[0] * one.weight * np.exp(-alpha * log_r)
+        return float(terms.sum()), float(-log_r @ terms)
+
+    def _coefficients(self, point: Point, q: np.ndarray) -> np.ndarray:
+        """The smoothest D of a kernel, scaled to the weighted volume of K = r^(−α), D = 1."""
+        tilt = np.exp((self.alpha - point.alpha) * self._log_r[0])
+        volume = self._sigma[0] @ (tilt * (self._basis[0] @ q))
+        D: np.ndarray = self._D_of_q @ q * (self._plain_volume(point.alpha)[0] / volume)
+        return D
+
+    def roughness(self, y: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """Second differences of the deviatoric D, and their derivative to y."""
+        q = slice(1, 1 + self.rank)
+        volume, dvolume = self._plain_volume(point.alpha)
+        plain = self._second @ self._D_of_q  # second differences of unit q
+        values = plain @ y[q] * (volume / point.mu)
+        slopes = np.zeros((len(values), len(y)))
+        slopes[:, q] = plain * (volume / point.mu)
+        slopes -= np.outer(values, point.dmu / point.mu)
+        if self.free_alpha:
+            slopes[:, -1] += values * (dvolume / volume)
+        return values, slopes
+
+    def parameters(self, y: np.ndarray, losses: list[float]) -> Parameters:
+        """λ, μ, α and the smoothest coefficients at y."""
+        point = self.point(y)
+        mu, kappa = point.mu, point.kappa
+        D = self._coefficients(point, y[1 : 1 + self.rank])
+        own = None
+        if self.two_functions:
+            own = self._coefficients(point, y[1 + self.rank : 1 + 2 * self.rank])
+        return Parameters(mu + kappa * mu**2, mu, point.alpha, D, losses, own)
+
+
+def _tables(classes: BondClasses, alpha: float, degree: int) -> np.ndarray:
+    """K W of unit coefficients, with (r/δ)^(−α) for r^(−α), shape [C, M + 1]."""
+    basis = bernstein_basis(classes.r, classes.horizon, degree)
+    tables: np.ndarray = (classes.weight * (classes.r / classes.horizon) ** -alpha)[:, None] * basis
+    return tables
+
+
+def scaled(
+    x: np.ndarray, dx: np.ndarray, sigma: np.ndarray, total: float, dtotal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """x scaled so that σ·x = total, and its derivative."""
+    have, dhave = sigma @ x, sigma @ dx
+    slope = dx * (total / have) + np.outer(x, dtotal / have - total * dhave / have**2)
+    return x * (total / have), slope

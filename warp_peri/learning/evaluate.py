@@ -1,0 +1,63 @@
+"""Errors of a model on data: equation residual and displacement (theory.md, 30–31)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.operator.lps import LPSOperator
+from warp_peri.points.dataset import PointSet
+from warp_peri.statics.solve import solve
+
+
+def residual_errors(
+    model: Model, points: PointSet, *, allow_uncertified: bool = False
+) -> np.ndarray:
+    """‖L u − b‖₂ and ‖b‖₂ of each sample on the interior [TPa/Å], shape [2, S]."""
+    operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
+    b = points.b[:, points.interior]
+    return np.array([_norms(operator(points.u) - b), _norms(b)])
+
+
+def evaluate(model: Model, points: PointSet, *, allow_uncertified: bool = False) -> dict[str, Any]:
+    """Errors on every sample of a set and their means.
+
+    Args:
+        model: the model, certified for the spacing of the points.
+        points: samples with displacement and load.
+        allow_uncertified: warn about an uncertified spacing instead of raising.
+
+    Returns:
+        E_res = mean ‖L u − b‖₂/‖b‖₂, E_u = mean ‖u_solved − u‖₂/‖u‖₂ on interior nodes, u solved
+        with b on the interior and u given on the collar; E_res_rms and E_u_rms, their
+        root-mean-square variants; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; and the lists of
+        per-sample values E_res_samples, E_res_abs_samples, E_u_samples.
+
+    Raises InputError for a set without samples, with a sample that has no load or displacement on
+    its interior, or that the model cannot be used on.
+    """
+    if len(points) == 0:
+        raise InputError("the set has no samples to evaluate")
+    residual, load = residual_errors(model, points, allow_uncertified=allow_uncertified)
+    solved = solve(model, points, points.b, points.u, allow_uncertified=allow_uncertified)
+    size = _norms(points.u[:, points.interior])
+    for name, norm in (("b", load), ("u", size)):
+        if not (norm > 0).all():
+            raise InputError(f"{name}: sample {int(np.argmin(norm))} is zero on the interior")
+    relative = residual / load
+    displacement = _norms((solved - points.u)[:, points.interior]) / size
+    table: dict[str, Any] = {"E_res": relative.mean(), "E_res_abs": residual.mean()}
+    table |= {"E_u": displacement.mean(), "E_res_rms": np.sqrt((relative**2).mean())}
+    table |= {"E_u_rms": np.sqrt((displacement**2).mean())}
+    table = {key: float(value) for key, value in table.items()}
+    for key, values in (("E_res", relative), ("E_res_abs", residual), ("E_u", displacement)):
+        table[f"{key}_samples"] = values.tolist()
+    return table
+
+
+def _norms(fields: np.ndarray) -> np.ndarray:
+    norms: np.ndarray = np.linalg.norm(fields.reshape(len(fields), -1), axis=1)
+    return norms

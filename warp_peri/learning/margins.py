@@ -1,0 +1,159 @@
+"""Margins of the solvability conditions in torch, for the augmented Lagrangian of stage 2.
+
+Each is a smallest eigenvalue less its level; its derivative is that of the eigenvalue at its own
+vector. `SymbolMargins` looks at the symbol over a sampled zone, `DenseMargins` at the matrices of
+the training domain, which is what You et al. (2021, 4.6) print.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from scipy.linalg import eigh
+
+from warp_peri.operator.matrices import assemble
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.families import bond_classes
+from warp_peri.stability.conditions import Conditions
+
+ZONE_INTERVALS = 24
+DENSE_ZETA = 1e-4
+"""ζ of the dense conditions: Λmin(Γ) [Å⁻²] and Λmin(ΦΓ⁻¹Φᵗ)."""
+
+Weights = Sequence[tuple[torch.Tensor, torch.Tensor]]
+
+
+class _Values(torch.autograd.Function):
+    """Values with derivatives that are already known, to (κ, w, p)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, evaluate: Callable[..., tuple[np.ndarray, np.ndarray]], *inputs: torch.Tensor
+    ) -> torch.Tensor:
+        numbers = [tensor.detach().numpy() for tensor in inputs]
+        values, slopes = evaluate(*numbers)
+        ctx.slopes = torch.from_numpy(slopes)
+        ctx.sizes = [tensor.numel() for tensor in inputs]
+        return torch.from_numpy(values)
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        kappa, *rest = torch.split(upstream[0] @ ctx.slopes, ctx.sizes)
+        return None, kappa.reshape(()), *rest
+
+
+_values: Callable[..., torch.Tensor] = _Values.apply
+
+
+class SymbolMargins:
+    """Smallest margins of the conditions over sampled wave vectors, on each lattice [TPa]."""
+
+    def __init__(self, conditions: Sequence[Conditions]) -> None:
+        self.conditions = conditions
+        self.lattices = [one.classes for one in conditions]
+        self.tables = [
+            symbol(one, zone_wedge(one.spacing, ZONE_INTERVALS)) for one in self.lattices
+        ]
+        self.count = sum(len(one.names) for one in conditions)
+
+    def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
+        """Margins, shape [count]."""
+        kappa = (lam - mu) / mu**2
+        parts = []
+        for one, at, (w, p) in zip(self.conditions, self.tables, weights):
+
+            def evaluate(
+                kappa: np.ndarray,
+                v: np.ndarray,
+                z: np.ndarray,
+                one: Conditions = one,
+                at: Symbol = at,
+            ) -> tuple[np.ndarray, np.ndarray]:
+                margins = one.margins(at, v, z, float(kappa))
+                slopes = []
+                for form, k in enumerate(margins.argmin(axis=1)):
+                    worst = Symbol(at.gamma[[k]], at.phi[[k]], at.laplacian[[k]])
+                    slopes.append(one.gradients(worst, v, z, float(kappa))[form, 0])
+                return margins.min(axis=1), np.array(slopes)
+
+            parts.append(_values(evaluate, kappa, mu * w, mu * p))
+        return torch.cat(parts)
+
+
+class DenseMargins:
+    """The three conditions (4.6) on the interior of each training set.
+
+    Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
+    interior nodes. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c.
+    """
+
+    def __init__(self, sets: Sequence[PointSet], horizon: float) -> None:
+        self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
+        self.parts = [_class_matrices(points, horizon) for points in sets]
+        self.count = 3 * len(sets)
+
+    def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
+        """Margins, shape [3 · sets]."""
+        parts = []
+        for (gammas, phis), (w, p) in zip(self.parts, weights):
+
+            def evaluate(
+                _: np.ndarray,
+                w: np.ndarray,
+                p: np.ndarray,
+                gammas: np.ndarray = gammas,
+                phis: np.ndarray = phis,
+            ) -> tuple[np.ndarray, np.ndarray]:
+                return _dense(gammas, phis, w, p)
+
+            parts.append(_values(evaluate, torch.zeros((), dtype=torch.float64), w, p))
+        return torch.cat(parts)
+
+
+def _class_matrices(points: PointSet, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+    """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
+    sweeps = Sweeps(points, horizon)
+    unknown = np.repeat(points.interior, 2)
+    ones = wp.full(len(points.x), 1.0, dtype=wp.float64, device=sweeps.row.device)
+    gammas, phis = [], []
+    for unit in np.eye(len(sweeps.families.classes.r)):
+        table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=sweeps.row.device)
+        parts = assemble(sweeps, points, (table, ones, table, ones))
+        gammas.append(parts.gamma[:, unknown].toarray())
+        phis.append(parts.phi[points.interior][:, unknown].toarray())
+    return np.array(gammas), np.array(phis)
+
+
+def _dense(
+    gammas: np.ndarray, phis: np.ndarray, w: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The margins and their derivatives to (κ, w, p), shape [3, 1 + 2 C]."""
+    gamma, phi = np.tensordot(w, gammas, 1), np.tensordot(p, phis, 1)
+    zeros = np.zeros(1)
+
+    def slope(e: np.ndarray, scale_w: float, scale_p: float) -> np.ndarray:
+        """Of scale_w · eᵗΓe + scale_p · |Φe|²."""
+        by_w = scale_w * np.einsum("i,cij,j->c", e, gammas, e, optimize=True)
+        by_p = 2 * scale_p * (phi @ e) @ (phis @ e).T
+        return np.concatenate([zeros, by_w, by_p])
+
+    coercive, e = eigh(gamma, subset_by_index=[0, 0])
+    rows = [slope(e[:, 0], 1.0, 0.0)]
+    schwarz, s = eigh(gamma - 2 * phi.T @ phi, subset_by_index=[0, 0])
+    if coercive[0] > 0:
+        # ΦΓ⁻¹Φᵗ has the eigenvalues of the pencil (ΦᵗΦ, Γ); all of Γ's size but I are zero.
+        first = phi.shape[1] - phi.shape[0]
+        inf_sup, x = eigh(phi.T @ phi, gamma, subset_by_index=[first, first])
+        rows.append(slope(x[:, 0], -inf_sup[0], 1.0))
+    else:  # no inf-sup constant without coercivity: its condition asks for that first
+        inf_sup = coercive
+        rows.append(rows[0])
+    rows.append(slope(s[:, 0], 1.0, -2.0))
+    values = [coercive[0] - DENSE_ZETA, inf_sup[0] - DENSE_ZETA, schwarz[0]]
+    return np.array(values), np.array(rows)

@@ -1,0 +1,254 @@
+"""Stage 3: the optimum that the conditions allow, by cutting planes (theory.md, 26–28).
+
+Fit by SLSQP with exact gradients on sampled wave vectors, find the worst of all wave vectors, add
+them, until none is violated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from warp_peri.learning.coordinates import Coordinates, Point
+from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.shape_coordinates import ShapeCoordinates
+from warp_peri.losses.reduced import ReducedLoss
+from warp_peri.operator.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
+from warp_peri.points.families import BondClasses
+from warp_peri.stability.conditions import Conditions, ZoneSearch
+
+FIRST_CUTS = 12
+"""Intervals of the zone grid that the first fit keeps the conditions on."""
+ROUNDS = 40
+LOSS_TOLERANCE = 1e-14
+"""Changes of the loss that SLSQP takes for none; losses are relative to the loads."""
+RESTARTS, RESTART_GAIN = 10, 1e-6
+"""SLSQP is begun again at most so often, while its loss falls by more than this, relative."""
+HEADROOM = 1.01
+"""A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
+SEARCH_TOLERANCE = 1e-9
+"""Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
+ISOTROPIC = "isotropic"
+MODULI_TOLERANCE = 1e-6
+"""Distance [TPa] from moduli to be held that counts as none."""
+SMOOTHNESS = 1e-10
+"""Weight of the second differences of D beside the relative residual. It costs an ordinary fit
+nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Result of one start.
+
+    Attributes:
+        parameters: λ, μ, α, D.
+        loss: at the optimum, relative to the loads.
+        margin: smallest margin over the searched zones [TPa].
+        departure: farthest that a modulus is from what was to be held [TPa].
+        cuts: number of wave vectors the conditions were kept on.
+        converged: whether no violation was left, and the moduli are those to be held.
+    """
+
+    parameters: Parameters
+    loss: float
+    margin: float
+    departure: float
+    cuts: int
+    converged: bool
+
+
+def constrained_optimum(
+    grids: Sequence[ReducedLoss],
+    start: Parameters,
+    conditions: Sequence[Conditions],
+    *,
+    two_functions: bool = False,
+    moduli: tuple[float, float] | str | None = None,
+) -> Optimum:
+    """Minimise the reduced loss under the conditions over the whole zone, from one start.
+
+    Args:
+        grids: the reduced loss of each lattice; their sum is minimised.
+        start: where to begin.
+        conditions: what must hold on each of the lattices.
+        two_functions: give the dilatation coefficients of its own.
+        moduli: (λ, μ) [TPa] to hold, with C44 = μ on every lattice; ISOTROPIC for C44 = μ alone;
+            None to learn all of them.
+    """
+    classes = [grid.classes for grid in grids]
+    coordinates = coordinates_of(classes, start, two_functions=two_functions)
+    problem = Problem(grids, conditions, coordinates, moduli)
+    searches = [ZoneSearch(one) for one in conditions]
+    cuts = [zone_wedge(one.spacing, FIRST_CUTS) for one in classes]
+    y = coordinates.start(start)
+    losses: list[float] = []
+    for _ in range(ROUNDS):
+        y, loss = problem.settle(y, [symbol(one, k) for one, k in zip(classes, cuts)])
+        losses.append(loss)
+        point = coordinates.point(y)
+        margin, kept = np.inf, True
+        for number, search in enumerate(searches):
+            smallest, worst = search.worst(point.v[number], point.z[number], point.kappa)
+            margin = min(margin, float(smallest.min()))
+            if (smallest < -SEARCH_TOLERANCE).any():
+                cuts[number], kept = np.concatenate([cuts[number], worst]), False
+        if kept:
+            break
+    departure = problem.farthest(y)
+    kept = kept and departure <= MODULI_TOLERANCE
+    parameters = coordinates.parameters(y, losses)
+    return Optimum(parameters, loss, margin, departure, sum(map(len, cuts)), kept)
+
+
+def coordinates_of(
+    lattices: Sequence[BondClasses], start: Parameters, *, two_functions: bool
+) -> Coordinates | ShapeCoordinates:
+    """Coordinates of the kernels that a fit from `start` can reach."""
+    if start.shape is not None:
+        return ShapeCoordinates(lattices, start.shape)
+    degree = len(start.D) - 1
+    return Coordinates(lattices, start.alpha, degree, two_functions=two_functions)
+
+
+class Problem:
+    """The loss and the constraints as functions of the coordinates y, with exact derivatives."""
+
+    def __init__(
+        self,
+        grids: Sequence[ReducedLoss],
+        conditions: Sequence[Conditions],
+        coordinates: Coordinates | ShapeCoordinates,
+        moduli: tuple[float, float] | str | None,
+    ) -> None:
+        self.grids, self.coordinates, self.moduli = grids, coordinates, moduli
+        self.asked = [Conditions(one.classes, one.kind, HEADROOM * one.zeta) for one in conditions]
+
+    def settle(self, y: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
+        """SLSQP, begun again where it stopped until that gains nothing.
+
+        It can call success far from an optimum, where the scaling of its start no longer fits.
+        """
+        y, loss = self.solve(y, tables)
+        for _ in range(RESTARTS):
+            again, lower = self.solve(y, tables)
+            if not lower < loss * (1 - RESTART_GAIN) - LOSS_TOLERANCE:
+                break
+            y, loss = again, lower
+        return y, loss
+
+    def solve(self, y0: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
+        """SLSQP from y0 with the conditions at given wave vectors; returns y and the loss there.
+
+        Variables are scaled by the Gauss–Newton Hessian at y0, which makes SLSQP's first
+        quadratic model nearly exact, and the loss by its value there, since SLSQP stops at an
+        absolute change.
+        """
+        e, slope = self.residual(y0)
+        unit = max(float(e @ e), np.finfo(float).tiny)
+        free = self.coordinates.directions(y0)
+        bend = slope @ free
+        curvature, axes = np.linalg.eigh(bend.T @ bend)
+        scaling = free @ axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
+
+        def at(t: np.ndarray) -> Point:
+            return self.coordinates.point(y0 + scaling @ t)
+
+        def objective(t: np.ndarray) -> tuple[float, np.ndarray]:
+            e, slope = self.residual(y0 + scaling @ t)
+            return float(e @ e) / unit, 2 / unit * scaling.T @ (slope.T @ e)
+
+        constraints = [
+            {
+                "type": "ineq",
+                "fun": lambda t: self.margins(at(t), tables)[0],
+                "jac": lambda t: self.margins(at(t), tables)[1] @ scaling,
+            }
+        ]
+        if self.moduli is not None:
+            constraints.append(
+                {
+                    "type": "eq",
+                    "fun": lambda t: self.departure(at(t))[0],
+                    "jac": lambda t: self.departure(at(t))[1] @ scaling,
+                }
+            )
+        result = minimize(
+            objective,
+            np.zeros(scaling.shape[1]),
+            jac=True,
+            method="SLSQP",
+            constraints=constraints,
+            options={"maxiter": 500, "ftol": LOSS_TOLERANCE},
+        )
+        y = y0 + scaling @ result.x
+        e, _ = self.residual(y)
+        rows = sum(len(grid.R) for grid in self.grids)
+        return y, float(e[:rows] @ e[:rows])
+
+    def residual(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R (v, κ z⊗z, 1) of all grids, then the roughness, and the derivative to y."""
+        point = self.coordinates.point(y)
+        parts, slopes = [], []
+        for grid, (products, slope) in zip(self.grids, self.products(point)):
+            parts.append(grid.R @ products)
+            slopes.append(grid.R @ slope)
+        rough, slope = self.coordinates.roughness(y, point)
+        parts.append(SMOOTHNESS * rough)
+        slopes.append(SMOOTHNESS * slope)
+        return np.concatenate(parts), np.concatenate(slopes)
+
+    def products(self, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
+        """(v, κ z⊗z, 1) of each grid, shape [F + 1], and the derivative to y, [F + 1, Y]."""
+        out = []
+        kappa = point.kappa
+        for grid, v, z, dv, dz in zip(self.grids, point.v, point.z, point.dv, point.dz):
+            i, j = grid.pairs
+            products = np.concatenate([v, kappa * z[i] * z[j], [1.0]])
+            slope = np.zeros((len(products), dv.shape[1]))
+            slope[: len(v)] = dv
+            slope[len(v) : -1] = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
+            slope[len(v) : -1, 0] += z[i] * z[j]  # y₀ is κ
+            out.append((products, slope))
+        return out
+
+    def margins(self, point: Point, tables: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
+        """What must not be negative, and its derivative to y."""
+        kappa, mu, dmu = point.kappa, point.mu, point.dmu
+        dkappa = np.zeros_like(dmu)
+        dkappa[0] = 1.0
+        # μ and λ + μ = 2μ + κμ²
+        bulk = 2 * mu + kappa * mu**2
+        level = self.asked[0].zeta
+        values = [np.array([mu - level, bulk - level])]
+        slopes = [np.array([dmu, (2 + 2 * kappa * mu) * dmu + mu**2 * dkappa])]
+        for one, table, v, z, dv, dz in zip(
+            self.asked, tables, point.v, point.z, point.dv, point.dz
+        ):
+            values.append(one.margins(table, v, z, kappa).ravel())
+            by = one.gradients(table, v, z, kappa).reshape(-1, 1 + 2 * len(v))
+            slopes.append(by @ np.concatenate([dkappa[None], dv, dz]))
+        values.append(point.limits)
+        slopes.append(point.dlimits)
+        return np.concatenate(values), np.concatenate(slopes)
+
+    def farthest(self, y: np.ndarray) -> float:
+        """Largest departure [TPa] from the moduli that are to be held; 0 where none are."""
+        if self.moduli is None:
+            return 0.0
+        return float(np.abs(self.departure(self.coordinates.point(y))[0]).max())
+
+    def departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
+        """C44 − μ of every lattice, and μ and κ less what was asked for; derivative to y."""
+        values, slopes = [], []
+        if not isinstance(self.moduli, str) and self.moduli is not None:
+            lam, mu = self.moduli
+            values += [point.mu - mu, point.kappa - (lam - mu) / mu**2]
+            slopes += [point.dmu, np.eye(len(point.dmu))[0]]
+        for grid, v, dv in zip(self.grids, point.v, point.dv):
+            by_v = [long_wave_moduli(grid.classes, one, 0.0)[2] for one in np.eye(len(v))]
+            values.append(np.dot(by_v, v) - point.mu)
+            slopes.append(by_v @ dv - point.dmu)
+        return np.array(values), np.array(slopes)

@@ -1,0 +1,81 @@
+"""The optimum of the output-error loss, by Gauss–Newton under the conditions (theory.md, 38)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from warp_peri.learning.optimum import Optimum, constrained_optimum
+from warp_peri.learning.parameters import Parameters
+from warp_peri.losses.reduced import ReducedLoss
+from warp_peri.losses.response import Response, products
+from warp_peri.models.lps import Model
+from warp_peri.stability.conditions import Conditions
+
+STEPS = 12
+GAIN = 1e-5
+"""Steps end when one lowers the loss by less than this, relative."""
+
+
+def output_optimum(
+    responses: Sequence[Response],
+    start: Parameters,
+    conditions: Sequence[Conditions],
+    horizon: float,
+    *,
+    two_functions: bool = False,
+    moduli: tuple[float, float] | str | None = None,
+    tick: Callable[[float], None] = lambda loss: None,
+) -> Optimum:
+    """Minimise the misfit of displacement under the conditions over the whole zone.
+
+    Each step is a constrained optimum of the loss linearised about the last one. A step that does
+    not lower the loss itself ends the search.
+
+    Args:
+        responses: of the training set on each lattice.
+        start: where to begin.
+        conditions: what must hold on each lattice.
+        horizon: δ [Å].
+        two_functions, moduli: as for constrained_optimum.
+        tick: called with the loss after each step.
+    """
+
+    def step(grids: Sequence[ReducedLoss], at: Parameters) -> Optimum:
+        return constrained_optimum(
+            grids, at, conditions, two_functions=two_functions, moduli=moduli
+        )
+
+    def about(at: Parameters) -> tuple[list[ReducedLoss], float]:
+        model = as_model(at, horizon)
+        grids = [response.about(model) for response in responses]
+        return grids, sum(misfit(grid, model) for grid in grids)
+
+    best = step([response.start() for response in responses], start)
+    grids, loss = about(best.parameters)
+    losses = [loss]
+    for _ in range(STEPS):
+        found = step(grids, best.parameters)
+        linearised, lower = about(found.parameters)
+        if not (found.converged and lower < loss):
+            break
+        gained = loss - lower
+        best, grids, loss = found, linearised, lower
+        losses.append(loss)
+        tick(loss)
+        if gained <= GAIN * loss:
+            break
+    parameters = dataclasses.replace(best.parameters, losses=losses)
+    return dataclasses.replace(best, parameters=parameters, loss=loss)
+
+
+def as_model(at: Parameters, horizon: float) -> Model:
+    """The model of these parameters."""
+    return Model(at.lam, at.mu, at.alpha, at.D, horizon, D_dilatation=at.D_dilatation)
+
+
+def misfit(grid: ReducedLoss, model: Model) -> float:
+    """‖R c‖² of a reduced loss at a model."""
+    return float(np.sum((grid.R @ products(model, grid.classes)) ** 2))

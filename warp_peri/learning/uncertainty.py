@@ -1,0 +1,213 @@
+"""How sure a fit is: covariance of what noise in the displacement makes of it (theory.md, 39).
+
+Noise moves the gradient of the loss; the optimum follows by the Gauss–Newton Hessian within the
+tangent space of the active conditions. Fields of noise, put on every sample in turn, give the
+covariance of the gradient, and their independence from one seed to the next adds it up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from scipy.special import ndtri
+
+from warp_peri.errors import InputError
+from warp_peri.learning.fit import Fit
+from warp_peri.learning.optimum import Problem, coordinates_of
+from warp_peri.learning.output_error import as_model
+from warp_peri.learning.parameters import Parameters
+from warp_peri.losses.full import sample_weights
+from warp_peri.losses.noise import check_noise, corrected, noise_loss
+from warp_peri.losses.reduced import Features, ReducedLoss, reduce
+from warp_peri.losses.response import WAVE_VECTOR, WaveResponse, products
+from warp_peri.models.lps import Model
+from warp_peri.operator.symbol import symbol
+from warp_peri.points.dataset import PointSet
+from warp_peri.stability.conditions import ZoneSearch
+
+ACTIVE = 0.02
+"""A condition is active where its margin is below this part of ζ."""
+SAME = 1e-3
+"""Conditions at neighbouring wave vectors whose gradients differ by less than this are one."""
+SMALLER = (1.0, 0.25, 0.05, 0.01, 1e-3, 1e-5)
+"""Parts of a standard deviation that are tried, one after the other."""
+DETERMINED = 1e-9
+"""Directions in which the data bend the loss less than this of the most do not count."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Models to either side of a fit, along independent directions of its covariance.
+
+    Attributes:
+        pairs: models above and below, and how many standard deviations they are off: one, or less
+            where that far no solid is left.
+    """
+
+    pairs: list[tuple[Model, Model, float]]
+
+    def deviation(self, quantity: Callable[[Model], np.ndarray | float]) -> np.ndarray:
+        """Standard deviation of anything a model determines, of the shape of the quantity."""
+        total: np.ndarray | float = 0.0
+        for above, below, off in self.pairs:
+            total = total + ((np.asarray(quantity(above)) - quantity(below)) / (2 * off)) ** 2
+        return np.sqrt(total)
+
+    def band(
+        self, model: Model, quantity: Callable[[Model], np.ndarray | float], level: float = 0.9
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper end of the band that holds a quantity with probability `level`."""
+        if not 0 < level < 1:
+            raise InputError(f"level: expected a probability between 0 and 1, got {level}")
+        half = ndtri((1 + level) / 2) * self.deviation(quantity)
+        middle = np.asarray(quantity(model))
+        return middle - half, middle + half
+
+
+def fit_uncertainty(
+    found: Fit, points: PointSet | Sequence[PointSet], noise: PointSet | Sequence[PointSet]
+) -> Uncertainty:
+    """What noise makes of a fit.
+
+    Samples of one `seed` (an array of the set) carry the same noise; without it each carries its
+    own. Bands hold noise alone, no error of the model.
+
+    Args:
+        found: the fit, by any loss except "output" on loads that are not single waves.
+        points: the training sets that it learned from, in that order.
+        noise: fields of noise alone for each, two at least.
+
+    Raises InputError for data that the fit cannot have learned from, or for a loss as above.
+    """
+    sets = [points] if isinstance(points, PointSet) else list(points)
+    fields = [noise] if isinstance(noise, PointSet) else list(noise)
+    model, settings = found.model, found.settings
+    if not len(sets) == len(fields) == len(settings.conditions):
+        raise InputError(
+            f"points, noise: expected {len(settings.conditions)} sets each, "
+            f"got {len(sets)} and {len(fields)}"
+        )
+    for one, of in zip(fields, sets):
+        check_noise(one, of)
+        if len(one) < 2:
+            raise InputError(f"noise: expected two fields at least, got {len(one)}")
+    weights = sample_weights(sets, normalise=settings.normalise)
+    losses = [_linearised(found.loss.name, model, *each) for each in zip(sets, fields, weights)]
+    own = model.dilatation if settings.two_functions else None
+    numbers = (model.lam, model.mu, model.alpha, model.D)
+    at = Parameters(*numbers, D_dilatation=own, shape=found.influence)
+    lattices = [one.classes for one in losses]
+    coordinates = coordinates_of(lattices, at, two_functions=settings.two_functions)
+    problem = Problem(losses, settings.conditions, coordinates, settings.moduli)
+    y = coordinates.start(at)
+    pushes = []
+    slopes = [slope for _, slope in problem.products(coordinates.point(y))]
+    for one, of, weight, slope in zip(fields, sets, weights, slopes):
+        if found.loss.name == "output":
+            pushes.append(_response_pushes(model, of, one, slope))
+        else:
+            pushes.append(_residual_pushes(model, of, one, weight, slope, found.loss.name))
+    free = _tangent(problem, y)
+    size, right = np.linalg.svd(problem.residual(y)[1] @ free)[1:]
+    kept = size > DETERMINED * size[0]
+    follow = free @ (right[: len(size)][kept].T / (2 * size[kept] ** 2))
+    follow = follow @ right[: len(size)][kept] @ free.T  # −dy by gradient
+    axes, deviation, _ = np.linalg.svd(follow @ np.concatenate(pushes, axis=1))
+
+    def beside(step: np.ndarray) -> tuple[Model, Model, float]:
+        for off in SMALLER:
+            try:
+                above, below = (
+                    as_model(coordinates.parameters(y + sign * off * step, []), model.horizon)
+                    for sign in (1, -1)
+                )
+            except InputError:  # μ or λ + μ is not above zero there
+                continue
+            return above, below, off
+        raise InputError("noise: it is so strong that nothing can be said of this fit")
+
+    steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
+    return Uncertainty([beside(step) for step in steps])
+
+
+def _linearised(
+    loss: str, model: Model, points: PointSet, noise: PointSet, weight: np.ndarray
+) -> ReducedLoss:
+    """The loss that the fit minimised, about its model."""
+    if loss == "output":
+        if WAVE_VECTOR not in points.samples:
+            raise InputError(f"loss: with 'output' expected loads with their {WAVE_VECTOR}")
+        return WaveResponse(points, model.horizon).about(model)
+    grid = reduce(points, model.horizon, weight)
+    if loss == "residual":
+        return grid
+    return corrected(grid, noise_loss(noise, points, model.horizon, weight))
+
+
+def _response_pushes(
+    model: Model, points: PointSet, noise: PointSet, slope: np.ndarray
+) -> np.ndarray:
+    """Gradients of the output-error loss by noise: columns whose outer products add up to Cov."""
+    response = WaveResponse(points, model.horizon)
+    by_y = response.answer(model)[1] @ slope[:-1]
+    scale = 2 / ((response.u**2).sum(axis=1) * len(points))
+    each = np.einsum("s,say,sea->sye", scale, by_y, response.of(noise.u))
+    return _by_seed(points, each)
+
+
+def _residual_pushes(
+    model: Model,
+    points: PointSet,
+    noise: PointSet,
+    weight: np.ndarray,
+    slope: np.ndarray,
+    loss: str,
+) -> np.ndarray:
+    """The same for a residual loss; with "corrected" also what its own estimate is unsure of."""
+    features = Features(points, model.horizon)
+    c = products(model, features.classes)[:-1]
+
+    def swept(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rows = features(u[None])[0].transpose(0, 2, 1).reshape(-1, features.width)
+        return rows @ c, rows @ slope[:-1]
+
+    force, bend = (np.stack(part) for part in zip(*(swept(u) for u in noise.u)))
+    each = []
+    for u, b, size in zip(points.u, points.b, weight):
+        own, own_bend = swept(u)
+        residual = own - b[points.interior].ravel()
+        each.append(2 * size * (own_bend.T @ force.T + np.einsum("eny,n->ye", bend, residual)))
+    columns = _by_seed(points, np.stack(each))
+    if loss == "residual":
+        return columns
+    added = 2 * weight.sum() * np.einsum("eny,en->ye", bend, force)
+    spread = added - added.mean(axis=1, keepdims=True)
+    return np.concatenate([columns, spread / np.sqrt(len(noise) * (len(noise) - 1))], axis=1)
+
+
+def _by_seed(points: PointSet, each: np.ndarray) -> np.ndarray:
+    """Gradients of samples by field of noise, [S, Y, E], as columns: one seed, one noise."""
+    seeds = np.asarray(points.samples.get("seed", np.arange(len(points))))
+    groups = [each[seeds == seed].sum(axis=0) for seed in np.unique(seeds)]
+    columns: np.ndarray = np.concatenate(groups, axis=1) / np.sqrt(each.shape[2])
+    return columns
+
+
+def _tangent(problem: Problem, y: np.ndarray) -> np.ndarray:
+    """Directions that keep the active conditions where they are, shape [Y, T]."""
+    point = problem.coordinates.point(y)
+    tables = []
+    for one, v, z in zip(problem.asked, point.v, point.z):
+        _, worst = ZoneSearch(one).worst(v, z, point.kappa)
+        tables.append(symbol(one.classes, worst))
+    margins, slopes = problem.margins(point, tables)
+    rows = slopes[margins < ACTIVE * problem.asked[0].zeta]
+    if problem.moduli is not None:
+        rows = np.concatenate([rows, problem.departure(point)[1]])
+    if len(rows) == 0:
+        return np.eye(len(y))
+    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(scipy.linalg.null_space(rows, rcond=SAME))

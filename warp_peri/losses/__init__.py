@@ -1,0 +1,1 @@
+"""What is minimised: residuals, reduced and in full, responses, and what noise adds."""

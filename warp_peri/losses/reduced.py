@@ -1,0 +1,166 @@
+"""The reduced regression: the full loss of a lattice data set in a few hundred rows.
+
+With the weights w_c = K(r_c) W_c / m of each bond class, the residual is affine in the products
+μ w_c and (λ−μ) w_c w_d (theory.md, 14–17). One sweep of the data and a QR factorisation give
+‖L u − b‖² over all samples and nodes as ‖R c‖².
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from warp_peri.kernels.lps import features as kernels
+from warp_peri.launch import DEVICE
+from warp_peri.models.influence import bernstein_basis
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.families import BondClasses
+from warp_peri.points.quadrature import DEGREE
+
+_BLOCK_BYTES = 2**27
+"""Rows are factorised in blocks of about this size, so memory does not grow with the data."""
+
+
+@dataclass(frozen=True)
+class ReducedLoss:
+    """The loss (10) of one data set on one lattice, as a small least-squares problem.
+
+    Attributes:
+        classes: bond classes of the lattice.
+        R: triangular factor, shape [F + 1, F + 1]; its last column belongs to −b.
+        pairs: class numbers of each quadratic feature, shape [2, C (C + 1) / 2].
+    """
+
+    classes: BondClasses
+    R: np.ndarray
+    pairs: np.ndarray
+
+    def loss(
+        self,
+        lam: torch.Tensor,
+        mu: torch.Tensor,
+        alpha: torch.Tensor,
+        D: torch.Tensor,
+        D_dilatation: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable."""
+        w = class_weights(self.classes, alpha, D)
+        p = w if D_dilatation is None else class_weights(self.classes, alpha, D_dilatation)
+        products = torch.cat([mu * w, (lam - mu) * p[self.pairs[0]] * p[self.pairs[1]], _ONE])
+        residual = torch.from_numpy(self.R) @ products
+        return residual @ residual
+
+
+def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+    """w_c = K(r_c) W_c / m [Å⁻²] of an influence function, shape [C]; differentiable."""
+    r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
+    basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
+    kw = weight * r**-alpha * (basis @ D)
+    return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
+
+
+_ONE = torch.ones(1, dtype=torch.float64)
+
+
+def class_pairs(number: int) -> np.ndarray:
+    """Class numbers of each quadratic feature, shape [2, C (C + 1) / 2]."""
+    return np.array(np.triu_indices(number))
+
+
+class Features:
+    """Features of displacement fields on one lattice: L u is affine in the products c of (17).
+
+    Args:
+        points: the lattice.
+        horizon: δ [Å].
+        quadrature_degree: of the polynomials that the weights are exact for.
+        device: where the sweeps run, as for Sweeps.
+
+    Raises InputError for a set that does not carry the horizon.
+    """
+
+    def __init__(
+        self,
+        points: PointSet,
+        horizon: float,
+        *,
+        quadrature_degree: int = DEGREE,
+        device: str = DEVICE,
+    ) -> None:
+        self.sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree, device=device)
+        self.classes = self.sweeps.families.classes
+        number = len(self.classes.r)
+        self.pairs = class_pairs(number)
+        column = np.empty((number, number), dtype=np.int32)
+        column[tuple(self.pairs)] = column[tuple(self.pairs[::-1])] = number + np.arange(
+            self.pairs.shape[1]
+        )
+        self.width = number + self.pairs.shape[1]
+        self._columns: wp.array[Any] = wp.array(column, dtype=wp.int32, device=self.sweeps.device)
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """Features of u [Å], shape [S, N, 2], on the interior nodes: shape [S, I, F, 2]."""
+        samples, nodes, _ = u.shape
+        sweeps, device = self.sweeps, self.sweeps.device
+        field: wp.array[Any] = wp.array(u, dtype=wp.vec2d, device=device)
+        theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=device)
+        out = wp.zeros((samples, len(sweeps.rows), self.width), dtype=wp.vec2d, device=device)
+        wp.launch(
+            kernels.class_dilatation,
+            dim=(samples, len(sweeps.full)),
+            inputs=[sweeps.full, *sweeps.links, field],
+            outputs=[theta],
+            device=device,
+        )
+        wp.launch(
+            kernels.class_force,
+            dim=(samples, len(sweeps.rows)),
+            inputs=[sweeps.rows, *sweeps.links, self._columns, field, theta],
+            outputs=[out],
+            device=device,
+        )
+        found: np.ndarray = out.numpy()
+        return found
+
+
+def reduce(
+    points: PointSet,
+    horizon: float,
+    weight: np.ndarray,
+    *,
+    quadrature_degree: int = DEGREE,
+    device: str = DEVICE,
+) -> ReducedLoss:
+    """Sweep a lattice data set once and factorise its features.
+
+    Args:
+        points: samples on a lattice.
+        horizon: δ [Å].
+        weight: of each sample in the loss, shape [S]; see sample_weights.
+        quadrature_degree: of the polynomials that the weights are exact for.
+        device: where the sweeps run, as for Sweeps.
+
+    Raises InputError for a set that does not carry the horizon.
+    """
+    factor = np.sqrt(weight)
+    features = Features(points, horizon, quadrature_degree=quadrature_degree, device=device)
+    columns = features.width + 1
+    block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))
+    R = np.zeros((0, columns))
+    for first in range(0, len(points), block):
+        some = slice(first, first + block)
+        rows = features(points.u[some])
+        rows = np.concatenate([rows, -points.b[some][:, points.interior, None, :]], axis=2)
+        rows *= factor[some, None, None, None]
+        R = with_rows(R, rows.transpose(0, 1, 3, 2).reshape(-1, columns))
+    return ReducedLoss(features.classes, R, features.pairs)
+
+
+def with_rows(R: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Triangular factor of more rows: RᵗR of the result is RᵗR + rowsᵗ rows."""
+    return np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))

@@ -1,0 +1,202 @@
+"""The output-error loss: displacement of the model against that of the data, linearised.
+
+With û the model's displacement at parameters c₀, L(c) û is affine in the products c of (17), and
+û − L₀⁻¹ (L(c) û − b) is the displacement at c to first order (theory.md, 38). Its misfit is a
+reduced least-squares problem again. Noise in u enters it as it is, not through a second derivative,
+and does not bias the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.linalg import lu_factor, lu_solve
+
+from warp_peri.errors import InputError
+from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, with_rows
+from warp_peri.models.lps import Model
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.families import BondClasses, bond_classes
+
+WAVE_VECTOR = "wave_vector"
+"""Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
+SAMPLES_AT_ONCE = 8
+
+
+class Response(Protocol):
+    """What one training set says about displacement."""
+
+    def about(self, model: Model) -> ReducedLoss:
+        """The loss Σ_s ‖û_s − u_s‖²/‖u_s‖² / S, linearised about a model; exact there."""
+        ...
+
+    def start(self) -> ReducedLoss:
+        """A loss that needs no model to begin with."""
+        ...
+
+
+def products(model: Model, classes: BondClasses) -> np.ndarray:
+    """c of (17) at a model: μ w, (λ−μ) w w of the pairs of classes, and 1; shape [F + 1]."""
+    v, z, kappa = stiffnesses(model, classes)
+    i, j = class_pairs(len(v))
+    return np.concatenate([v, kappa * z[i] * z[j], [1.0]])
+
+
+class WaveResponse:
+    """Amplitudes of displacement at the loads' own wave vectors, all nodes projected on them.
+
+    A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ;
+    the other parities likewise. The part of the field that no load caused does not count.
+
+    Args:
+        points: samples with `wave_vector`.
+        horizon: δ [Å].
+
+    Raises InputError for a sample without load or displacement at its wave vector.
+    """
+
+    def __init__(self, points: PointSet, horizon: float) -> None:
+        self.classes = bond_classes(points.spacing, horizon)
+        k = np.asarray(points.samples[WAVE_VECTOR], dtype=float)
+        if k.shape != (len(points), 2) or not np.isfinite(k).all():
+            raise InputError(f"{WAVE_VECTOR}: expected shape [{len(points)}, 2], got {k.shape}")
+        self.onto = [_projection(points.x, *sample) for sample in zip(k, points.b)]
+        self.u, self.b = (
+            np.array([(onto * field.T).sum(axis=1) for onto, field in zip(self.onto, fields)])
+            for fields in (points.u, points.b)
+        )
+        for name, value in (("u", self.u), ("b", self.b)):
+            size = np.linalg.norm(value, axis=1)
+            if not (size > 0).all():
+                raise InputError(
+                    f"{name}: sample {int(np.argmin(size))} is zero at its wave vector"
+                )
+        self.rows = _symbol_rows(self.classes, k)
+
+    def about(self, model: Model) -> ReducedLoss:
+        answer, slope = self.answer(model)
+        return self._loss(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
+
+    def answer(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """û of the samples [Å], shape [S, 2], and its derivative to the products c, [S, 2, F]."""
+        entries = self.rows @ products(model, self.classes)[:-1]  # D11, D22, D12
+        D = entries[:, [[0, 2], [2, 1]]]
+        answer = np.linalg.solve(D, self.b[..., None])[..., 0]
+        return answer, -np.linalg.solve(D, self._acting(answer))
+
+    def of(self, fields: np.ndarray) -> np.ndarray:
+        """Amplitudes of other fields [Å], shape [E, N, 2], at every load's wave: [S, E, 2]."""
+        return np.stack([np.einsum("an,ena->ea", onto, fields) for onto in self.onto])
+
+    def start(self) -> ReducedLoss:
+        """D(k) u against b at the wave vectors, relative."""
+        return self._loss(self._acting(self.u), -self.b, np.linalg.norm(self.b, axis=1))
+
+    def _acting(self, u: np.ndarray) -> np.ndarray:
+        """D(k) u by feature, shape [S, 2, F]."""
+        d11, d22, d12 = self.rows.transpose(1, 0, 2)
+        first, second = u[:, :1], u[:, 1:]
+        return np.stack([d11 * first + d12 * second, d12 * first + d22 * second], axis=1)
+
+    def _loss(self, slope: np.ndarray, constant: np.ndarray, size: np.ndarray) -> ReducedLoss:
+        rows = np.concatenate([slope, constant[..., None]], axis=2)
+        rows /= size[:, None, None] * np.sqrt(len(size))
+        flat = rows.reshape(-1, rows.shape[2])
+        empty = np.zeros((rows.shape[2], rows.shape[2]))
+        return ReducedLoss(self.classes, with_rows(empty, flat), class_pairs(len(self.classes.r)))
+
+
+class CollarResponse:
+    """Displacement on the interior, solved with the loads and the displacement of the collar.
+
+    Noise in the collar's displacement reaches the solution through the parameters, so that this
+    one is biased where the collar is noisy.
+
+    Args:
+        points: any samples on a lattice, few enough nodes for a dense matrix.
+        horizon: δ [Å].
+        start: a loss to begin with.
+
+    Raises InputError for a sample without displacement on its interior.
+    """
+
+    def __init__(self, points: PointSet, horizon: float, start: ReducedLoss) -> None:
+        self.points, self._start = points, start
+        self.features = Features(points, horizon)
+        flat = points.u[:, points.interior].reshape(len(points), -1)
+        size = np.linalg.norm(flat, axis=1)
+        if not (size > 0).all():
+            raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
+        self.weight = 1 / (size**2 * len(size))
+
+    def about(self, model: Model) -> ReducedLoss:
+        points, unknown = self.points, np.repeat(self.points.interior, 2)
+        L = matrices(model, points).operator(model.lam, model.mu)
+        factors = lu_factor(L[:, unknown].toarray())
+        collar = sp.csr_array(L[:, ~unknown])
+        inside, width = points.interior, self.features.width + 1
+        R = np.zeros((width, width))
+        for first in range(0, len(points), SAMPLES_AT_ONCE):
+            some = slice(first, first + SAMPLES_AT_ONCE)
+            field, load = points.u[some].copy(), points.b[some][:, inside]
+            load = load.reshape(len(field), -1)
+            outer = field[:, ~inside].reshape(len(field), -1)
+            answer = lu_solve(factors, load.T - collar @ outer.T).T
+            wrong = answer - field[:, inside].reshape(answer.shape)
+            field[:, inside] = answer.reshape(len(field), -1, 2)
+            forces = self.features(field).transpose(0, 1, 3, 2).reshape(*answer.shape, -1)
+            sides = np.concatenate([-forces, load[..., None]], axis=2)
+            flat = sides.transpose(1, 0, 2).reshape(answer.shape[1], -1)
+            rows = lu_solve(factors, flat).reshape(answer.shape[1], len(field), width)
+            rows[..., -1] += wrong.T
+            rows *= np.sqrt(self.weight[some])[:, None]
+            R = with_rows(R, rows.reshape(-1, width))
+        return ReducedLoss(self.features.classes, R, self.features.pairs)
+
+    def start(self) -> ReducedLoss:
+        return self._start
+
+
+def responses_of(
+    sets: Sequence[PointSet], horizon: float, starts: Sequence[ReducedLoss]
+) -> list[Response]:
+    """The response of each set: at the wave vectors of its loads, if it has them."""
+    return [
+        WaveResponse(points, horizon)
+        if WAVE_VECTOR in points.samples
+        else CollarResponse(points, horizon, start)
+        for points, start in zip(sets, starts)
+    ]
+
+
+def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Onto the amplitudes of a field's components, D(k) û = b̂, shape [2, N].
+
+    Of the four parities of waves, the one that holds most of the load.
+    """
+    (c1, c2), (s1, s2) = np.cos(k * x).T, np.sin(k * x).T
+    waves = np.stack([c1 * c2, -s1 * s2, s1 * c2, c1 * s2], axis=1)
+    parities = ((0, 1), (1, 0), (2, 3), (3, 2))  # wave of the first and of the second component
+    onto = np.linalg.pinv(waves)  # waves that vanish, where k has a zero, get amplitude zero
+    B = onto @ b
+    best = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
+    return np.asarray(onto[list(best)])
+
+
+def _symbol_rows(classes: BondClasses, k: np.ndarray) -> np.ndarray:
+    """D11, D22, D12 at wave vectors by the products (v, κ z z), shape [K, 3, F]."""
+    table = symbol(classes, k)
+    i, j = class_pairs(len(classes.r))
+    twice = np.where(i == j, 1.0, 2.0)
+    p1, p2 = table.phi[:, 0], table.phi[:, 1]
+    quadratic = [
+        twice * p1[:, i] * p1[:, j],
+        twice * p2[:, i] * p2[:, j],
+        twice / 2 * (p1[:, i] * p2[:, j] + p1[:, j] * p2[:, i]),
+    ]
+    return np.concatenate([table.gamma, np.stack(quadratic, axis=1)], axis=2)

@@ -1,0 +1,257 @@
+"""The model and its file (`warp_peri.model`, version 1)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.errors import InputError
+from warp_peri.files.whole import plain, write_json
+from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
+from warp_peri.points.quadrature import DEGREE, SINGULARITY
+
+FORMAT, VERSION = "warp_peri.model", 1
+QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
+_NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
+LARGEST_FILE = 2**24
+"""Bytes of a model file that are read at most."""
+_OPTIONAL = {"trained_strain", "sha256"}
+_RECORDS = ("certificate", "errors", "provenance", "versions")
+_KEYS = {
+    "format",
+    "version",
+    "length_unit",
+    "stress_unit",
+    "degree",
+    "D",
+    "D_dilatation",
+    "quadrature",
+    "trained_on",
+    "certified_on",
+    *_NUMBERS,
+    *_RECORDS,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9).
+
+    Attributes:
+        lam: Lamé parameter λ [TPa].
+        mu: Lamé parameter μ, the shear modulus [TPa].
+        alpha: exponent α < 3.
+        D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
+        D_dilatation: coefficients of the dilatation's own influence function, shape [M + 1]; those
+            of D where none are given.
+        horizon: δ [Å].
+        trained_on: spacings of the training lattices [Å].
+        certified_on: spacings of the lattices that solves accept [Å].
+        trained_strain: largest strain of neighbouring nodes in the training fields, if known.
+        certificate: figures of the certificate, by spacing.
+        errors: on data sets, by name.
+        provenance: of the data and the fit.
+        versions: of the packages.
+
+    Raises InputError naming the first number out of its range.
+    """
+
+    lam: float
+    mu: float
+    alpha: float
+    D: np.ndarray
+    horizon: float
+    D_dilatation: np.ndarray | None = None
+    trained_on: tuple[float, ...] = ()
+    certified_on: tuple[float, ...] = ()
+    trained_strain: float | None = None
+    certificate: dict[str, Any] = field(default_factory=dict)
+    errors: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("lam", "mu", "alpha", "horizon"):
+            object.__setattr__(self, name, _number(name, getattr(self, name)))
+        if self.D_dilatation is None:
+            object.__setattr__(self, "D_dilatation", self.D)
+        for name in ("D", "D_dilatation", "trained_on", "certified_on"):
+            value = np.array(_numbers(name, getattr(self, name)))
+            object.__setattr__(self, name, value if name[0] == "D" else tuple(value.tolist()))
+        if self.trained_strain is not None:
+            strain = _number("trained_strain", self.trained_strain)
+            object.__setattr__(self, "trained_strain", strain)
+        if len(self.D) == 0:
+            raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
+        if len(self.D) > LARGEST_DEGREE + 1:
+            raise InputError(f"D: expected at most {LARGEST_DEGREE + 1}, got {len(self.D)} of them")
+        if not self.alpha < ALPHA_BOUND:
+            raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
+        if not self.horizon > 0:
+            raise InputError(f"horizon: expected a length > 0 Å, got {self.horizon}")
+        if not (self.mu > 0 and self.lam + self.mu > 0):
+            raise InputError(f"lambda, mu: expected μ > 0 and λ + μ > 0, got {self.lam}, {self.mu}")
+        if not (np.any(self.D) and np.any(self.dilatation)):
+            raise InputError("D: expected a coefficient other than 0")
+        if len(self.dilatation) != len(self.D):
+            raise InputError(
+                f"D_dilatation: expected {len(self.D)} coefficients, got {len(self.dilatation)}"
+            )
+
+    @property
+    def degree(self) -> int:
+        """M."""
+        return len(self.D) - 1
+
+    @property
+    def E(self) -> float:
+        """Young's modulus of the continuum [TPa], plane stress."""
+        return 4 * self.mu * (self.lam + self.mu) / (self.lam + 2 * self.mu)
+
+    @property
+    def nu(self) -> float:
+        """Poisson's ratio of the continuum, plane stress."""
+        return self.lam / (self.lam + 2 * self.mu)
+
+    @property
+    def dilatation(self) -> np.ndarray:
+        """Coefficients of the dilatation's influence function, shape [M + 1]."""
+        assert self.D_dilatation is not None  # filled in above
+        return self.D_dilatation
+
+    def influence(self, r: ArrayLike) -> np.ndarray:
+        """K of the deviatoric part at the distances r [Å] in (0, δ]."""
+        return self._kernel(r, self.D)
+
+    def influence_dilatation(self, r: ArrayLike) -> np.ndarray:
+        """K of the dilatation at the distances r [Å] in (0, δ]."""
+        return self._kernel(r, self.dilatation)
+
+    def _kernel(self, r: ArrayLike, D: np.ndarray) -> np.ndarray:
+        r = np.asarray(r, dtype=float)
+        K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
+        return K
+
+    def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
+        """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
+        if np.isclose(spacing, self.certified_on, rtol=1e-6).any():
+            return
+        known = ", ".join(f"{value:g} Å" for value in self.certified_on) or "no spacing"
+        here = f"{spacing:g} Å" if spacing else "scattered points"
+        message = (
+            f"spacing: the model is certified on {known}, not on {here}, where its static "
+            "problems may have no solution or a wrong one"
+        )
+        if not allow_uncertified:
+            raise InputError(message)
+        warnings.warn(message, stacklevel=3)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model as JSON, whole or not at all."""
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "length_unit": "angstrom",
+            "stress_unit": "TPa",
+        }
+        content |= {key: getattr(self, name) for key, name in _NUMBERS.items()}
+        content |= {"degree": self.degree, "D": self.D, "D_dilatation": self.D_dilatation}
+        content["quadrature"] = QUADRATURE
+        content |= {key: getattr(self, key) for key in ("trained_on", "certified_on", *_RECORDS)}
+        if self.trained_strain is not None:
+            content["trained_strain"] = self.trained_strain
+        content["sha256"] = _content_hash(content)
+        write_json(path, content)
+
+
+def load_model(path: str | os.PathLike[str]) -> Model:
+    """Read a model file.
+
+    Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
+    missing or unknown keys, numbers out of range, contents that are not what was written.
+    """
+    try:
+        with open(path, "rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+        if len(raw) > LARGEST_FILE:
+            raise InputError(f"{path}: expected a model file of at most {LARGEST_FILE} bytes")
+        content = json.loads(raw.decode("utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such model file") from None
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a readable JSON file ({error})") from None
+    try:
+        return _model(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _model(content: Any) -> Model:
+    if not isinstance(content, dict):
+        raise InputError(f"expected a JSON object, got {type(content).__name__}")
+    for key, expected in {"format": FORMAT, "version": VERSION}.items():
+        if content.get(key) != expected:
+            raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r}")
+    if missing := sorted(_KEYS - set(content)):
+        raise InputError(f"missing keys: {', '.join(missing)}")
+    if unknown := sorted(set(content) - _KEYS - _OPTIONAL):
+        raise InputError(f"unknown keys: {', '.join(unknown)}")
+    fixed = {"length_unit": "angstrom", "stress_unit": "TPa", "quadrature": QUADRATURE}
+    for key, wanted in fixed.items():
+        if content[key] != wanted:
+            raise InputError(f"{key}: expected {wanted!r}, got {content[key]!r}")
+    for key in ("D", "D_dilatation", "trained_on", "certified_on"):
+        if not isinstance(content[key], list):
+            raise InputError(f"{key}: expected a list, got {content[key]!r}")
+    for key in _RECORDS:
+        if not isinstance(content[key], dict):
+            raise InputError(f"{key}: expected an object, got {content[key]!r}")
+    model = Model(
+        **{name: content[key] for key, name in _NUMBERS.items()},
+        **{
+            key: content[key]
+            for key in ("D", "D_dilatation", "trained_on", "certified_on", *_RECORDS)
+        },
+        trained_strain=content.get("trained_strain"),
+    )
+    if content["degree"] != model.degree:
+        raise InputError(
+            f"degree: expected {model.degree} for {len(model.D)} coefficients, "
+            f"got {content['degree']!r}"
+        )
+    if "sha256" in content and content["sha256"] != _content_hash(content):
+        raise InputError(
+            "sha256: the contents are not what was written; remove this key to accept them"
+        )
+    return model
+
+
+def _content_hash(content: dict[str, Any]) -> str:
+    """SHA-256 of everything else in a model file."""
+    kept = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
+
+
+def _number(name: str, value: Any) -> float:
+    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    try:
+        number = float(value) if real else np.nan
+    except OverflowError:  # a whole number beyond floating point
+        number = np.inf
+    if not np.isfinite(number):
+        raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
+    return number
+
+
+def _numbers(name: str, values: Any) -> list[float]:
+    flat = list(values) if isinstance(values, (list, tuple)) or np.ndim(values) == 1 else [values]
+    return [_number(name, value) for value in flat]

@@ -1,0 +1,1 @@
+"""A law on points: the force and its gradient, matrices, the symbol, stress."""

@@ -1,0 +1,183 @@
+"""The LPS operator on a point set: Warp forward and backward, torch or NumPy outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, overload
+
+import numpy as np
+import torch
+import warp as wp
+from numpy.typing import ArrayLike
+from torch.autograd.function import once_differentiable
+
+from warp_peri.errors import InputError
+from warp_peri.launch import DEVICE
+from warp_peri.models.lps import Model
+from warp_peri.operator.adjoint import gradient
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.quadrature import DEGREE
+
+
+class _Force(torch.autograd.Function):
+    """L u as a torch function; its gradient gathers over bonds, or is Warp's tape run backwards."""
+
+    @staticmethod
+    def forward(ctx: Any, sweeps: Sweeps, *inputs: torch.Tensor) -> torch.Tensor:
+        ctx.sweeps = sweeps
+        # The gathering adjoint knows no broken bonds, and its few blocks are no work for a GPU,
+        # where the tape's atomic sums are right.
+        ctx.gathers = len(sweeps.cut) == 0 and sweeps.device == DEVICE
+        ctx.save_for_backward(*inputs)  # the arrays share their memory
+        taped = any(ctx.needs_input_grad) and not ctx.gathers
+        types = [sweeps.vec] + (len(inputs) - 1) * [sweeps.scalar]
+        ctx.arrays = [
+            wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=taped)
+            for tensor, dtype in zip(inputs, types)
+        ]
+        if taped:
+            with wp.Tape() as ctx.tape:
+                ctx.state = sweeps.evaluate(*ctx.arrays, gradient=True)
+        else:
+            ctx.state = sweeps.evaluate(*ctx.arrays)
+        Lu: torch.Tensor = wp.to_torch(ctx.state.Lu, requires_grad=False)
+        return Lu
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        inputs = ctx.saved_tensors  # an error where one was changed in place since
+        seed = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.sweeps.vec)
+        if not ctx.gathers:
+            ctx.tape.zero()  # a second backward pass through the same graph starts afresh
+            ctx.tape.backward(grads={ctx.state.Lu: seed})
+            return None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
+        wanted = ctx.needs_input_grad[1:]
+        found = gradient(
+            ctx.sweeps,
+            ctx.state,
+            ctx.arrays,
+            seed,  # type: ignore[arg-type]  # Warp declares a wider return type
+            displacement=wanted[0],
+            parameters=any(wanted[1:]),
+        )
+        by_u = None if found.u is None else wp.to_torch(found.u, requires_grad=False)
+        parts = (found.lam, found.mu, found.alpha, found.D, found.D_dilatation)
+        return (
+            None,
+            by_u,
+            *(
+                torch.as_tensor(part, dtype=tensor.dtype).reshape(-1) if asked else None
+                for part, tensor, asked in zip(parts, inputs[1:], wanted[1:])
+            ),
+        )
+
+
+_force: Callable[..., torch.Tensor] = _Force.apply
+
+
+class LPSOperator:
+    """Minus the internal force density of a model on a point set; equals b in equilibrium.
+
+    Args:
+        model: the model.
+        points: a lattice or scattered points, whose interior has the 2δ collar.
+        box: periods (Lx, Ly) [Å] when the points are periodic.
+        outside: nodes that are not part of the body, shape [N] bool; bonds to them are broken.
+        quadrature_degree: of the polynomials that the weights are exact for.
+        allow_uncertified: warn instead of raising when the model holds no certificate for this
+            spacing.
+        device: where the kernels run, as for Sweeps.
+
+    A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough.
+
+    Raises InputError for a point set that does not carry the horizon, or an uncertified spacing.
+
+    ``op(u)`` takes u [Å] of shape [N, 2] or [S, N, 2] on all nodes and returns L u [TPa/Å] on the
+    interior nodes, shape [I, 2] or [S, I, 2]: NumPy in, NumPy out; torch in, differentiable torch
+    out.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        points: PointSet,
+        *,
+        box: tuple[float, float] | None = None,
+        outside: ArrayLike | None = None,
+        quadrature_degree: int = DEGREE,
+        allow_uncertified: bool = False,
+        device: str = DEVICE,
+    ) -> None:
+        model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+        self.model = model
+        self.sweeps = Sweeps(
+            points,
+            model.horizon,
+            box=box,
+            outside=outside,
+            bond_based=model.lam == model.mu,
+            quadrature_degree=quadrature_degree,
+            device=device,
+        )
+        self.sweeps.check_volumes(model)
+
+    @overload
+    def __call__(self, u: np.ndarray) -> np.ndarray: ...
+    @overload
+    def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
+    def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
+        model = self.model
+        if isinstance(u, torch.Tensor):
+            tensor = u
+        else:
+            tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.sweeps.device)
+        numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+        Lu = lps_force(self.sweeps, tensor, *numbers)
+        return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
+
+
+def lps_force(
+    sweeps: Sweeps,
+    u: torch.Tensor,
+    lam: float | torch.Tensor,
+    mu: float | torch.Tensor,
+    alpha: float | torch.Tensor,
+    D: Sequence[float] | np.ndarray | torch.Tensor,
+    D_dilatation: Sequence[float] | np.ndarray | torch.Tensor | None = None,
+) -> torch.Tensor:
+    """L u [TPa/Å] on the interior nodes, shape [..., I, 2], differentiable in every argument.
+
+    Args:
+        sweeps: the sweeps of a point set with N nodes.
+        u: displacement [Å], shape [N, 2] or [S, N, 2], in the precision of the sweeps.
+        lam, mu: Lamé parameters [TPa], equal for bond-based sweeps.
+        alpha: exponent α < 3.
+        D: Bernstein coefficients, shape [M + 1].
+        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
+            shares that of D.
+
+    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based sweeps, whose
+    derivative to λ is zero: (42) is a function of μ.
+    """
+    nodes, dtype = sweeps.nodes, getattr(torch, sweeps.scalar.__name__)
+    if u.device != torch.device(sweeps.device):
+        raise InputError(f"u: expected a tensor on {sweeps.device}, got one on {u.device}")
+    if u.dtype != dtype or u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
+        raise InputError(
+            f"u: expected {sweeps.scalar.__name__} of shape [S, {nodes}, 2] or [{nodes}, 2], "
+            f"got {u.dtype} of shape {list(u.shape)}"
+        )
+    numbers = [
+        torch.as_tensor(value, dtype=dtype, device=u.device).reshape(-1)
+        for value in (lam, mu, alpha, D, D_dilatation)
+        if value is not None
+    ]
+    if sweeps.bond_based and not torch.equal(*numbers[:2]):
+        raise InputError(f"lambda, mu: expected equal values (bond-based), got {lam}, {mu}")
+    Lu = _force(sweeps, u.reshape(-1, nodes, 2), *numbers)
+    return Lu.reshape(*u.shape[:-2], -1, 2)
+
+
+__all__ = ["DEVICE", "LPSOperator", "Sweeps", "lps_force"]

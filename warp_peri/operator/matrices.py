@@ -1,0 +1,113 @@
+"""The operator as sparse matrices: L = μ Γ − (λ−μ) Ψ Φ (theory.md, 11–13)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import warp as wp
+from numpy.typing import ArrayLike
+
+from warp_peri.kernels.lps.matrix import bond_entries, surface_entries
+from warp_peri.launch import floats, launch, zeros
+from warp_peri.models.lps import Model
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.quadrature import DEGREE
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Matrices on a point set of N nodes, I of them interior; component a of node i is 2 i + a.
+
+    Attributes:
+        gamma: Γ, forces on the interior nodes from displacements [Å⁻²], shape [2 I, 2 N].
+        phi: Φ, dilatations at all nodes from displacements [Å⁻¹], shape [N, 2 N]; zero rows where
+            no force needs them.
+        psi: Ψ, Σ_j (2/m) K ξ (θ_i + θ_j) W on the interior nodes [Å⁻¹], shape [2 I, N].
+    """
+
+    gamma: sp.csr_array
+    phi: sp.csr_array
+    psi: sp.csr_array
+
+    def operator(self, lam: float, mu: float) -> sp.csr_array:
+        """L [TPa/Å²], shape [2 I, 2 N]."""
+        return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
+
+
+def matrices(
+    model: Model,
+    points: PointSet,
+    *,
+    box: tuple[float, float] | None = None,
+    outside: ArrayLike | None = None,
+    quadrature_degree: int = DEGREE,
+) -> Matrices:
+    """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
+
+    Raises InputError for a point set that does not carry the horizon.
+    """
+    sweeps = Sweeps(
+        points,
+        model.horizon,
+        box=box,
+        outside=outside,
+        bond_based=model.lam == model.mu,
+        quadrature_degree=quadrature_degree,
+    )
+    sweeps.check_volumes(model)
+    alpha = floats(np.array([model.alpha]))
+    tables = [
+        table
+        for D in (model.D, model.dilatation)
+        for table in sweeps.influence(alpha, floats(D), gradient=False)
+    ]
+    return assemble(sweeps, points, tables)
+
+
+def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array[Any]]) -> Matrices:
+    """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
+    edges = len(sweeps.families.neighbour)
+    gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)
+    kernel_inputs = (sweeps.full, *sweeps.links, *tables)
+    launch(bond_entries, len(sweeps.full), kernel_inputs, (gamma, psi))
+    phi = zeros(edges, dtype=wp.vec2d)
+    wp.copy(phi, psi)
+    if len(sweeps.cut):
+        shape = sweeps.shape(tables[2])
+        surface = (sweeps.cut, *sweeps.links, tables[2], shape)
+        launch(surface_entries, len(sweeps.cut), surface, (phi,))
+    nodes = len(points.x)
+    intact = np.flatnonzero(sweeps.families.neighbour >= 0)
+    at = np.repeat(np.arange(nodes), np.diff(sweeps.families.row))[intact]
+    to = sweeps.families.neighbour[intact]
+    a = np.arange(2)
+
+    def blocks(
+        values: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]
+    ) -> sp.csr_array:
+        return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
+
+    value = gamma.numpy()[intact]
+    out_row = np.broadcast_to((2 * at[:, None] + a)[:, :, None], value.shape)
+    far = np.broadcast_to((2 * to[:, None] + a)[:, None, :], value.shape)
+    near = np.broadcast_to((2 * at[:, None] + a)[:, None, :], value.shape)
+    size = (2 * nodes, 2 * nodes)
+    G = blocks(value, out_row, near, size) - blocks(value, out_row, far, size)
+
+    value = phi.numpy()[intact]
+    vector = 2 * at[:, None] + a
+    one = np.broadcast_to(at[:, None], value.shape)
+    size = (nodes, 2 * nodes)
+    P = blocks(value, one, 2 * to[:, None] + a, size) - blocks(value, one, vector, size)
+    value = psi.numpy()[intact]
+    other = np.broadcast_to(to[:, None], value.shape)
+    size = (2 * nodes, nodes)
+    Q = blocks(value, vector, other, size) + blocks(value, vector, one, size)
+
+    interior = np.repeat(points.interior, 2)
+    return Matrices(G[interior], P, Q[interior])

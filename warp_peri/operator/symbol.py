@@ -1,0 +1,130 @@
+"""The symbol of the LPS operator on the infinite lattice (theory.md, 18–21).
+
+With stiffnesses v_c = μ w_c of the deviatoric part and z_c = μ p_c of the dilatation [TPa/Å²],
+equal when both have one influence function, and κ = (λ−μ)/μ² [1/TPa], it is
+D(k) = Γ(k) + κ φ(k) φ(k)ᵗ, Γ linear in v, φ linear in z, and free of the scale of K.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.models.influence import CANCELLED
+from warp_peri.models.lps import Model
+from warp_peri.points.families import BondClasses
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """Tables of the symbol at given wave vectors.
+
+    Attributes:
+        gamma: Γ of unit v per class, entries 11, 22, 12, shape [K, 3, C].
+        phi: φ of unit z per class, shape [K, 2, C].
+        laplacian: s(k) = (4/h²) Σ_a sin²(k_a h/2) [1/Å²], shape [K].
+    """
+
+    gamma: np.ndarray
+    phi: np.ndarray
+    laplacian: np.ndarray
+
+    def entries(self, v: np.ndarray, z: np.ndarray, kappa: float) -> tuple[np.ndarray, ...]:
+        """D11, D22, D12 [TPa/Å²], each of shape [K]; κ = 0 gives μΓ alone."""
+        g11, g22, g12 = (self.gamma @ v).T
+        p1, p2 = (self.phi @ z).T
+        return g11 + kappa * p1 * p1, g22 + kappa * p2 * p2, g12 + kappa * p1 * p2
+
+    def ratio(self, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+        """Λmin D(k) / s(k) [TPa], shape [K]."""
+        d11, d22, d12 = self.entries(v, z, kappa)
+        smallest = (d11 + d22) / 2 - np.hypot((d11 - d22) / 2, d12)
+        found: np.ndarray = smallest / self.laplacian
+        return found
+
+    def ratio_gradient(
+        self, v: np.ndarray, z: np.ndarray, kappa: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of Λmin D / s to v and z, each of shape [K, C], and to κ, shape [K]."""
+        d11, d22, d12 = self.entries(v, z, kappa)
+        angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
+        e = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+        quadratic = np.stack([e[:, 0] ** 2, e[:, 1] ** 2, 2 * e[:, 0] * e[:, 1]], axis=1)
+        e_phi = np.einsum("ka,kac->kc", e, self.phi)  # e·φ of unit z
+        along = e_phi @ z
+        by_v = np.einsum("kg,kgc->kc", quadratic, self.gamma)
+        by_z = 2 * kappa * along[:, None] * e_phi
+        s = self.laplacian
+        return by_v / s[:, None], by_z / s[:, None], along**2 / s
+
+
+def symbol(classes: BondClasses, k: np.ndarray) -> Symbol:
+    """Tables at the wave vectors k [1/Å], shape [K, 2], none of them a reciprocal lattice vector.
+
+    Γ(k) = 16 Σ v (1 − cos k·ξ) ξ⊗ξ/r², φ(k) = 2 Σ z sin(k·ξ) ξ, sums over the bonds of a family.
+    """
+    xi = classes.xi
+    r2 = (xi**2).sum(1)
+    phase = k @ xi.T
+    bend = 32 * np.sin(phase / 2) ** 2  # 16 (1 − cos), without cancellation at small k
+    slope = 2 * np.sin(phase)
+    member = np.eye(len(classes.r))[classes.bond_class]  # bonds × classes
+    products = (xi[:, 0] ** 2 / r2, xi[:, 1] ** 2 / r2, xi[:, 0] * xi[:, 1] / r2)
+    gamma = np.stack([bend @ (product[:, None] * member) for product in products], axis=1)
+    phi = np.stack([slope @ (xi[:, a, None] * member) for a in (0, 1)], axis=1)
+    laplacian = 4 / classes.spacing**2 * (np.sin(k * classes.spacing / 2) ** 2).sum(1)
+    return Symbol(gamma, phi, laplacian)
+
+
+def zone_wedge(spacing: float, intervals: int) -> np.ndarray:
+    """Wave vectors [1/Å] on the irreducible wedge 0 ≤ k₂ ≤ k₁ ≤ π/h of the Brillouin zone.
+
+    A grid of π/h / intervals. k = 0 is replaced by a ring of 9 directions at 1e-4 π/h, where
+    D/s is its long-wave limit to 1e-7.
+    """
+    i, j = np.tril_indices(intervals + 1)
+    grid = np.stack([i, j], axis=1)[1:] / intervals
+    angle = np.linspace(0, np.pi / 4, 9)
+    ring = 1e-4 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.pi / spacing * np.concatenate([ring, grid])
+
+
+def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
+    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
+
+    Raises InputError for an influence function whose weighted volume is zero.
+    """
+    tables = []
+    for K in (model.influence(classes.r), model.influence_dilatation(classes.r)):
+        kw = K * classes.weight
+        terms = classes.count * kw * classes.r**2
+        if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+            raise InputError(
+                "influence function: its weighted volume m (theory.md, 5) is zero on the lattice "
+                f"of spacing {classes.spacing:g} Å: positive and negative parts cancel"
+            )
+        tables.append(model.mu * kw / terms.sum())
+    return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
+
+
+def long_wave_moduli(
+    classes: BondClasses, v: np.ndarray, kappa: float
+) -> tuple[float, float, float]:
+    """C11, C12, C44 [TPa] of the symbol at long waves (theory.md, 22), from fourth moments of v.
+
+    C44 = 8 Σ v ξ₁²ξ₂²/r², C11 = 8 Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ. The dilatation is exact on
+    affine fields, hence the plain λ − μ = κ μ².
+    """
+    x1, x2 = classes.xi.T
+    each = 8 * v[classes.bond_class] / (x1**2 + x2**2)
+    excess = kappa * (classes.count @ (v * classes.r**2)) ** 2
+    C44 = each @ (x1**2 * x2**2)
+    return float(each @ x1**4 + excess), float(C44 + excess), float(C44)
+
+
+def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
+    """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory.md, 22)."""
+    v, _, kappa = stiffnesses(model, classes)
+    return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, v, kappa)))

@@ -1,0 +1,360 @@
+"""Families of lattices and of scattered points: bonds, bond classes and quadrature weights.
+
+Bonds are stored row by row (CSR). Every bond belongs to a class; the influence function is
+evaluated once per class. On a lattice a class is one symmetry orbit of bonds; on scattered points
+every bond is its own class.
+"""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+from scipy.ndimage import binary_dilation
+
+from warp_peri.errors import InputError
+from warp_peri.kernels import neighbours as kernels
+from warp_peri.launch import ints, launch_slices, zeros
+from warp_peri.points import scattered
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.quadrature import DEGREE, quadrature_weights
+
+HORIZON_TOLERANCE = 1e-6
+"""The ball is closed: a bond belongs to the family when r ≤ δ (1 + this)."""
+
+LATTICE_TOLERANCE = 1e-6
+"""Largest distance of a node from its lattice position, in spacings."""
+
+COLLAR = "interior nodes need complete families out to twice the horizon"
+LARGEST_REACH = 100
+"""Largest horizon in spacings: a family of 31 000 bonds."""
+
+EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
+"""The table of lattice places around the nodes may be so much larger than their number, or so
+large; beyond that the nodes are too far apart to be one body."""
+
+BOND_COLLAR = "interior nodes need complete families"
+
+
+@dataclass(frozen=True)
+class BondClasses:
+    """Bonds of a full lattice family, sorted into symmetry orbits.
+
+    Attributes:
+        spacing: lattice spacing h [Å].
+        horizon: δ [Å].
+        steps: bond vectors in lattice steps, shape [B, 2], B bonds a family.
+        bond_class: class of each bond, shape [B].
+        r: bond length of each class [Å], shape [C].
+        weight: quadrature weight W of each class [Å²], shape [C].
+    """
+
+    spacing: float
+    horizon: float
+    steps: np.ndarray
+    bond_class: np.ndarray
+    r: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def xi(self) -> np.ndarray:
+        """Bond vectors ξ [Å] along the lattice's own axes, shape [B, 2]."""
+        return self.spacing * self.steps
+
+    @property
+    def count(self) -> np.ndarray:
+        """Number of bonds of a family in each class, shape [C]."""
+        return np.bincount(self.bond_class)
+
+
+@dataclass(frozen=True)
+class Families:
+    """Families of the nodes of one point set; see kernels/bonds.py for how bonds are stored.
+
+    Attributes:
+        row: first bond of each node, shape [N + 1].
+        neighbour: node j at the far end of each bond, shape [E]. Broken bonds hold −1 − j; on a
+            lattice −1 also stands for a node that is not there.
+        reverse: number of the bond from j to i, for each bond of the pattern on a lattice (by
+            number in the pattern, shape [B]), for each bond of scattered points (shape [E]).
+        r: length of each bond class [Å], shape [C] on a lattice; on scattered points every bond is
+            its own class, shape [E].
+        weight: quadrature weight W of each bond class [Å²], same shape; on scattered points zero
+            for bonds of nodes that need none.
+        rows: interior nodes, where forces are evaluated, shape [I].
+        whole: nodes where dilatations are needed and no bond is broken.
+        cut: nodes where dilatations are needed and bonds are broken.
+        pattern: bond vectors ξ of a lattice family [Å], shape [B, 2]; empty for scattered points.
+        lattice: bond classes of the lattice; None for scattered points.
+    """
+
+    row: np.ndarray
+    neighbour: np.ndarray
+    reverse: np.ndarray
+    r: np.ndarray
+    weight: np.ndarray
+    rows: np.ndarray
+    whole: np.ndarray
+    cut: np.ndarray
+    pattern: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    lattice: BondClasses | None = None
+
+    @property
+    def classes(self) -> BondClasses:
+        """Bond classes of a lattice; InputError for scattered points, which have none."""
+        if self.lattice is None:
+            raise InputError("points: expected a lattice (spacing > 0), got scattered points")
+        return self.lattice
+
+    @property
+    def bytes_per_bond(self) -> float:
+        """Memory of these arrays [bytes] over the number of bonds."""
+        held = (self.row, self.neighbour, self.reverse, self.r, self.weight, self.pattern)
+        return sum(array.nbytes for array in held) / len(self.neighbour)
+
+
+def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> BondClasses:
+    """Bonds, orbits and weights of the full family on a square lattice.
+
+    Args:
+        spacing: lattice spacing h [Å].
+        horizon: δ [Å], at least the spacing.
+        degree: of the quadrature.
+
+    Raises InputError when the horizon is below one spacing or the weights do not exist.
+    """
+    found = _bond_classes(float(spacing), float(horizon), degree)
+    arrays = (found.steps, found.bond_class, found.r, found.weight)
+    return BondClasses(found.spacing, found.horizon, *(array.copy() for array in arrays))
+
+
+@lru_cache(maxsize=64)
+def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
+    """The same, once for each pattern: the weights take a decomposition of all bonds."""
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
+    if not (np.isfinite(horizon) and horizon >= spacing):
+        raise InputError(f"horizon: expected at least one spacing ({spacing} Å), got {horizon}")
+    if horizon > LARGEST_REACH * spacing:
+        raise InputError(
+            f"horizon: expected at most {LARGEST_REACH} spacings ({LARGEST_REACH * spacing:g} Å), "
+            f"got {horizon}"
+        )
+    reach = int(np.floor(horizon / spacing * (1 + HORIZON_TOLERANCE)))
+    a, b = np.meshgrid(*2 * [np.arange(-reach, reach + 1)], indexing="ij")
+    steps = np.stack([a.ravel(), b.ravel()], axis=1)
+    length = np.hypot(*steps.T)
+    inside = (length > 0) & (length * spacing <= horizon * (1 + HORIZON_TOLERANCE))
+    steps = steps[inside]
+    orbit = np.sort(np.abs(steps), axis=1)[:, ::-1]
+    order = np.lexsort((orbit[:, 0], (orbit**2).sum(1)))
+    steps, orbit = steps[order], orbit[order]
+    new = np.ones(len(orbit), bool)
+    new[1:] = (orbit[1:] != orbit[:-1]).any(axis=1)
+    bond_class = np.cumsum(new) - 1
+    weights = quadrature_weights(spacing * steps, horizon, degree=degree)
+    weight = np.bincount(bond_class, weights) / np.bincount(bond_class)
+    r = spacing * np.hypot(*orbit[new].T)
+    return BondClasses(spacing, horizon, steps, bond_class, r, weight)
+
+
+def families_of(
+    points: PointSet,
+    horizon: float,
+    *,
+    box: tuple[float, float] | None = None,
+    outside: ArrayLike | None = None,
+    bond_based: bool = False,
+    degree: int = DEGREE,
+) -> Families:
+    """Families and quadrature weights of the nodes that a force on the interior needs.
+
+    Args:
+        points: a lattice (spacing > 0, maybe rotated) or scattered points (spacing 0).
+        horizon: δ [Å].
+        box: periods (Lx, Ly) along the axes [Å], more than 2δ and on a lattice whole multiples of
+            the spacing; None when the set is not periodic.
+        outside: nodes that are not part of the body, shape [N] bool: they complete the balls that
+            the quadrature integrates over, and bonds to them are broken (theory.md, 40–42).
+        bond_based: force on the interior needs no dilatation, so a collar of δ is enough.
+        degree: of the quadrature.
+
+    Raises InputError for points given twice, isolated points, points off their lattice, a horizon
+    below the spacing, a family without exact weights, and interior nodes that lack the collar;
+    nodes are named by number.
+    """
+    x, interior = points.x, points.interior
+    grid = None
+    if points.spacing > 0:
+        classes = bond_classes(points.spacing, horizon, degree=degree)
+        places = np.prod(np.ptp(x, axis=0) / points.spacing + 1)
+        if places > max(SMALL_TABLE, EMPTY_SHARE * len(x)):
+            raise InputError(
+                f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
+            )
+        grid, axes, table, lacking = _lattice_table(points, classes, box)
+        bonds = len(classes.steps)
+        row = np.arange(len(x) + 1, dtype=np.int64) * bonds
+        neighbour = table.reshape(-1)
+    else:
+        row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), box)
+        scattered.check_points(x, row, neighbour, r)
+        reverse = scattered.reverse_bonds(row, neighbour)
+        lacking = np.zeros(len(x), bool)
+        if box is None:
+            lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
+    if row[-1] >= 2**31:
+        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
+    row = row.astype(np.int32)
+    has_broken = np.zeros(len(x), bool)
+    if outside is not None:
+        outside = np.asarray(outside)
+        if outside.shape != (len(x),) or outside.dtype != bool or (outside & interior).any():
+            raise InputError(
+                f"outside: expected shape [{len(x)}] of bool, true for no interior node, got "
+                f"{outside.dtype} of shape {list(outside.shape)}"
+            )
+        has_broken = _any_neighbour(row, neighbour, outside) & ~outside
+        _break(row, neighbour, outside)
+    needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
+    if (lacking & needed).any():
+        short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
+        short &= interior
+        fits = ""
+        if grid is not None and not bond_based:
+            fits = f"; {_largest_horizon(grid, interior, points.spacing)}"
+        raise InputError(
+            f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short)} of "
+            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} Å{fits} "
+            f"(nodes {scattered.listed(np.flatnonzero(short))})"
+        )
+    nodes = (
+        np.flatnonzero(interior),
+        np.flatnonzero(needed & ~has_broken),
+        np.flatnonzero(needed & has_broken),
+    )
+    if grid is not None:
+        order = np.lexsort(classes.steps.T)
+        opposite = np.empty(len(order), dtype=np.int32)
+        opposite[order] = order[::-1]
+        pattern = classes.xi @ axes.T
+        tables = (classes.r, classes.weight, *nodes, pattern, classes)
+        return Families(row, neighbour, opposite, *tables)
+    ends = np.where(neighbour < 0, -1 - neighbour, neighbour) if outside is not None else neighbour
+    weight = scattered.weights(x, np.flatnonzero(needed), row, ends, box, horizon, degree)
+    return Families(row, neighbour, reverse, r, weight, *nodes)
+
+
+def lattice_steps(points: PointSet) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the nodes of a lattice from its corner, shape [N, 2] int32, and its axes as columns.
+
+    Raises InputError naming points off the lattice.
+    """
+    h = points.spacing
+    axes = _axes(points.x, h)
+    x = points.x @ axes  # coordinates along the lattice
+    grid = np.rint((x - x[0]) / h).astype(np.int32)
+    off = np.abs(x - x[0] - h * grid).max(axis=1) > LATTICE_TOLERANCE * h
+    if off.any():
+        raise InputError(
+            f"points: expected a square lattice of spacing {h} Å; off it: "
+            f"{scattered.listed(np.flatnonzero(off))}"
+        )
+    return grid - grid.min(0), axes
+
+
+def _lattice_table(
+    points: PointSet, classes: BondClasses, box: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
+    h = classes.spacing
+    grid, axes = lattice_steps(points)
+    reach = int(np.abs(classes.steps).max())
+    if box is None:
+        size = grid.max(0) + 1 + 2 * reach
+        grid += reach
+    else:
+        if not np.array_equal(axes, np.eye(2)):
+            raise InputError("box: expected a lattice along the axes, got a rotated one")
+        fits = np.shape(box) == (2,) and np.isfinite(box).all()
+        size = np.rint(np.divide(box, h)).astype(np.int32) if fits else np.zeros(2, np.int32)
+        if not fits or np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
+            raise InputError(
+                f"box: expected two whole multiples of {h} Å above {2 * reach * h} Å, got {box}"
+            )
+        grid %= size
+    number = np.full(size, -1, dtype=np.int32)
+    number[tuple(grid.T)] = nodes = np.arange(len(grid))
+    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
+    if len(twice):
+        raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
+    table = zeros(len(grid), len(classes.steps), dtype=wp.int32)
+    lacking = zeros(len(grid), dtype=wp.int32)
+    launch_slices(
+        kernels.lattice_neighbours,
+        len(grid),
+        (ints(grid), ints(classes.steps), ints(number)),
+        (table, lacking),
+    )
+    return grid, axes, table.numpy(), lacking.numpy() > 0
+
+
+def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
+    """Nodes with an unbroken bond to a flagged node."""
+    found = zeros(len(flag), dtype=wp.int32)
+    launch_slices(
+        kernels.any_neighbour, len(flag), (ints(row), ints(neighbour), ints(flag)), (found,)
+    )
+    flagged: np.ndarray = found.numpy() > 0
+    return flagged
+
+
+def _break(row: np.ndarray, neighbour: np.ndarray, outside: np.ndarray) -> None:
+    """Break the bonds across the surface, in place."""
+    links = (ints(row), ints(outside))
+    broken = ints(neighbour)
+    launch_slices(kernels.break_bonds, len(outside), links, (broken,))
+    neighbour[:] = broken.numpy()
+
+
+def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Directions of the lattice as columns, from the mean angle of nearest-neighbour bonds."""
+    row, neighbour, _ = scattered.neighbours(x, spacing * (1 + LATTICE_TOLERANCE))
+    step = (x[neighbour] - np.repeat(x, np.diff(row), axis=0)) @ (1, 1j)
+    step = step[step != 0]  # a point given twice says nothing
+    if len(step) == 0:
+        raise InputError(
+            f"points: expected a square lattice of spacing {spacing} Å, but no two "
+            "points are that close"
+        )
+    angle = np.angle((step**4).sum()) / 4  # the fourth power is blind to quarter turns
+    if abs(angle) < 1e-12:
+        return np.eye(2)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> str:
+    """Say what horizon the collar would carry, of those for which there are quadrature weights."""
+    rows, columns = grid.max(0) - grid.min(0) + 1
+    present: np.ndarray = np.zeros((rows, columns), bool)
+    asked: np.ndarray = np.zeros((rows, columns), bool)
+    present[tuple((grid - grid.min(0)).T)] = True
+    asked[tuple((grid[interior] - grid.min(0)).T)] = True
+    reach = min(present.shape) // 4 + 1  # twice this leaves any node of the set
+    length = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    present, asked = np.pad(present, 2 * reach), np.pad(asked, 2 * reach)
+
+    def fits(horizon: float) -> bool:
+        ball = length <= horizon * (1 + HORIZON_TOLERANCE)
+        needed = binary_dilation(binary_dilation(asked, ball), ball)
+        return not (needed & ~present).any()
+
+    candidates = np.unique(length[(length >= 2) & (length <= reach)])
+    number = bisect.bisect_left(candidates, True, key=lambda horizon: not fits(horizon))
+    if number == 0:
+        return "no horizon of two spacings or more fits"
+    return f"the largest that fits is {candidates[number - 1] * spacing:g} Å"

@@ -1,0 +1,168 @@
+"""Families of any points: neighbours by a cell list in Warp, weights in batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from scipy.spatial import ConvexHull, QhullError
+
+from warp_peri.errors import InputError
+from warp_peri.kernels import neighbours as kernels
+from warp_peri.launch import floats, ints, launch, zeros
+from warp_peri.points.quadrature import RESIDUAL, family_weights
+
+COINCIDENT = 1e-6
+"""Points closer than this fraction of the horizon are one point given twice."""
+BATCH_BONDS = 40_000
+"""Bonds whose weights are solved for at once."""
+
+
+def neighbours(
+    x: np.ndarray, reach: float, box: tuple[float, float] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points within reach of each point, itself excluded.
+
+    Args:
+        x: positions [Å], shape [N, 2].
+        reach: largest distance that counts [Å].
+        box: periods (Lx, Ly) [Å], more than twice the reach; None when the points are not periodic.
+
+    Returns:
+        row [N + 1], neighbour [E] and distance [Å] [E]; those of point i are row[i] … row[i + 1].
+
+    Raises InputError for a box that is too small, or more bonds than int32 can number.
+    """
+    if not (np.isfinite(reach) and reach > 0):
+        raise InputError(f"horizon: expected a length > 0 Å, got {reach}")
+    corner = x.min(axis=0)
+    extent = x.max(axis=0) - corner
+    if box is not None:
+        if not (np.shape(box) == (2,) and np.isfinite(box).all() and (2 * reach < min(box))):
+            raise InputError(f"box: expected two periods above {2 * reach:g} Å, got {box}")
+        extent = np.array(box, dtype=float)
+    most = np.sqrt(len(x)) + 1  # no more cells than points, or nearly so
+    widest = extent / (reach * (1 + 1e-9))  # no rounding puts near points two cells apart
+    cells = np.maximum(np.minimum(widest, most * 2).astype(int), 1)
+    position = (x - corner) / np.where(extent > 0, extent, 1)
+    position = position % 1 if box is not None else position
+    cell = np.minimum((position * cells).astype(np.int32), cells - 1)
+    flat = cell[:, 0] * cells[1] + cell[:, 1]
+    start = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=cells.prod()))])
+    # cell_start[p, q] and cell_start[p, q + 1] bound the points of cell (p, q)
+    bounds = np.concatenate(
+        [start[:-1].reshape(cells), start[1:].reshape(cells)[:, -1:]], axis=1, dtype=np.int64
+    )
+    links = (floats(x, wp.vec2d), ints(cell), ints(bounds), ints(np.argsort(flat, kind="stable")))
+    period = wp.vec2d(*(box or (0.0, 0.0)))
+    count = zeros(len(x) + 1, dtype=wp.int32)
+    nothing = (zeros(1, dtype=wp.int32), zeros(1))
+    kernel = kernels.near_points
+    launch(kernel, len(x), (*links, period, reach, 0), (count, *nothing))
+    row = np.cumsum(count.numpy(), dtype=np.int64)
+    if row[-1] >= 2**31:
+        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
+    found = (ints(row), zeros(row[-1], dtype=wp.int32), zeros(row[-1]))
+    launch(kernel, len(x), (*links, period, reach, 1), found)
+    return row.astype(np.int32), found[1].numpy(), found[2].numpy()
+
+
+def reverse_bonds(row: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
+    """The bond from j to i for each bond from i to j, shape [E]."""
+    reverse = zeros(len(neighbour), dtype=wp.int32)
+    launch(kernels.reverse_bonds, len(row) - 1, (ints(row), ints(neighbour)), (reverse,))
+    found: np.ndarray = reverse.numpy()
+    return found
+
+
+def check_points(x: np.ndarray, row: np.ndarray, neighbour: np.ndarray, r: np.ndarray) -> None:
+    """Refuse points given twice and points without a neighbour, naming them."""
+    horizon = r.max(initial=0.0)
+    twice = np.flatnonzero(r <= COINCIDENT * horizon)
+    if len(twice):
+        i = np.searchsorted(row, twice, side="right") - 1
+        pairs = np.unique(np.sort(np.stack([i, neighbour[twice]], axis=1), axis=1), axis=0)
+        named = ", ".join(f"{a} and {b}" for a, b in pairs[:5])
+        raise InputError(f"points: {len(pairs)} duplicates: {named}{' …' * (len(pairs) > 5)}")
+    alone = np.flatnonzero(np.diff(row) == 0)
+    if len(alone) == len(x):
+        raise InputError(
+            "horizon: expected at least the spacing of the points, but no two are that close"
+        )
+    if len(alone):
+        raise InputError(f"points: isolated, with no other within the horizon: {listed(alone)}")
+
+
+def bonds_of(
+    x: np.ndarray,
+    nodes: np.ndarray,
+    row: np.ndarray,
+    neighbour: np.ndarray,
+    box: tuple[float, float] | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bond vectors of some nodes [Å], shape [E', 2], their bonds [E'], and family sizes [nodes]."""
+    size = row[nodes + 1] - row[nodes]
+    bond = np.repeat(row[nodes] - np.cumsum(size) + size, size) + np.arange(size.sum())
+    xi = x[neighbour[bond]] - x[np.repeat(nodes, size)]
+    if box is not None:
+        xi -= np.round(xi / box) * box
+    return xi, bond, size
+
+
+def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
+    """Nodes whose ball leaves the convex hull of the points by more than one spacing.
+
+    The spacing is that of as many points in a square lattice. Balls that reach into a hole or a
+    bay cannot be told from balls of a coarser cloud, and pass.
+    """
+    try:
+        hull = ConvexHull(x).equations
+    except QhullError:  # all points on one line
+        return np.arange(len(x))
+    spacing = horizon * np.sqrt(np.pi / (bonds / len(x) + 1))
+    depth = np.full(len(x), np.inf)
+    for normal, offset in zip(hull[:, :2], hull[:, 2]):
+        depth = np.minimum(depth, -(x @ normal) - offset)
+    return np.flatnonzero(depth < horizon - spacing)
+
+
+def weights(
+    x: np.ndarray,
+    nodes: np.ndarray,
+    row: np.ndarray,
+    neighbour: np.ndarray,
+    box: tuple[float, float] | None,
+    horizon: float,
+    degree: int,
+) -> np.ndarray:
+    """Quadrature weights of the families of `nodes` [Å²], zero on all other bonds, shape [E].
+
+    Raises InputError naming the nodes whose family is too poor.
+    """
+    weight = np.zeros(len(neighbour))
+    size = row[nodes + 1] - row[nodes]
+    by_size = nodes[np.argsort(size, kind="stable")]
+    poor = []
+    first = 0
+    while first < len(by_size):
+        last = first + max(1, BATCH_BONDS // int(row[by_size[first] + 1] - row[by_size[first]]))
+        some = by_size[first:last]
+        first = last
+        xi, bond, some_size = bonds_of(x, some, row, neighbour, box)
+        place = np.arange(some_size.max()) < some_size[:, None]
+        padded = np.zeros((*place.shape, 2))
+        padded[place] = xi
+        found, residual = family_weights(padded, horizon, degree=degree)
+        weight[bond] = found[place]
+        poor.append(some[~(residual <= RESIDUAL)])
+    wrong = np.sort(np.concatenate(poor))
+    if len(wrong):
+        raise InputError(
+            f"quadrature: no weights are exact for the families of {len(wrong)} nodes: "
+            f"{listed(wrong)}; a larger horizon has more bonds"
+        )
+    return weight
+
+
+def listed(nodes: np.ndarray) -> str:
+    """The first few node numbers."""
+    return ", ".join(str(i) for i in nodes[:8]) + (" …" if len(nodes) > 8 else "")

@@ -1,0 +1,34 @@
+"""How far neighbouring nodes are stretched."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from warp_peri.points.dataset import PointSet
+
+
+def largest_strain(points: PointSet, u: ArrayLike, outside: ArrayLike | None = None) -> float:
+    """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
+
+    Args:
+        points: a lattice or scattered points.
+        u: displacement [Å], shape [N, 2] or [S, N, 2].
+        outside: nodes that are not part of the body, shape [N] bool.
+    """
+    body = np.ones(len(points.x), bool) if outside is None else ~np.asarray(outside)
+    x = points.x[body]
+    count = min(5, len(x))
+    r, near = cKDTree(x).query(x, k=count)
+    r, near = r.reshape(-1, count)[:, 1:], near.reshape(-1, count)[:, 1:]
+    if points.spacing > 0:
+        near = np.where(r < 1.1 * points.spacing, near, np.arange(len(near))[:, None])
+    xi = x[near] - x[:, None]
+    square = (xi**2).sum(axis=-1)
+    unit = xi / np.where(square > 0, square, np.inf)[..., None]
+    fields = np.asarray(u).reshape(-1, len(points.x), 2)[:, body]
+    return max(
+        (float(np.abs((unit * (one[near] - one[:, None])).sum(axis=-1)).max()) for one in fields),
+        default=0.0,
+    )

@@ -1,0 +1,1 @@
+"""From measurements to nodes: dumps and coarse graining."""

@@ -1,0 +1,1 @@
+"""What is proven: conditions, the bound over the zone, certificates, solvability."""

@@ -1,0 +1,119 @@
+"""What is known about the solvability of a model's static problems (theory.md, 20–24)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh, eigvalsh
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.symbol import stiffnesses
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.families import bond_classes
+from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.proof import proven_bound
+
+INTERVALS = 500
+"""Intervals of the zone grid of a certificate; finer than any that a fit looks at."""
+RANK_TOLERANCE = 1e-9
+"""Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
+SCHWARZ_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Solvability figures of a model on one lattice.
+
+    Attributes:
+        spacing: h [Å].
+        symbol_min: smallest Λmin D(k)/s(k) found over the zone [TPa].
+        symbol_bound: c with a proof that D(k) ≥ c s(k) for every k [TPa]; 0 when there is none.
+        gamma_min: Λmin(Γ) [Å⁻²] on the training domain; None where none was given, as below.
+        inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
+        inf_sup_rank: number of its eigenvalues that are not zero.
+        gamma_minus_2phi_min: Λmin(Γ − 2ΦᵗΦ) [Å⁻²].
+        gamma_max: Λmax(Γ − 2ΦᵗΦ) [Å⁻²], which sets what zero means for the one above.
+    """
+
+    spacing: float
+    symbol_min: float
+    symbol_bound: float
+    gamma_min: float | None = None
+    inf_sup_min: float | None = None
+    inf_sup_rank: int | None = None
+    gamma_minus_2phi_min: float | None = None
+    gamma_max: float | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether D(k) ≥ c s(k) is proven with c > 0 and, where it was computed, Γ > 0."""
+        return self.symbol_bound > 0 and (self.gamma_min is None or self.gamma_min > 0)
+
+    @property
+    def statement(self) -> str:
+        """What the certificate proves, in one sentence."""
+        if not self.symbol_bound > 0:
+            return f"Nothing is proven on the lattice of spacing {self.spacing:g} Å."
+        return (
+            f"Every static problem on any finite set of nodes of the square lattice of spacing "
+            f"{self.spacing:g} Å, with displacement given out to twice the horizon around it, has "
+            f"exactly one solution, and the operator's smallest eigenvalue is at least "
+            f"{self.symbol_bound:.6g} TPa times that of the 5-point Laplacian on the same nodes."
+        )
+
+    @property
+    def schwarz(self) -> bool | None:
+        """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; asked for by conditions="paper" only."""
+        if self.gamma_minus_2phi_min is None or self.gamma_max is None:
+            return None
+        return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_max
+
+    def figures(self) -> dict[str, Any]:
+        """The figures as plain values, and the statement."""
+        return asdict(self) | {"statement": self.statement}
+
+
+def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> Certificate:
+    """Compute the certificate of a model on a lattice.
+
+    Args:
+        model: the model.
+        spacing: h [Å].
+        points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
+            interior nodes, Φ with the dilatation of interior nodes only.
+
+    Raises InputError when the horizon is below one spacing, or the points have another spacing or
+    do not carry the horizon.
+    """
+    if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
+        raise InputError(
+            f"spacing: expected that of the points, {points.spacing:g} Å, got {spacing:g}"
+        )
+    classes = bond_classes(spacing, model.horizon)
+    v, z, kappa = stiffnesses(model, classes)
+    zeta = 1.0  # any level; the search is for the smallest ratio
+    search = ZoneSearch(Conditions(classes, "direct", zeta), INTERVALS)
+    smallest = float(search.worst(v, z, kappa)[0][0]) + zeta
+    bound = proven_bound(classes, v, z, kappa, smallest)
+    if points is None:
+        return Certificate(spacing, smallest, bound)
+
+    parts = matrices(model, points)
+    unknown = np.repeat(points.interior, 2)
+    gamma = parts.gamma[:, unknown].toarray()
+    phi = parts.phi[points.interior][:, unknown].toarray()
+    gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
+    schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
+    inf_sup, rank = None, None
+    if gamma_min > 0:
+        # Eigenvalues of ΦΓ⁻¹Φᵗ are those of the pencil (ΦᵗΦ, Γ), zeros aside.
+        values = eigh(phi.T @ phi, gamma, eigvals_only=True)
+        values = values[values > RANK_TOLERANCE * values[-1]]
+        inf_sup, rank = float(values[0]), len(values)
+    return Certificate(
+        spacing, smallest, bound, gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+    )

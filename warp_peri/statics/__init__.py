@@ -1,0 +1,1 @@
+"""Bodies at rest: solves, and equilibrium as a differentiable function."""

@@ -1,0 +1,214 @@
+"""Equilibrium as a differentiable function of load, collar and model, by the implicit adjoint.
+
+u_I = L_II⁻¹ (b_I − L_IC u_C). With g the derivative of a scalar to u and L_IIᵗ w = g_I,
+
+    b̄ = w,   ū_C = g_C − L_ICᵗ w,   and to any parameter p of the model  −wᵗ (∂L/∂p) u:
+
+one more solve, and one gradient of the operator. On lattices that gradient is the correlation of w
+and u, which autograd takes from the stencil to λ, μ, α and D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
+from torch.autograd.function import once_differentiable
+
+from warp_peri.errors import InputError
+from warp_peri.launch import floats
+from warp_peri.operator.lps import lps_force
+from warp_peri.operator.matrices import assemble
+from warp_peri.operator.stencil import stencil
+from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points.dataset import PointSet
+from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, Record
+from warp_peri.statics.domain import Domain, domain
+
+TOLERANCE = 1e-8
+"""Of iterative solves: true residual over right-hand side."""
+
+
+class _OnLattice(torch.autograd.Function):
+    """Stencil, load [S, N, 2] and collar [S, N, 2] to displacement [S, N, 2]."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, system: Dirichlet, tolerance: float, records: list[Record], *tensors: torch.Tensor
+    ) -> torch.Tensor:
+        A, b, u = tensors
+        found, domain = u.clone(), system.domain
+        for s in range(len(b)):
+            right = domain.gather_free(b[s][domain.interior])
+            right -= system.pull(domain.gather_near(u[s]) * domain.collar)
+            inner, record = system.solve(right, tolerance)
+            records.append(record)
+            found[s, domain.interior] = domain.scatter_free(inner)
+        ctx.system, ctx.tolerance = system, tolerance
+        ctx.save_for_backward(found)
+        ctx.reach = A.shape[-1] // 2
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        (g,), (found,), system = upstream, ctx.saved_tensors, ctx.system
+        domain, wanted = system.domain, ctx.needs_input_grad[3:]
+        by_b, by_u, by_A = torch.zeros_like(g), g.clone(), None
+        for s in range(len(g)):
+            w, _ = system.solve(domain.gather_free(g[s][domain.interior]), ctx.tolerance)
+            by_b[s, domain.interior] = domain.scatter_free(w)
+            wide = domain.widen(w)
+            if wanted[2]:
+                pulled = domain.torus.product(system.symbol, wide)
+                by_u[s] -= domain.scatter_near(pulled, len(g[s]))
+            if wanted[0]:
+                part = domain.torus.correlation(wide, domain.gather_near(found[s]), ctx.reach)
+                by_A = -part if by_A is None else by_A - part
+        by_u[:, domain.interior] = 0
+        return None, None, None, by_A, by_b, by_u
+
+
+class _ByLU(torch.autograd.Function):
+    """The same on any points: the parameters go through the gradient of the sweeps."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        sweeps: Sweeps,
+        points: PointSet,
+        b: torch.Tensor,
+        u: torch.Tensor,
+        *parameters: torch.Tensor,
+    ) -> torch.Tensor:
+        alpha = floats(parameters[2].detach().numpy())
+        coefficients = [floats(D.detach().numpy()) for D in parameters[3:]]
+        tables = [sweeps.influence(alpha, D, gradient=False) for D in coefficients]
+        matrices = assemble(sweeps, points, [*tables[0], *tables[-1]])
+        L = matrices.operator(float(parameters[0]), float(parameters[1]))
+        unknown = np.repeat(points.interior, 2)
+        stiffness, ctx.collar = sp.csc_array(L[:, unknown]), L[:, ~unknown]
+        flat = u.detach().numpy().reshape(len(u), -1)
+        right = (
+            b.detach().numpy().reshape(len(b), -1)[:, unknown].T - ctx.collar @ flat[:, ~unknown].T
+        )
+        try:
+            ctx.factors = splu(stiffness)
+        except RuntimeError as error:
+            raise InputError(
+                f"the operator on these {len(points.x[points.interior])} nodes is singular: the "
+                f"model is not well posed here ({error})"
+            ) from None
+        solution = ctx.factors.solve(right)
+        left = np.linalg.norm(stiffness @ solution - right, axis=0)
+        if not (left <= TOLERANCE * np.linalg.norm(right, axis=0)).all():
+            raise InputError("the operator on these nodes is singular to working precision")
+        found = flat.copy()
+        found[:, unknown] = solution.T
+        ctx.sweeps, ctx.unknown = sweeps, unknown
+        result = torch.from_numpy(found.reshape(u.shape))
+        ctx.save_for_backward(result, *parameters)
+        return result
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        found, *parameters = ctx.saved_tensors
+        flat = upstream[0].numpy().reshape(len(found), -1)
+        w = ctx.factors.solve(np.ascontiguousarray(flat[:, ctx.unknown].T), "T").T
+        by_b, by_u = np.zeros_like(flat), np.zeros_like(flat)
+        by_b[:, ctx.unknown] = w
+        by_u[:, ~ctx.unknown] = flat[:, ~ctx.unknown] - (ctx.collar.T @ w.T).T
+        shape = found.shape
+        found_by: Sequence[torch.Tensor | None] = [None] * len(parameters)
+        if any(ctx.needs_input_grad[4:]):
+            with torch.enable_grad():
+                leaves = [value.detach().requires_grad_() for value in parameters]
+                force = lps_force(ctx.sweeps, found, *leaves)
+                pull = torch.from_numpy(-w.reshape(shape[0], -1, 2).copy())
+                found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
+        fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
+        return None, None, *fields, *found_by
+
+
+_on_lattice: Callable[..., torch.Tensor] = _OnLattice.apply
+_by_lu: Callable[..., torch.Tensor] = _ByLU.apply
+
+
+def equilibrium(
+    points: PointSet,
+    b: torch.Tensor,
+    u_collar: torch.Tensor,
+    *,
+    horizon: float,
+    lam: float | torch.Tensor,
+    mu: float | torch.Tensor,
+    alpha: float | torch.Tensor,
+    D: ArrayLike | torch.Tensor,
+    D_dilatation: ArrayLike | torch.Tensor | None = None,
+    method: str,
+    tolerance: float = TOLERANCE,
+    records: list[Record] | None = None,
+) -> torch.Tensor:
+    """Displacement in equilibrium (theory.md, 29), differentiable in all tensors.
+
+    Args:
+        points: a lattice, or for the method lu any points.
+        b: body force density [TPa/Å], shape [S, N, 2] or [N, 2]; only interior values count. The
+            iterative methods run on its device, "lu" on the processor.
+        u_collar: displacement [Å], same shape; only collar values count.
+        horizon: δ [Å].
+        lam, mu, alpha, D, D_dilatation: as for lps_force. Where lam and mu are equal numbers the
+            problem is bond-based, and its derivatives to them are those of (42).
+        method: "lu", or on lattices "sine" (rectangles), "multigrid", "fft", "cg".
+        tolerance: of iterative solves, true residual over right-hand side.
+        records: takes one Record for each sample of an iterative solve.
+
+    Returns:
+        u [Å], shape as given: u_collar on the collar, the solution on the interior.
+
+    Raises InputError for what families_of refuses, another method, and an operator that is singular
+    or indefinite.
+    """
+    numbers = [
+        torch.as_tensor(value, dtype=torch.float64).reshape(-1).cpu()
+        for value in (lam, mu, alpha, D, D_dilatation)
+        if value is not None
+    ]
+    shape = b.shape
+    b, u = (field.double().reshape(-1, len(points.x), 2) for field in (b, u_collar))
+    inside = torch.from_numpy(points.interior)[:, None].to(b.device)
+    b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
+    bond_based = bool(numbers[0] == numbers[1])
+    if method == "lu":
+        sweeps = Sweeps(points, horizon, bond_based=bond_based)
+        found = _by_lu(sweeps, points, b.cpu(), u.cpu(), *numbers)
+        return found.reshape(shape).to(b.device)
+    if method not in PRECONDITIONERS:
+        raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")
+    if points.spacing == 0:
+        raise InputError(f"method: {method} is for lattices, got scattered points; try lu")
+    nodes = domain(points, horizon, bond_based=bond_based, device=b.device)
+    return on_domain(nodes, b, u, numbers, method, tolerance, records).reshape(shape)
+
+
+def on_domain(
+    nodes: Domain,
+    b: torch.Tensor,
+    u: torch.Tensor,
+    numbers: Sequence[torch.Tensor],
+    method: str,
+    tolerance: float,
+    records: list[Record] | None = None,
+) -> torch.Tensor:
+    """The same on a lattice laid out before; b is zero on the collar, u on the interior."""
+    lam, mu, alpha, D = numbers[:4]
+    A = stencil(nodes.classes, lam[0], mu[0], alpha[0], D, numbers[-1])
+    system = Dirichlet(nodes, A.detach(), method)
+    A = A.to(b.device)
+    return _on_lattice(system, tolerance, [] if records is None else records, A, b, u)

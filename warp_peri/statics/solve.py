@@ -1,0 +1,237 @@
+"""Forward solves: displacement from loads, with a Dirichlet collar or on a periodic sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator, gmres, spilu, splu
+
+from warp_peri.errors import InputError
+from warp_peri.launch import DEVICE, known_device
+from warp_peri.models.lps import Model
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.stencil import smallest_ratio, stencil
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.dataset import PointSet
+from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.quadrature import DEGREE
+from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
+from warp_peri.statics.domain import domain
+from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
+from warp_peri.statics.range import warn_beyond
+
+RESIDUAL = 1e-9
+"""Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+DIRECT, LARGEST_LU = 4_000, 40_000
+"""Most unknown nodes that are solved for directly, on lattices and on other point sets."""
+SINGULAR = 1e-13
+"""Eigenvalues of the symbol below this fraction of the largest count as zero."""
+
+
+def solve(
+    model: Model,
+    points: PointSet,
+    b: ArrayLike,
+    u_collar: ArrayLike,
+    *,
+    box: tuple[float, float] | None = None,
+    outside: ArrayLike | None = None,
+    quadrature_degree: int = DEGREE,
+    method: str = "auto",
+    tolerance: float = TOLERANCE,
+    allow_uncertified: bool = False,
+    records: list[Record] | None = None,
+    device: str = DEVICE,
+) -> np.ndarray:
+    """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
+
+    Args:
+        model: the model, certified for the spacing of the points.
+        points: a lattice or scattered points; its u and b are not looked at.
+        b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
+        u_collar: displacement [Å], same shape; only collar values count.
+        box, outside, quadrature_degree: as for LPSOperator; displacement outside the body is
+            handed through.
+        method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
+            conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
+            with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
+            (the inverse symbol) and "cg" (plain) are there to compare.
+        tolerance: of conjugate gradients, true residual over right-hand side.
+        allow_uncertified: warn about an uncertified spacing instead of raising.
+        records: takes one Record for each sample that conjugate gradients solved.
+        device: where conjugate gradients run, as Warp names it; factorisations stay on the
+            processor.
+
+    Returns:
+        u [Å], shape as given: u_collar on the collar, the solution on the interior.
+
+    Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
+    operator that is singular to working precision or, on a lattice without broken bonds,
+    indefinite.
+    """
+    known = ("auto", *METHODS, *PRECONDITIONERS)
+    if method not in known:
+        raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
+    model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+    b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
+    if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
+        raise InputError(
+            f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
+            f"[{len(points.x)}, 2], got {list(b.shape)} and {list(u.shape)}"
+        )
+    fixed, free = ~points.interior, points.interior
+    if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
+        raise InputError("b, u_collar: expected finite values")
+    plain = points.spacing > 0 and box is None and outside is None
+    if method == "auto":
+        method = choose_method(points, plain=plain)
+    if method in PRECONDITIONERS:
+        if not plain or quadrature_degree != DEGREE:
+            raise InputError(
+                f"method: {method} is for lattices without a box and without broken bonds, with "
+                "quadrature of the usual degree; try lu or gmres"
+            )
+        numbers = {name: getattr(model, name) for name in ("horizon", "lam", "mu", "alpha", "D")}
+        fields = (
+            torch.from_numpy(np.ascontiguousarray(field)).to(known_device(device))
+            for field in (b, u)
+        )
+        with torch.no_grad():
+            found = (
+                equilibrium(
+                    points,
+                    *fields,
+                    **numbers,
+                    D_dilatation=model.dilatation,
+                    method=method,
+                    tolerance=tolerance,
+                    records=records,
+                )
+                .cpu()
+                .numpy()
+            )
+        u[..., free, :] = found[..., free, :]
+        warn_beyond(model, points, u)
+        return u
+    parts = matrices(model, points, box=box, outside=outside, quadrature_degree=quadrature_degree)
+    L = parts.operator(model.lam, model.mu)
+    unknown = np.repeat(free, 2)
+    stiffness = sp.csc_array(L[:, unknown])
+    nodes = np.count_nonzero(free)
+    flat = (-1, 2 * nodes)
+    collar = u[..., fixed, :].reshape(flat[0] if u.ndim == 3 else 1, 2 * np.count_nonzero(fixed))
+    right = b[..., free, :].reshape(flat).T - L[:, ~unknown] @ collar.T
+    try:
+        solution = METHODS[method](stiffness, right)
+    except RuntimeError as error:
+        raise InputError(
+            f"the operator on these {len(right) // 2} nodes is singular: the model is "
+            f"not well posed here ({error})"
+        ) from None
+    wrong = np.linalg.norm(stiffness @ solution - right, axis=0)
+    # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
+    rounding = np.finfo(float).eps * abs(L).sum(axis=1).max()
+    wrong = np.maximum(wrong, rounding * np.linalg.norm(solution, axis=0))
+    if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
+        raise InputError(
+            "the operator on these nodes is singular to working precision: "
+            f"the residual of the solve is {wrong.max():.1e} TPa/Å"
+        )
+    if plain and not _definite_by_symbol(model, points, quadrature_degree):
+        smallest = smallest_eigenvalue(stiffness)
+        if not smallest > 0:
+            raise InputError(
+                f"the operator on these {nodes} nodes is indefinite: its smallest eigenvalue is "
+                f"{smallest:.1e} TPa/Å², so that its equilibria are not stable"
+            )
+    u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
+    warn_beyond(model, points, u, outside)
+    return u
+
+
+def choose_method(points: PointSet, *, plain: bool) -> str:
+    """The cheapest method for a point set; plain: a lattice without a box or broken bonds."""
+    nodes = int(np.count_nonzero(points.interior))
+    if not plain:
+        return "lu" if nodes <= LARGEST_LU else "gmres"
+    if nodes <= DIRECT:
+        return "lu"
+    inside, _ = lattice_steps(
+        PointSet(points.x[points.interior], np.ones(nodes, bool), points.spacing)
+    )
+    return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
+
+
+def _definite_by_symbol(model: Model, points: PointSet, degree: int) -> bool:
+    """Whether the symbol proves L_II positive definite."""
+    bond_based = model.lam == model.mu
+    nodes = domain(
+        points, model.horizon, bond_based=bond_based, degree=degree, device=torch.device("cpu")
+    )
+    numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+    A = stencil(nodes.classes, *(torch.tensor(n, dtype=torch.float64) for n in numbers))
+    return smallest_ratio(nodes.torus.symbol(A), nodes.torus) > 0
+
+
+def _lu(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
+    found: np.ndarray = splu(stiffness).solve(right)
+    return found
+
+
+def _gmres(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
+    rough = spilu(stiffness, drop_tol=1e-4, fill_factor=10)
+    preconditioner = LinearOperator(stiffness.shape, rough.solve)
+    columns = []
+    for column in right.T:
+        found, failed = gmres(
+            stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
+        )
+        if failed:
+            raise InputError("GMRES did not converge on these nodes; try the method lu")
+        columns.append(found)
+    return np.stack(columns, axis=1)
+
+
+METHODS = {"lu": _lu, "gmres": _gmres}
+
+
+def solve_periodic(
+    model: Model, b: ArrayLike, *, spacing: float, allow_uncertified: bool = False
+) -> np.ndarray:
+    """Displacement of a periodic sheet under a load of zero mean, by FFT of the symbol.
+
+    Args:
+        model: the model, certified for the spacing.
+        b: body force density on the lattice [TPa/Å], shape [..., n₁, n₂, 2]; its mean is removed.
+        spacing: h [Å].
+        allow_uncertified: warn about an uncertified spacing instead of raising.
+
+    Returns:
+        u [Å] of zero mean, shape as given.
+
+    Raises InputError for a load that does not fit, an uncertified spacing, or a symbol that is
+    singular at a wave vector of the sheet.
+    """
+    model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+    b = np.asarray(b, dtype=float)
+    if b.ndim < 3 or b.shape[-1] != 2 or not np.isfinite(b).all():
+        raise InputError(
+            f"b: expected finite values of shape [..., n1, n2, 2], got {list(b.shape)}"
+        )
+    classes = bond_classes(spacing, model.horizon)
+    shape = b.shape[-3:-1]
+    waves = [2 * np.pi * np.fft.fftfreq(n, spacing) for n in shape]
+    k = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1).reshape(-1, 2)
+    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
+    d11[0] = d22[0] = 1.0  # k = 0: a mean load has no answer; the transform below is zeroed there
+    D = np.stack([d11, d12, d12, d22], axis=1).reshape(*shape, 2, 2)
+    transform = np.fft.fftn(b, axes=(-3, -2))
+    transform[..., 0, 0, :] = 0
+    size = np.abs(np.linalg.eigvalsh(D))
+    if not size.min() > SINGULAR * size.max():
+        raise InputError("the symbol is singular at a wave vector of this sheet")
+    wave = np.linalg.solve(D, transform[..., None])[..., 0]
+    return np.fft.ifftn(wave, axes=(-3, -2)).real
