@@ -19,7 +19,7 @@ from warp_peri.files.whole import whole_file, write_text
 from warp_peri.learning.fit import Fit
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import Samples
 from warp_peri.statics.solve import solve
 
 PAPER = {
@@ -71,20 +71,20 @@ def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = 
 def draw_disks(
     path: Path,
     model: Model,
-    points: PointSet,
+    points: Samples,
     table: dict[str, Any],
     *,
     worst: bool = False,
 ) -> None:
     """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
-    solved = solve(model, points, points.b, points.u, allow_uncertified=True)
+    solved = solve(model, points, points.loads, points.u, allow_uncertified=True)
     errors, inside = table["E_u_samples"], points.interior
     samples = [int(np.argmax(errors))] if worst else list(range(len(points)))
     rows = len(samples)
     figure, axes = plt.subplots(
         rows, 3, figsize=(9.5, 2.7 * rows + 0.4), squeeze=False, layout="constrained"
     )
-    names = points.samples.get("load_id", np.arange(1, len(points) + 1))
+    names = points.arrays.get("load_id", np.arange(1, len(points) + 1))
     for s, row in zip(samples, axes):
         truth, predicted = points.u[s, inside, 0], solved[s, inside, 0]
         error = 1000 * (predicted - truth)
@@ -103,11 +103,11 @@ def draw_disks(
     save_figure(figure, path)
 
 
-def draw_waves(path: Path, points: PointSet, table: dict[str, Any]) -> None:
+def draw_waves(path: Path, points: Samples, table: dict[str, Any]) -> None:
     """Errors of the training samples against their wave number."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     errors = {"E_res": table["E_res_samples"], "E_u": table["E_u_samples"]}
-    plots.errors_by_wave_number(points.samples["wave_number"], errors, ax=ax)
+    plots.errors_by_wave_number(points.arrays["wave_number"], errors, ax=ax)
     ax.set_title("Errors of the training samples")
     save_figure(figure, path)
 

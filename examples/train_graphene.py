@@ -27,7 +27,8 @@ from warp_peri.files.whole import locked, write_json
 from warp_peri.learning.fit import fit
 from warp_peri.learning.options import METHODS
 from warp_peri.learning.sweep import sweep
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.samples import Samples
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0
@@ -85,7 +86,7 @@ def run(given: argparse.Namespace) -> dict[str, object]:
                 report.draw_disks(
                     given.out / name, model, sets["test"], tables["test"], worst=worst
                 )
-        if "wave_number" in sets["train"].samples:
+        if "wave_number" in sets["train"].arrays:
             report.draw_waves(given.out / "waves.png", sets["train"], tables["train"])
     model.save(given.out / "model.json")
     seconds["all"] = time.perf_counter() - begin
@@ -162,7 +163,7 @@ def run_sweep(given: argparse.Namespace) -> None:
     )
 
 
-def sets_at(data: Dataset, spacing: float) -> dict[str, PointSet]:
+def sets_at(data: Dataset, spacing: float) -> dict[str, Samples]:
     """The training, validation and test sets on nodes of one spacing [Å], by role."""
     found = {}
     for role in report.ROLES:
@@ -175,7 +176,7 @@ def sets_at(data: Dataset, spacing: float) -> dict[str, PointSet]:
     return found
 
 
-def noise_at(data: Dataset, spacing: float) -> PointSet | None:
+def noise_at(data: Dataset, spacing: float) -> Samples | None:
     """The fields of noise alone on the training nodes, if the data have any."""
     if "noise" not in data or abs(data["noise"].spacing - spacing) > 1e-6 * spacing:
         return None

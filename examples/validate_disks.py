@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    names = points.samples.get("load_id", range(1, len(points) + 1))
+    names = points.arrays.get("load_id", range(1, len(points) + 1))
     width = max(len(str(name)) for name in [*names, "mean"])
     print(f"{'load':{width}}  E_u [%]  ‖L u − b‖ [TPa/Å]")
     for name, u, b in zip(names, table["E_u_samples"], table["E_res_abs_samples"]):

@@ -27,13 +27,14 @@ import warp as wp
 
 from tools import rivals, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
-from warp_peri import PointSet, set_threads
+from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
 from warp_peri.operator.adjoint import BLOCKS
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.families import families_of
+from warp_peri.points.points import Points
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""
@@ -48,13 +49,13 @@ LARGE = 5_000_000
 Candidates = dict[str, Callable[[], Any]]
 
 
-def problem(kind: str, side: int) -> tuple[PointSet, tuple[float, float]]:
+def problem(kind: str, side: int) -> tuple[Points, tuple[float, float]]:
     """side × side periodic points: a lattice, or one perturbed by 0.3 spacings."""
     x = np.argwhere(np.ones((side, side))).astype(float)
     if kind == "scattered":
         x += np.random.default_rng(0).uniform(-0.3, 0.3, x.shape)
-    points = PointSet(x, np.ones(len(x), bool), 0.0 if kind == "scattered" else 1.0)
-    return points, (float(side), float(side))
+    box = (float(side), float(side))
+    return Points(x, np.ones(len(x), bool), float(kind != "scattered"), box=box), box
 
 
 def ours(sweeps: Sweeps, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable, Callable]:
@@ -143,7 +144,7 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
     """One table; returns the seconds of our forward pass."""
     points, box = problem(kind, side)
     start = time.perf_counter()
-    sweeps = Sweeps(points, HORIZON, box=box, precision=precision)
+    sweeps = Sweeps(points, HORIZON, precision=precision)
     built = time.perf_counter() - start
     bonds, nodes = len(sweeps.families.neighbour), len(points.x)
     fields = np.random.default_rng(1).normal(size=(2, nodes, 2))
@@ -201,11 +202,11 @@ def memory(sweeps: Sweeps, size: int) -> int:
 
 def setting_up(side: int, forward: float) -> None:
     """Families and weights of a large lattice against one forward sweep with K inside."""
-    points, box = problem("lattice", side)
+    points, _ = problem("lattice", side)
     seconds = []
     for _ in range(3):
         start = time.perf_counter()
-        families = families_of(points, HORIZON, box=box)
+        families = families_of(points, HORIZON)
         seconds.append(time.perf_counter() - start)
     bonds = len(families.neighbour)
     small = Sweeps(*problem_of_sweeps())
@@ -226,11 +227,11 @@ def setting_up(side: int, forward: float) -> None:
     print("  one forward sweep that evaluates K once for every bond (5 × asked)")
 
 
-def problem_of_sweeps() -> tuple[PointSet, float]:
+def problem_of_sweeps() -> tuple[Points, float]:
     """A small point set, for the kernels of its sweeps."""
     points, _ = problem("lattice", 20)
     middle = np.abs(points.x - 9.5).max(axis=1) < 1
-    return PointSet(points.x, middle, 1.0), HORIZON
+    return Points(points.x, middle, 1.0), HORIZON
 
 
 def lammps(side: int, ours: float) -> None:

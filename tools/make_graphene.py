@@ -30,7 +30,10 @@ from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError
 from warp_peri.files.whole import locked
-from warp_peri.points.dataset import Dataset, PointSet, save_dataset
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 
 SPACINGS = {"": 5.0, "_fine": 2.5}
@@ -209,7 +212,7 @@ def point_set(
     shape: str = "cone",
     radius: float = SMOOTHING_RADIUS,
     shift: tuple[float, float] = (0.0, 0.0),
-) -> PointSet:
+) -> Samples:
     """Samples of one body, smoothed to a lattice of nodes; see on_nodes.
 
     Args:
@@ -231,7 +234,7 @@ def point_set(
     record = load_record(body, loads)
     for name in ("amplitude", "max_bond_strain", "residual"):
         record[name] = np.array([getattr(sample, name) for sample in samples])
-    return dataclasses.replace(points, samples=record)
+    return dataclasses.replace(points, arrays=record)
 
 
 def on_nodes(
@@ -244,7 +247,7 @@ def on_nodes(
     shape: str = "cone",
     radius: float = SMOOTHING_RADIUS,
     shift: tuple[float, float] = (0.0, 0.0),
-) -> PointSet:
+) -> Samples:
     """Fields on the atoms of one body, smoothed to a lattice of nodes.
 
     Args:
@@ -275,7 +278,7 @@ def on_nodes(
         node_area=spacing**2,
         thickness=THICKNESS,
     )
-    return PointSet(x=x + shift, u=u, b=b, interior=interior, spacing=spacing)
+    return Samples(Points(x + shift, interior, spacing), u, b)
 
 
 def load_record(body: Body, loads: Sequence[Load]) -> dict[str, np.ndarray]:
@@ -289,7 +292,7 @@ def load_record(body: Body, loads: Sequence[Load]) -> dict[str, np.ndarray]:
 
 
 def shape_change(
-    cone: PointSet, body: Body, samples: Sequence[Sample], radius: float
+    cone: Samples, body: Body, samples: Sequence[Sample], radius: float
 ) -> dict[str, float]:
     """Relative ℓ2 change of u on the interior when a paraboloid takes the place of the cone.
 
@@ -302,7 +305,7 @@ def shape_change(
     inside = cone.interior
     change = np.linalg.norm((other.u - cone.u)[:, inside], axis=(1, 2))
     change /= np.linalg.norm(cone.u[:, inside], axis=(1, 2))
-    longest = int(np.argmin(cone.samples["wave_number"]))
+    longest = int(np.argmin(cone.arrays["wave_number"]))
     return {
         "training_mean": float(change.mean()),
         "longest_wave": float(change[longest]),

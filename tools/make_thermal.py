@@ -45,13 +45,15 @@ from tools.reductions import REDUCTIONS, noise, reduced
 from tools.samples import Body, Sample, file_hash
 from tools.thermal import Bath, Run, Task, read_run, run, run_file
 from warp_peri.files.whole import locked
-from warp_peri.points.dataset import Dataset, PointSet, save_dataset
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.samples import Samples
 
 SPACING = 5.0
 """Of the nodes [Å]."""
 DATA = Path("data")
 
-Samples = Mapping[Body, Mapping[Load, Sample]]
+Equilibria = Mapping[Body, Mapping[Load, Sample]]
 
 
 def make_thermal(
@@ -122,14 +124,14 @@ def file_name(temperature: float, reduction: str, factor: float) -> str:
 def data_set(
     plans: Sequence[Plan],
     runs: Mapping[Task, Run],
-    at_rest: Samples,
+    at_rest: Equilibria,
     bath: Bath,
     *,
     reduction: str,
     factor: float,
 ) -> Dataset:
     """One reduction of the runs for one factor, on nodes."""
-    sets: dict[str, PointSet] = {}
+    sets: dict[str, Samples] = {}
     snr = {}
     for plan in plans:
         body, rested = plan.body, at_rest[plan.body]
@@ -138,9 +140,9 @@ def data_set(
             fields = reduced(plan, group, runs, rested, reduction=reduction, factor=factor)
             force = factor * np.stack([rested[load].force for load in loads])
             points = on_nodes(body, reference, fields.displacement, force, spacing=SPACING)
-            points.samples.update(load_record(body, loads))
-            points.samples.update(snr=fields.snr, seed=fields.seed)
-            points.samples["amplitude"] = np.array([factor * rested[x].amplitude for x in loads])
+            points.arrays.update(load_record(body, loads))
+            points.arrays.update(snr=fields.snr, seed=fields.seed)
+            points.arrays["amplitude"] = np.array([factor * rested[x].amplitude for x in loads])
             sets[group] = points
             snr[group] = float(fields.snr.mean())
         fluctuation = noise(plan, runs, reference, reduction=reduction, factor=factor)
@@ -165,7 +167,7 @@ def data_set(
 
 
 def thermal_constants(
-    plans: Sequence[Plan], runs: Mapping[Task, Run], at_rest: Samples, factor: float
+    plans: Sequence[Plan], runs: Mapping[Task, Run], at_rest: Equilibria, factor: float
 ) -> dict[str, float]:
     """λ, μ, E [TPa] and ν of the sheet at the temperature of the runs.
 
@@ -193,7 +195,7 @@ def run_all(
     *,
     jobs: int,
     progress: bool,
-) -> tuple[Samples, dict[Task, Run]]:
+) -> tuple[Equilibria, dict[Task, Run]]:
     """Every run of the plans, from the cache or made in parallel, and the samples at rest."""
     wanted = {
         plan.body: [load for loads in plan.groups.values() for load in loads] for plan in plans

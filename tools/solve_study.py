@@ -17,12 +17,13 @@ import numpy as np
 import torch
 
 from tools import rivals
-from warp_peri import Model, PointSet, load_model, set_threads
+from warp_peri import Model, load_model, set_threads
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.stencil import Torus, stencil
 from warp_peri.operator.sweeps import Sweeps
+from warp_peri.points.points import Points
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import Domain, domain
 from warp_peri.statics.equilibrium import on_domain
@@ -62,11 +63,11 @@ def mask_of(shape: str, n: int) -> np.ndarray:
     return mask
 
 
-def problem(mask: np.ndarray, horizon: float, spacing: float) -> PointSet:
+def problem(mask: np.ndarray, horizon: float, spacing: float) -> Points:
     """A lattice around the mask, with the collar that the horizon needs."""
     pad = 2 * int(np.floor(horizon / spacing + 1e-6))
     mask = np.pad(mask, pad)
-    return PointSet(spacing * np.argwhere(np.ones_like(mask)).astype(float), mask.ravel(), spacing)
+    return Points(spacing * np.argwhere(np.ones_like(mask)).astype(float), mask.ravel(), spacing)
 
 
 def loads(nodes: Domain) -> dict[str, torch.Tensor]:
@@ -130,10 +131,11 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     import numba
 
     numba.set_num_threads(2)
-    points = PointSet(np.argwhere(np.ones((side, side))).astype(float), np.ones(side**2, bool), 1.0)
+    x = np.argwhere(np.ones((side, side))).astype(float)
+    points = Points(x, np.ones(side**2, bool), 1.0, box=(float(side), float(side)))
     horizon = model.horizon / model.certified_on[0]
     box = (float(side), float(side))
-    sweeps = Sweeps(points, horizon, box=box)
+    sweeps = Sweeps(points, horizon)
     u = np.random.default_rng(1).normal(size=(side**2, 2))
     law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(sweeps, points.x, np.array(box), u, u, **law)

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from warp_peri.models.lps import Model, load_model
     from warp_peri.models.shapes import InfluenceFunction
     from warp_peri.operator.lps import LPSOperator
-    from warp_peri.points.dataset import Dataset, PointSet, load_dataset, save_dataset
+    from warp_peri.points.dataset import Dataset
+    from warp_peri.points.dataset_file import load_dataset, save_dataset
+    from warp_peri.points.points import Points
+    from warp_peri.points.samples import Samples
     from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
     from warp_peri.stability.certificate import Certificate, certify
     from warp_peri.stability.solvability import Solvability, solvability
@@ -42,7 +45,8 @@ __all__ = [
     "LPSOperator",
     "Model",
     "Motion",
-    "PointSet",
+    "Points",
+    "Samples",
     "Scene",
     "Solvability",
     "Sweep",
@@ -79,7 +83,10 @@ _NAMES = {
     "models.lps": ("Model", "load_model"),
     "models.shapes": ("InfluenceFunction",),
     "operator.lps": ("LPSOperator",),
-    "points.dataset": ("Dataset", "PointSet", "load_dataset", "save_dataset"),
+    "points.dataset": ("Dataset",),
+    "points.dataset_file": ("load_dataset", "save_dataset"),
+    "points.points": ("Points",),
+    "points.samples": ("Samples",),
     "sources.coarse_graining": ("coarse_grain", "smoothing_matrix"),
     "stability.certificate": ("Certificate", "certify"),
     "stability.solvability": ("Solvability", "solvability"),
@@ -95,6 +102,11 @@ if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of 
         """A public name or module, imported now (PEP 562)."""
         if name in _MODULES:
             return import_module(f"{__name__}.{name}")
+        if name == "PointSet":
+            raise AttributeError(
+                "warp_peri.PointSet is now warp_peri.Points(x, interior, spacing, box, outside), "
+                "and with fields warp_peri.Samples(points, u, b, arrays)"
+            )
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         found = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -15,8 +15,8 @@ from warp_peri.files.whole import whole_file, write_text
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import PointsLike, Samples
 
 XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
 XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components
@@ -25,7 +25,7 @@ XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permu
 def write_fields(
     folder: str | os.PathLike[str],
     model: Model,
-    points: PointSet,
+    points: Samples,
     u: np.ndarray,
     *,
     format: str = "vtu",
@@ -34,14 +34,14 @@ def write_fields(
 
     Points are the nodes; four neighbours on a lattice make a quadrilateral, other points stand
     alone. On all nodes displacement [Å], its error against the set's own u [Å], body_force (a
-    density) [TPa/Å], and interior (1 or 0). On interior nodes, NaN elsewhere: stress [TPa] and
-    strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ with zeros out of the plane, dilatation,
-    energy density [TPa].
+    density) [TPa/Å] where it is known, and interior (1 or 0). On interior nodes, NaN elsewhere:
+    stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ with zeros out of the plane,
+    dilatation, energy density [TPa].
 
     Args:
         folder: for the files; it is made if it is not there.
         model: the model.
-        points: the set, with b and, to compare, u.
+        points: the set, with u to compare, and b where it is known.
         u: displacement [Å], shape [S, N, 2].
         format: "vtu" for one file a sample, sample_0000.vtu and so on; "xdmf" for one file with
             the samples as time steps 0 to S - 1, samples.xdmf, and its arrays in samples.h5.
@@ -86,7 +86,7 @@ def write_influence(path: str | os.PathLike[str], model: Model, spacing: float) 
     return Path(path)
 
 
-def write_operator(path: str | os.PathLike[str], model: Model, points: PointSet) -> Path:
+def write_operator(path: str | os.PathLike[str], model: Model, points: PointsLike) -> Path:
     """L [TPa/Å²] as a sparse matrix, shape [2 I, 2 N], for scipy.sparse.load_npz.
 
     Component a of node i is number 2 i + a; rows are interior nodes in their order.
@@ -171,14 +171,14 @@ def _write_xdmf(
     return [light, heavy]
 
 
-def _samples(model: Model, points: PointSet, u: np.ndarray) -> list[dict[str, np.ndarray]]:
+def _samples(model: Model, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
     found = node_fields(model, points, u)
     return [
         {
             "displacement": _vector(one),
             "error": _vector(one - points.u[s]),
-            "body_force": _vector(points.b[s]),
+            **({} if points.b is None else {"body_force": _vector(points.b[s])}),
             "stress": _everywhere(points, _tensor(found.stress[s])),
             "strain": _everywhere(points, _tensor(found.strain[s])),
             "dilatation": _everywhere(points, found.dilatation[s]),
@@ -201,13 +201,13 @@ def _vector(field: np.ndarray) -> np.ndarray:
     return np.column_stack([field, np.zeros(len(field))])
 
 
-def _everywhere(points: PointSet, values: np.ndarray) -> np.ndarray:
+def _everywhere(points: PointsLike, values: np.ndarray) -> np.ndarray:
     out = np.full((len(points.x), *values.shape[1:]), np.nan)
     out[points.interior] = values
     return out
 
 
-def _cells(points: PointSet) -> tuple[str, np.ndarray]:
+def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
     """Quadrilaterals of a lattice along the axes whose four corners are there, else vertices."""
     vertices = "vertex", np.arange(len(points.x))[:, None]
     if points.spacing == 0:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri.errors import InputError
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ def words(run: Callable[[], Any]) -> str:
     return f"UserWarning: {caught[0].message}"
 
 
-def square_lattice(interior: int | tuple[int, int], horizon: float, spacing: float) -> PointSet:
+def square_lattice(interior: int | tuple[int, int], horizon: float, spacing: float) -> Points:
     """Unknown nodes from the origin, so many a side, and the collar of 2δ they need."""
     sides = np.broadcast_to(interior, 2)
     pad = int(np.ceil(2 * horizon / spacing))
     steps = np.argwhere(np.ones(sides + 2 * pad)) - pad
     inside = np.all((steps >= 0) & (steps < sides), axis=1)
-    return PointSet(spacing * steps, inside, spacing)
+    return Points(spacing * steps, inside, spacing)

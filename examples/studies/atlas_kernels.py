@@ -20,9 +20,10 @@ from warp_peri.losses.reduced import ReducedLoss, reduce
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
+from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import Conditions, ZoneSearch
 
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
@@ -154,7 +155,7 @@ unsafe kernels, solved without asking, err by {100 * min(errors.values()):.2g} t
         text,
         [
             f"certificate: {certificate.statement}",
-            words(lambda: warp_peri.solve(free, test, test.b, test.u)),
+            words(lambda: warp_peri.solve(free, test, test.loads, test.u)),
         ],
         figure,
         {
@@ -170,11 +171,11 @@ unsafe kernels, solved without asking, err by {100 * min(errors.values()):.2g} t
     )
 
 
-def displacement_error(model: Model, points: PointSet) -> float:
+def displacement_error(model: Model, points: Samples) -> float:
     """E_u of what LU gives without asking; `solve` refuses where the operator is indefinite."""
     L = matrices(model, points).operator(model.lam, model.mu)
     unknown = np.repeat(points.interior, 2)
-    u, b = points.u[:, points.interior], points.b[:, points.interior]
+    u, b = points.u[:, points.interior], points.loads[:, points.interior]
     outer = points.u[:, ~points.interior].reshape(len(u), -1)
     right = b.reshape(len(u), -1).T - L[:, ~unknown] @ outer.T
     found = splu(sp.csc_array(L[:, unknown])).solve(right).T.reshape(u.shape)
@@ -229,7 +230,7 @@ operator is indefinite, the library refuses."""
             words(lambda: warp_peri.evaluate(model, disks[0])),
             words(
                 lambda: warp_peri.solve(
-                    model, disks[0], disks[0].b, disks[0].u, allow_uncertified=True
+                    model, disks[0], disks[0].loads, disks[0].u, allow_uncertified=True
                 )
             ),
         ],

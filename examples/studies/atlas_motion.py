@@ -21,8 +21,10 @@ from tools.statics import ConvergenceError, Statics, find_bonds
 from warp_peri.dynamics.verlet import INERTIA, critical_time_step, velocity_verlet
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 
 DENSITY = 2147.0
 """Of graphene [kg/m³] where no data set gives one."""
@@ -38,9 +40,7 @@ def frequencies(model: Model, spacing: float, density: float, k: np.ndarray) -> 
     return np.sqrt(np.linalg.eigvalsh(D) / (INERTIA * density))
 
 
-def box_of_the_stiffest(
-    model: Model, spacing: float
-) -> tuple[PointSet, tuple[float, float], float]:
+def box_of_the_stiffest(model: Model, spacing: float) -> tuple[Points, float]:
     """A periodic lattice that holds the stiffest wave, nearly, and its largest frequency · √ρ."""
     part = 48
     p, q = (index / part for index in np.tril_indices(part // 2 + 1))
@@ -55,8 +55,9 @@ def box_of_the_stiffest(
             )
         shape.append(size)
     steps = np.argwhere(np.ones(shape))
-    points = PointSet(spacing * steps, np.ones(len(steps), bool), spacing)
-    return points, (spacing * shape[0], spacing * shape[1]), float(omega.max())
+    box = (spacing * shape[0], spacing * shape[1])
+    points = Points(spacing * steps, np.ones(len(steps), bool), spacing, box=box)
+    return points, float(omega.max())
 
 
 def critical_step(model: Model) -> Entry:
@@ -74,10 +75,10 @@ def critical_step(model: Model) -> Entry:
     figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     refused = ""
     for number, (name, one) in enumerate(models.items()):
-        points, box, stiffest = box_of_the_stiffest(one, spacing)
+        points, stiffest = box_of_the_stiffest(one, spacing)
         critical = critical_time_step(one, spacing=spacing, density=DENSITY)
         sharpness[name] = 2 * np.sqrt(DENSITY) / stiffest / critical - 1
-        shapes[name] = "×".join(f"{side / spacing:.0f}" for side in box)
+        shapes[name] = "×".join(f"{side / spacing:.0f}" for side in points.box or ())
         u = np.random.default_rng(number).normal(size=points.x.shape)
         growth[name] = []
         for part in tqdm(parts, desc=f"time step, {name}"):
@@ -85,14 +86,14 @@ def critical_step(model: Model) -> Entry:
                 warnings.simplefilter("ignore")
                 found = velocity_verlet(
                     one, points, u, 0 * u, density=DENSITY, step=part * critical, steps=400,
-                    box=box, allow_unstable=True,
+                    allow_unstable=True,
                 )  # fmt: skip
             growth[name].append(float(np.abs(found.u).max() / np.abs(u).max()))
         ax.semilogy(parts, growth[name], "o-", label=name)
         rest = 0 * points.x
 
-        def too_long(one=one, points=points, rest=rest, box=box, step=1.01 * critical) -> None:
-            velocity_verlet(one, points, rest, rest, density=DENSITY, step=step, steps=1, box=box)
+        def too_long(one=one, points=points, rest=rest, step=1.01 * critical) -> None:
+            velocity_verlet(one, points, rest, rest, density=DENSITY, step=step, steps=1)
 
         refused = words(too_long)
     ax.axvline(1, color="0.6", linewidth=0.8)
@@ -122,12 +123,13 @@ def energy_drift(model: Model, steps: int) -> Entry:
     """The energy that leapfrog keeps, over many steps."""
     spacing, side = 5.0, 10
     at = np.argwhere(np.ones((side, side)))
-    points = PointSet(spacing * at, np.ones(len(at), bool), spacing)
+    box = (side * spacing, side * spacing)
+    points = Points(spacing * at, np.ones(len(at), bool), spacing, box=box)
     u = np.random.default_rng(0).normal(size=points.x.shape)
     step = 0.9 * critical_time_step(model, spacing=spacing, density=DENSITY)
     found = velocity_verlet(
         model, points, u, 0 * u, density=DENSITY, step=step, steps=steps,
-        box=(side * spacing, side * spacing), every=max(1, steps // 1000),
+        every=max(1, steps // 1000),
     )  # fmt: skip
     figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     ax.plot(found.time / step, found.energy / found.energy[0] - 1, linewidth=0.8)
@@ -137,7 +139,7 @@ def energy_drift(model: Model, steps: int) -> Entry:
 limit of small steps. Random displacements of the learned model on {side} × {side} periodic nodes at 0.9 of the critical
 step keep it to {found.drift:.1e}, relative, over {steps} steps: rounding. On scattered points $L$ is not symmetric and
 the run is refused."""
-    cloud = PointSet(points.x + 0.1 * u, points.interior, 0.0)
+    cloud = Points(points.x + 0.1 * u, points.interior, 0.0)
     return Entry(
         "Explicit dynamics: the energy that leapfrog keeps",
         f"drift {found.drift:.1e} relative over {steps} steps",
@@ -212,7 +214,7 @@ def dispersion(model: Model, data: Dataset) -> Entry:
         )
         for part in (0.5, 1.0)
     }
-    reach = float(data["train"].samples["wave_number"].max() / np.sqrt(2))
+    reach = float(data["train"].arrays["wave_number"].max() / np.sqrt(2))
     text = f"""The learned model moves as $\\rho\\omega^2$ = eigenvalues of $D(k)$, with the data's density and nothing fitted to
 motion. Against the in-plane acoustic branches of the atoms (dynamical matrix from LAMMPS forces, along zigzag
 and armchair) ω is within {worst[0.25]:.1%} up to a quarter of the nodes' zone, {worst[0.5]:.1%} up to a half, and {worst[1.0]:.1%} up to its
@@ -274,7 +276,7 @@ def large_strains(model: Model) -> Entry:
     aimed = (0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1)
     figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     table: dict[str, dict[str, list[float]]] = {}
-    last: PointSet | None = None
+    last: Samples | None = None
     ends = []
     for load in (WaveLoad(0, (1, 0)), WaveLoad(0, (0, 1)), WaveLoad(1, (2, 3))):
         samples, end = strained_samples(
@@ -314,7 +316,7 @@ data; `solve` and `evaluate` warn at twice that."""
         f"E_u from {100 * one['E_u'][0]:.2g} % at 0.1 % strain to {100 * one['E_u'][-1]:.3g} % at "
         f"{100 * one['strain'][-1]:.2g} % ({steep})",
         text,
-        [words(lambda: warp_peri.solve(model, points, points.b, points.u))],
+        [words(lambda: warp_peri.solve(model, points, points.loads, points.u))],
         figure,
         {"loads": table, "ends": ends},
     )

@@ -24,8 +24,9 @@ from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble, matrices
 from warp_peri.operator.sweeps import Sweeps
 from warp_peri.operator.symbol import stiffnesses
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes, families_of
+from warp_peri.points.points import Points
 from warp_peri.stability.conditions import Conditions, ZoneSearch
 
 MU = 0.7223
@@ -48,7 +49,7 @@ def elastic_load(x: np.ndarray, lam: float, mu: float) -> np.ndarray:
     return 5 * mu * elastic_field(x, lam, mu) + 5 * (lam + mu) * mu / lam * _gradient_part(x)
 
 
-def elastic_error(points: PointSet, lam: float, horizon: float) -> float:
+def elastic_error(points: Points, lam: float, horizon: float) -> float:
     """Relative ℓ2 error of the solve with K = 1/r against linear elasticity."""
     model = Model(lam, MU, 1.0, np.ones(1), horizon)
     u = elastic_field(points.x, lam, MU)
@@ -57,7 +58,7 @@ def elastic_error(points: PointSet, lam: float, horizon: float) -> float:
     return float(np.linalg.norm((found - u)[inside]) / np.linalg.norm(u[inside]))
 
 
-def quiet_solve(model: Model, points: PointSet, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+def quiet_solve(model: Model, points: Points, b: np.ndarray, u: np.ndarray) -> np.ndarray:
     """solve, certified or not."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -143,16 +144,16 @@ section but one)."""
     )
 
 
-def perturbed(number: int, horizon: float, perturbation: float, seed: int) -> PointSet:
+def perturbed(number: int, horizon: float, perturbation: float, seed: int) -> Points:
     """number × number nodes shifted by up to `perturbation` spacings, and their collar."""
     pad = int(np.ceil(2 * horizon + 2 * perturbation + 1))
     steps = np.argwhere(np.ones(2 * [number + 2 * pad])) - pad
     shift = np.random.default_rng(seed).uniform(-perturbation, perturbation, steps.shape)
     inside = np.all((steps >= 0) & (steps < number), axis=1)
-    return PointSet(steps + shift, inside, 0.0)
+    return Points(steps + shift, inside, 0.0)
 
 
-def scaled(points: PointSet, h: float) -> PointSet:
+def scaled(points: Points, h: float) -> Points:
     """The same nodes, h times as far apart."""
     return replace(points, x=h * points.x)
 
@@ -179,9 +180,8 @@ def scattered_points() -> Entry:
     for radius in (0.8, 1.6, 2.4):
         kept = away > radius
         cases[f"hole of radius {radius:g} h"] = replace(
-            base, x=base.x[kept], interior=base.interior[kept],
-            u=np.empty((0, kept.sum(), 2)), b=np.empty((0, kept.sum(), 2)),
-        )  # fmt: skip
+            base, x=base.x[kept], interior=base.interior[kept]
+        )
     near = np.argsort(away)[:8]
     for gap in (0.3, 0.1, 0.03, 0.01):
         x = base.x.copy()
@@ -253,11 +253,11 @@ def free_edge(number: int, lam: float, *, corrected: bool) -> float:
     points = square_lattice(number, horizon, h)
     points = replace(points, x=points.x + 0.5 * h)
     outside = points.x[:, 0] > 1
-    body = replace(points, interior=points.interior & ~outside)
+    body = replace(points, interior=points.interior & ~outside, outside=outside)
     a, b = points.x.T
     stretch = 3 * lam / (lam + 2 * MU)  # no stress across the edge
     exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
-    sweeps = Sweeps(body, horizon, outside=outside)
+    sweeps = Sweeps(body, horizon)
     if not corrected:
         sweeps.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
     one = torch.ones(1, dtype=torch.float64)
@@ -300,7 +300,7 @@ The library corrects wherever `outside` is given, and refuses a body that simply
 free surfaces."""
     points = square_lattice(6, 3.0, 1.0)
     body = points.x[:, 0] <= 5
-    cut = PointSet(points.x[body], points.interior[body], 1.0)
+    cut = Points(points.x[body], points.interior[body], 1.0)
     return Entry(
         "Free surfaces with and without the correction",
         f"order {orders[hard + ', corrected']:.2f} with and {orders[hard + ', not corrected']:.2f} without; errors "

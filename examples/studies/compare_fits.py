@@ -29,8 +29,9 @@ from warp_peri.files.whole import write_json, write_text
 from warp_peri.learning.fit import Fit, fit
 from warp_peri.learning.margins import DenseMargins
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
 
 UNSEEN_SPACING = 4.0
 """[Å]"""
@@ -67,7 +68,7 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
     return rows
 
 
-def two_grids(data: Dataset, unseen: PointSet) -> list[dict[str, Any]]:
+def two_grids(data: Dataset, unseen: Samples) -> list[dict[str, Any]]:
     """Fits on h = 5 and 2.5 Å together, evaluated on the disks of both and of an unseen grid."""
     rows = []
     both = [data["train"], data["train_fine"]]
@@ -96,7 +97,7 @@ def _numbers(found: Fit) -> dict[str, Any]:
     }
 
 
-def _errors(model: Model, sets: dict[str, PointSet]) -> dict[str, float | None]:
+def _errors(model: Model, sets: dict[str, Samples]) -> dict[str, float | None]:
     """E_res and E_u of each set; None where the operator is indefinite and nothing is solved."""
     out: dict[str, float | None] = {}
     with warnings.catch_warnings():
@@ -110,7 +111,7 @@ def _errors(model: Model, sets: dict[str, PointSet]) -> dict[str, float | None]:
     return out
 
 
-def dense_seconds(points: PointSet) -> float:
+def dense_seconds(points: Samples) -> float:
     """Seconds that the three dense conditions and their gradient take, once."""
     margins = DenseMargins([points], 20.0)
     model = Model(-0.2, 0.7, 1.0, np.ones(1), 20.0)

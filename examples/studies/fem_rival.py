@@ -9,11 +9,11 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from warp_peri import InputError, PointSet
+from warp_peri import InputError, Samples
 
 
 def elastic_solver(
-    points: PointSet, *, order: int, lam: float, mu: float
+    points: Samples, *, order: int, lam: float, mu: float
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Assemble and factorise; the result solves for u [Å] on the interior, shape [I, 2].
 

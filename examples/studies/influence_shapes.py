@@ -26,8 +26,9 @@ from warp_peri.files.whole import whole_file, write_json, write_text
 from warp_peri.learning.fit import Fit
 from warp_peri.models.shapes import InfluenceFunction, damped_wave, named, table
 from warp_peri.plots import kernel_values
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
 
 HORIZON, DEGREE = 20.0, 10
 KNOTS = np.linspace(4.0, HORIZON, 9)
@@ -44,7 +45,7 @@ def waves() -> list[InfluenceFunction]:
     ]
 
 
-def fits(train: PointSet) -> dict[str, tuple[int, Fit]]:
+def fits(train: Samples) -> dict[str, tuple[int, Fit]]:
     """By name, the number of parameters of the shape and the fit."""
     cases: dict[str, tuple[int, dict[str, Any]]] = {
         name: (1, {"influence": named(name, HORIZON)})

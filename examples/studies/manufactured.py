@@ -39,7 +39,8 @@ from warp_peri.files.whole import write_json
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import ReducedLoss, class_weights, reduce
 from warp_peri.models.influence import bernstein_basis
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 
 LAM, MU = 0.1010, 0.4545
 HORIZON = 12.5
@@ -71,7 +72,7 @@ def continuum_symbol(k: np.ndarray) -> np.ndarray:
     return MU * gamma + (LAM - MU) * dilatation**2 * along
 
 
-def manufactured(spacing: float) -> PointSet:
+def manufactured(spacing: float) -> Samples:
     """The 70 samples on one grid, with a collar of twice the horizon.
 
     A quarter of the domain, by symmetry, holds what there is to see; about 400 of its nodes are
@@ -99,7 +100,7 @@ def manufactured(spacing: float) -> PointSet:
             load[1 - axis] = AMPLITUDE * D[0, 1] * odd
             u.append(field.T)
             b.append(load.T)
-    return PointSet(x=x, interior=interior, spacing=spacing, u=np.array(u), b=np.array(b))
+    return Samples(Points(x, interior, spacing), np.array(u), np.array(b))
 
 
 def relative_residual(reduced: ReducedLoss, alpha: float, D: np.ndarray) -> float:

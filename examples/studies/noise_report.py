@@ -18,8 +18,8 @@ from warp_peri import plots
 from warp_peri.learning.fit import Fit
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
 from warp_peri.statics.solve import solve
 
 PRINTED_TABLE_3 = {
@@ -206,18 +206,16 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
     save_figure(figure, path)
 
 
-def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: PointSet) -> None:
+def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: Samples) -> None:
     """u₁ along the x axis of the first disk: 90 % band of the model and the molecular data."""
-    first = PointSet(
-        x=disk.x, interior=disk.interior, spacing=disk.spacing, u=disk.u[:1], b=disk.b[:1]
-    )
+    first = Samples(disk.points, disk.u[:1], disk.loads[:1])
     line = np.flatnonzero(disk.interior & (np.abs(disk.x[:, 1]) < 1e-6))
 
     def along(m: Model) -> np.ndarray:
         with warnings.catch_warnings():
             # Models beside the fit carry no certificate, and small loads taught it.
             warnings.filterwarnings("ignore", message="(spacing|strain):")
-            return solve(m, first, first.b, first.u, allow_uncertified=True)[0, line, 0]
+            return solve(m, first, first.loads, first.u, allow_uncertified=True)[0, line, 0]
 
     lower, upper = sure.band(model, along, 0.9)
     figure, axes = plt.subplots(2, 1, figsize=(7, 5.5), layout="constrained", sharex=True)

@@ -32,7 +32,8 @@ from warp_peri.files.whole import locked, write_json, write_text
 from warp_peri.learning.fit import Fit
 from warp_peri.learning.sweep import sweep
 from warp_peri.models.lps import load_model
-from warp_peri.points.dataset import Dataset, PointSet
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.samples import Samples
 
 FACTORS = (1.0, 0.25, 0.1)
 HORIZON, DEGREE = 20.0, 10
@@ -122,7 +123,7 @@ def floors(data: Data) -> list[dict[str, Any]]:
     return rows
 
 
-def floor(noise: PointSet, reference: PointSet) -> float:
+def floor(noise: Samples, reference: Samples) -> float:
     """Root-mean-square norm of the noise on the interior over ‖u‖, mean over the samples."""
     inside = reference.interior
     size = np.sqrt((noise.u[:, inside] ** 2).sum(axis=(1, 2)).mean())

@@ -11,18 +11,19 @@ from scipy.optimize import least_squares
 from scipy.sparse.linalg import LinearOperator, cg
 
 from tools import rivals
-from warp_peri import InputError, Model, PointSet
+from warp_peri import InputError, Model, Samples
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import class_weights, reduce
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.families import lattice_steps
+from warp_peri.points.points import Points
 
 TOLERANCE = 1e-8
 Solver = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def by_scipy(model: Model, points: PointSet) -> Solver:
+def by_scipy(model: Model, points: Samples) -> Solver:
     """SciPy's conjugate gradients, without a preconditioner, around the assembled CSR matrix."""
     L = matrices(model, points).operator(model.lam, model.mu)
     unknown = np.repeat(points.interior, 2)
@@ -35,7 +36,7 @@ def by_scipy(model: Model, points: PointSet) -> Solver:
     return solve
 
 
-def by_numba(model: Model, points: PointSet) -> Solver:
+def by_numba(model: Model, points: Samples) -> Solver:
     """The same iterations around two parallel sweeps in Numba, on a torus around the points.
 
     Setting up includes compiling, as it would for a user. The influence functions must be one.
@@ -44,8 +45,9 @@ def by_numba(model: Model, points: PointSet) -> Solver:
     shape = step.max(axis=0) + 1 + int(np.ceil(2 * model.horizon / points.spacing))
     box = shape * points.spacing
     x = points.spacing * np.argwhere(np.ones(shape))
-    torus = PointSet(x, np.ones(len(x), bool), points.spacing)
-    sweeps = Sweeps(torus, model.horizon, box=(float(box[0]), float(box[1])))
+    sides = (float(box[0]), float(box[1]))
+    torus = Points(x, np.ones(len(x), bool), points.spacing, box=sides)
+    sweeps = Sweeps(torus, model.horizon)
     field = np.zeros((len(x), 2))
     law = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(sweeps, x, box, field, np.zeros_like(field), **law)
@@ -77,7 +79,7 @@ def _descend(stiffness: sp.csr_array | LinearOperator, right: np.ndarray) -> np.
     return found.reshape(-1, 2)
 
 
-def positive_model(train: PointSet, *, horizon: float, degree: int, starts: int = 3) -> Model:
+def positive_model(train: Samples, *, horizon: float, degree: int, starts: int = 3) -> Model:
     """The best LPS with D ≥ 0, μ > 0 and λ + μ > 0: least squares of (10) from random starts.
 
     Raises InputError when no start converges.

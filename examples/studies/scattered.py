@@ -24,12 +24,13 @@ from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
 from warp_peri.learning.fit import fit
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 
 SPACING = 5.0
 
 
-def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[PointSet]:
+def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[Samples]:
     """The 70 training samples on perturbed nodes.
 
     Args:
@@ -55,7 +56,7 @@ def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[P
             node_area=1.0,
             thickness=THICKNESS,
         )
-        sets.append(PointSet(x=x, interior=interior, spacing=0.0, u=u, b=b))
+        sets.append(Samples(Points(x, interior, 0.0), u, b))
     return sets
 
 

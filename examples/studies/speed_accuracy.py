@@ -20,7 +20,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +37,11 @@ from scipy.sparse.linalg import splu
 from examples.studies.fem_rival import elastic_solver
 from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positive_model
 from tools import make_graphene as making
-from warp_peri import Model, PointSet, fit, load_dataset, load_model
+from warp_peri import Model, Samples, fit, load_dataset, load_model
 from warp_peri.files.whole import whole_file, write_json
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
+from warp_peri.points.points import Points
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
 
@@ -58,25 +58,25 @@ SUFFIX = {5.0: "", 4.0: "_four", 2.5: "_fine"}
 ROUNDS = 3
 
 
-def waves(points: PointSet) -> np.ndarray:
+def waves(points: Samples) -> np.ndarray:
     """Wave numbers (p, q) of the periodic samples, shape [S, 2], from their load ids."""
-    ids = [str(one) for one in points.samples["load_id"]]
+    ids = [str(one) for one in points.arrays["load_id"]]
     return np.array([[int(n) for n in re.findall(r"\d+", one)[-2:]] for one in ids])
 
 
-def held_out(points: PointSet) -> np.ndarray:
+def held_out(points: Samples) -> np.ndarray:
     """Samples that no fit sees."""
     return waves(points).sum(axis=1) % 2 == 1
 
 
-def high(points: PointSet) -> np.ndarray:
+def high(points: Samples) -> np.ndarray:
     """The shorter half of the waves held out."""
     size = np.hypot(*waves(points).T)
     out = held_out(points)
     return np.flatnonzero(out & (size >= np.median(size[out])))
 
 
-def wavelengths(points: PointSet) -> dict[str, float]:
+def wavelengths(points: Samples) -> dict[str, float]:
     """Shortest wave [Å] of the short set, and the shortest of the waves left out of it."""
     period = float(np.ptp(points.x, axis=0).max()) / 2  # nodes reach a period to both sides
     size = np.hypot(*waves(points).T)
@@ -84,10 +84,10 @@ def wavelengths(points: PointSet) -> dict[str, float]:
     return {"short_wave": period / short.max(), "long_wave": period / short.min()}
 
 
-def by_lu(dtype: Any) -> Callable[[Model, PointSet], Solver]:
+def by_lu(dtype: Any) -> Callable[[Model, Samples], Solver]:
     """Sparse LU of the assembled operator."""
 
-    def prepare(model: Model, points: PointSet) -> Solver:
+    def prepare(model: Model, points: Samples) -> Solver:
         L = matrices(model, points).operator(model.lam, model.mu)
         unknown = np.repeat(points.interior, 2)
         factors = splu(sp.csc_array(L[:, unknown]).astype(dtype))
@@ -102,10 +102,10 @@ def by_lu(dtype: Any) -> Callable[[Model, PointSet], Solver]:
     return prepare
 
 
-def by_cg(method: str) -> Callable[[Model, PointSet], Solver]:
+def by_cg(method: str) -> Callable[[Model, Samples], Solver]:
     """Conjugate gradients to 1e-8."""
 
-    def prepare(model: Model, points: PointSet) -> Solver:
+    def prepare(model: Model, points: Samples) -> Solver:
         nodes = domain(points, model.horizon, device=torch.device("cpu"))
         values = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
         numbers = [torch.tensor(value, dtype=torch.float64) for value in values]
@@ -122,7 +122,7 @@ def by_cg(method: str) -> Callable[[Model, PointSet], Solver]:
     return prepare
 
 
-def timed(prepare: Callable[[], Solver], points: PointSet, samples: np.ndarray) -> dict[str, float]:
+def timed(prepare: Callable[[], Solver], points: Samples, samples: np.ndarray) -> dict[str, float]:
     """Best set-up and solve [s] and the mean error of the samples."""
     setup, each = [], []
     errors: list[float] = []
@@ -133,14 +133,14 @@ def timed(prepare: Callable[[], Solver], points: PointSet, samples: np.ndarray) 
         errors = []
         for s in samples:
             start = time.perf_counter()
-            found = solver(points.b[s], points.u[s])
+            found = solver(points.loads[s], points.u[s])
             each.append(time.perf_counter() - start)
             exact = points.u[s][points.interior]
             errors.append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
     return {"setup": min(setup), "solve": min(each), "error": float(np.mean(errors))}
 
 
-def point_sets(file: Path) -> tuple[dict[str, PointSet], dict[str, float]]:
+def point_sets(file: Path) -> tuple[dict[str, Samples], dict[str, float]]:
     """The sets of the data file and those on nodes 4 Å apart, and the true λ and μ [TPa]."""
     data = load_dataset(file)
     sets = dict(data.sets)
@@ -152,7 +152,7 @@ def point_sets(file: Path) -> tuple[dict[str, PointSet], dict[str, float]]:
 
 
 def fitted(
-    data: dict[str, PointSet], out: Path, spacing: float, horizon: float, degree: int, kind: str
+    data: dict[str, Samples], out: Path, spacing: float, horizon: float, degree: int, kind: str
 ) -> Model:
     """The constrained optimum on the waves that are not held out; kept in a file."""
     positive = kind == "positive kernel"
@@ -161,7 +161,7 @@ def fitted(
         return load_model(file)
     train = data["train" + SUFFIX[spacing]]
     seen = ~held_out(train)
-    train = replace(train, u=train.u[seen], b=train.b[seen], samples={})
+    train = Samples(train.points, train.u[seen], train.loads[seen])
     if positive:
         model = positive_model(train, horizon=horizon, degree=degree)
     else:
@@ -190,7 +190,7 @@ def molecular() -> dict[str, float]:
     return found
 
 
-def measure(data: dict[str, PointSet], truth: dict[str, float], out: Path) -> list[dict[str, Any]]:
+def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> list[dict[str, Any]]:
     """One row for each model, precision and solver."""
     rows: list[dict[str, Any]] = []
 
@@ -234,7 +234,7 @@ def measure(data: dict[str, PointSet], truth: dict[str, float], out: Path) -> li
     )
     for label, spacing, order in finite:
 
-        def elements(points: PointSet, order: int = order) -> Solver:
+        def elements(points: Samples, order: int = order) -> Solver:
             return elastic_solver(points, order=order, **truth)
 
         add(label, f"FEM Q{order}", (spacing, 0.0, order), f"Q{order}", elements)
@@ -258,7 +258,7 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
         mask = np.pad(mask, pad)
         x = model.certified_on[0] * np.argwhere(np.ones_like(mask)).astype(float)
         noise = np.random.default_rng(0).normal(size=(2, 1, len(x), 2))
-        points = PointSet(x, mask.ravel(), model.certified_on[0], *noise)
+        points = Samples(Points(x, mask.ravel(), model.certified_on[0]), *noise)
         record = timed(functools.partial(by_cg(method), model, points), points, np.arange(1))
         found[method] = (record["setup"] + record["solve"]) / int(mask.sum())
     return found

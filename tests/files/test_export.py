@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from tests.support.clouds import cloud, plain
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import Dataset, InputError, LPSOperator, save_dataset, solve
+from warp_peri import Dataset, InputError, LPSOperator, Samples, save_dataset, solve
 from warp_peri.cli.main import main
 from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.operator.stress import node_fields
@@ -127,7 +127,7 @@ def test_refused_formats_and_folders(model, points, tmp_path):
 def test_scattered_points_stand_alone(tmp_path):
     points = cloud(3, 3.0)
     u = np.zeros((1, len(points.x), 2))
-    points = type(points)(points.x, points.interior, 0.0, u=u)
+    points = Samples(points, u)
     (path,) = write_fields(tmp_path, plain(3.0), points, u)
     assert list(meshio.read(path).cells_dict) == ["vertex"]
     path, _ = write_fields(tmp_path, plain(3.0), points, u, format="xdmf")

@@ -1,12 +1,11 @@
 """Fits of influence functions given as callables."""
 
-import dataclasses
 import pickle
 
 import numpy as np
 import pytest
 
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import InfluenceFunction, InputError, evaluate, fit, load_model
@@ -200,7 +199,7 @@ def test_what_a_fit_refuses(options, message):
 
 def test_scattered_points_are_refused():
     points = manufactured(kernel("1/r", HORIZON), lattice(3, HORIZON), 1)
-    scattered = dataclasses.replace(points, spacing=0.0)
+    scattered = with_nodes(points, spacing=0.0)
     with pytest.raises(InputError, match="on lattices only"):
         fit(scattered, horizon=HORIZON, influence=SHAPES["gaussian"])
 

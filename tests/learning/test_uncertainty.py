@@ -82,12 +82,12 @@ def test_samples_of_one_seed_share_their_noise():
     twice = dataclasses.replace(
         data,
         **{name: np.concatenate([getattr(data, name)] * 2) for name in ("u", "b")},
-        samples={"wave_vector": np.concatenate([data.samples["wave_vector"]] * 2)},
+        arrays={"wave_vector": np.concatenate([data.arrays["wave_vector"]] * 2)},
     )
 
     def spread(points, seed=None):
-        samples = points.samples if seed is None else {**points.samples, "seed": seed}
-        points = dataclasses.replace(points, samples=samples)
+        samples = points.arrays if seed is None else {**points.arrays, "seed": seed}
+        points = dataclasses.replace(points, arrays=samples)
         return fit_uncertainty(found, points, noise).deviation(constants)
 
     once = spread(data)
@@ -159,6 +159,6 @@ def test_what_it_cannot_do_is_refused():
     with pytest.raises(InputError, match="wave_vector"):
         fit_uncertainty(
             dataclasses.replace(found, loss=LossChoice("output", "")),
-            dataclasses.replace(data, samples={}),
+            dataclasses.replace(data, arrays={}),
             noise,
         )

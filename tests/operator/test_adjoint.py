@@ -1,5 +1,6 @@
 """The gathering adjoint: equal to Warp's tape and to differences, on any number of threads."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,7 +10,7 @@ import warp as wp
 
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
-from warp_peri import InputError, PointSet, set_threads
+from warp_peri import InputError, set_threads
 from warp_peri.launch import threads
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.sweeps import Sweeps
@@ -27,17 +28,18 @@ def cut(points):
 
 def body(points):
     """The interior without the half that is cut away."""
-    return PointSet(points.x, points.interior & ~cut(points), points.spacing)
+    outside = cut(points)
+    return replace(points, interior=points.interior & ~outside, outside=outside)
 
 
 def sweeps_of(kind):
     if "periodic" in kind:
-        points, box = periodic((7, 8)) if "lattice" in kind else periodic_cloud(7)
-        return Sweeps(points, HORIZON, box=box), points
+        points, _ = periodic((7, 8)) if "lattice" in kind else periodic_cloud(7)
+        return Sweeps(points, HORIZON), points
     points = lattice(2, HORIZON) if "lattice" in kind else cloud(2, HORIZON)
     if "cut" in kind:
-        outside, points = cut(points), body(points)
-        return Sweeps(points, HORIZON, outside=outside), points
+        points = body(points)
+        return Sweeps(points, HORIZON), points
     return Sweeps(points, HORIZON), points
 
 
@@ -166,10 +168,10 @@ def test_a_number_of_threads_that_is_none_is_refused(count):
 
 
 def test_single_precision_is_double_precision_rounded():
-    points, box = periodic_cloud(7)
+    points, _ = periodic_cloud(7)
     found = {}
     for precision in ("float64", "float32"):
-        sweeps = Sweeps(points, HORIZON, box=box, precision=precision)
+        sweeps = Sweeps(points, HORIZON, precision=precision)
         dtype = getattr(torch, precision)
         values = (noise(points), LAM, MU, 1.6, [1.0, 0.4, -0.3])
         given = [torch.tensor(v, dtype=dtype, requires_grad=True) for v in values]
@@ -180,4 +182,4 @@ def test_single_precision_is_double_precision_rounded():
     with pytest.raises(InputError, match="u: expected float32 of shape"):
         lps_force(sweeps, torch.from_numpy(noise(points)), LAM, MU, 1.6, [1.0])
     with pytest.raises(InputError, match="precision: expected one of"):
-        Sweeps(points, HORIZON, box=box, precision="float16")
+        Sweeps(points, HORIZON, precision="float16")

@@ -23,7 +23,7 @@ def matrix(model, classes, k):
 def test_plane_waves_through_the_operator(name, spacing):
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points, box = periodic((8, 7), spacing)
-    operator = LPSOperator(model, points, box=box)
+    operator = LPSOperator(model, points)
     a = np.array([0.7 + 0.2j, -0.4 + 1.1j])
     for p, q in ((1, 0), (0, 2), (3, 2), (4, 0), (-2, 3)):
         k = 2 * np.pi * np.array([p, q]) / box

@@ -13,7 +13,7 @@ from warp_peri.operator.sweeps import Sweeps
 @pytest.mark.parametrize("kind", ["lattice", "scattered"])
 def test_rivals_agree(kind):
     points, box = benchmark.problem(kind, 12)
-    sweeps = Sweeps(points, benchmark.HORIZON, box=box)
+    sweeps = Sweeps(points, benchmark.HORIZON)
     fields = np.random.default_rng(0).normal(size=(2, len(points.x), 2))
     t = rivals.tables(sweeps, points.x, np.array(box), *fields, **benchmark.MODEL)
     forward, both = (

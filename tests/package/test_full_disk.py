@@ -14,9 +14,9 @@ import sys, resource, signal
 from pathlib import Path
 import numpy as np
 from tests.support.mutations import good_data, good_model
-from warp_peri import PointSet, Dataset, save_dataset
+from warp_peri import Samples, Dataset, save_dataset
 from warp_peri.learning.checkpoint import Checkpoint
-from warp_peri.points.dataset import content_hash, load_dataset
+from warp_peri.points.dataset_file import content_hash, load_dataset
 from warp_peri.files.whole import write_json
 
 folder, limit = Path(sys.argv[1]), int(sys.argv[2])
@@ -29,7 +29,7 @@ if limit:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit is then an error
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 points = small["train"]
-many = PointSet(points.x, points.interior, points.spacing, np.ones((9000, len(points.x), 2)))
+many = Samples(points.points, np.ones((9000, len(points.x), 2)), np.zeros((9000, len(points.x), 2)))
 big = Dataset({"train": many}, 3.35, 2267.0)
 jobs = {
     "g.h5": lambda: save_dataset(folder / "g.h5", big),

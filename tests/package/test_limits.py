@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
-from warp_peri import InputError, LPSOperator, Model, PointSet, certify, fit, load_model, solve
+from warp_peri import InputError, LPSOperator, Model, Points, certify, fit, load_model, solve
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.strain import largest_strain
@@ -59,7 +59,7 @@ def test_strain_of_known_fields():
     assert largest_strain(cloud(3, 2.5), cloud(3, 2.5).x * 0.1) == pytest.approx(0.1)
     far = points.x[:, 0] > points.x[points.interior, 0].max() + 1
     u = np.where(far[:, None], 1e3, points.x @ stretch.T)
-    assert largest_strain(points, u, far) == pytest.approx(0.05)
+    assert largest_strain(replace(points, outside=far), u) == pytest.approx(0.05)
 
 
 def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
@@ -88,6 +88,6 @@ def test_what_would_take_memory_without_limit_is_refused():
         bond_classes(1e-6, 1.0)
     points = lattice(1, 2.0)
     x = np.concatenate([points.x, [[1e5, 1e5]]])
-    far = PointSet(x, np.append(points.interior, False), 1.0)
+    far = Points(x, np.append(points.interior, False), 1.0)
     with pytest.raises(InputError, match="nodes spread over 1.0e.10 lattice places"):
         families_of(far, 2.0)

@@ -14,7 +14,8 @@ from warp_peri import (
     InputError,
     LPSOperator,
     Model,
-    PointSet,
+    Points,
+    Samples,
     coarse_grain,
     load_dataset,
     load_model,
@@ -22,7 +23,7 @@ from warp_peri import (
     smoothing_matrix,
 )
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.dataset import content_hash
+from warp_peri.points.dataset_file import content_hash
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.quadrature import DEGREE, _ball_integral
 
@@ -100,8 +101,8 @@ def test_the_operator_on_lattices_is_symmetric_and_blind_to_rigid_motion(model, 
 @bounded
 @given(models(ratio=st.floats(2.0, 3.0)), seeds, finite)
 def test_the_operator_is_linear_and_balances_momentum(model, seed, factor):
-    points, box = periodic((8, 7))
-    operator = LPSOperator(model, points, box=box)
+    points, _ = periodic((8, 7))
+    operator = LPSOperator(model, points)
     u, v = noise(points, seed=seed), noise(points, seed=seed + 1)
     size = np.abs(operator(u)).max() + np.abs(operator(v)).max()
     both = operator(u + factor * v)
@@ -169,7 +170,7 @@ def test_data_sets_come_back_bit_by_bit(folder, sets, seed, samples, name, prove
         x, u, b = rng.normal(size=(n, 2)), *rng.normal(size=(2, samples, n, 2))
         extra = {name: np.array(words[:samples])} if samples else {}
         interior = np.arange(n) <= number
-        made[key] = PointSet(x, interior, float(rng.uniform(0, 9)), u, b, extra)
+        made[key] = Samples(Points(x, interior, float(rng.uniform(0, 9))), u, b, extra)
     data = Dataset(made, 3.35, 2000.0, provenance)
     save_dataset(folder / "d.h5", data)
     back = load_dataset(folder / "d.h5")
@@ -179,8 +180,8 @@ def test_data_sets_come_back_bit_by_bit(folder, sets, seed, samples, name, prove
     for key in sets:
         for field in ("x", "u", "b", "interior"):
             np.testing.assert_array_equal(getattr(back[key], field), getattr(data[key], field))
-        for word, values in data[key].samples.items():
-            assert back[key].samples[word].tolist() == values.tolist()
+        for word, values in data[key].arrays.items():
+            assert back[key].arrays[word].tolist() == values.tolist()
 
 
 @bounded

@@ -17,13 +17,13 @@ from warp_peri.operator.stress import NodeFields
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
 
 
-def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_peri.PointSet:
+def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_peri.Samples:
     """Smooth displacements of a lattice and the loads that a model answers them with."""
     generator = np.random.default_rng(seed)
     line = SPACING * np.arange(-8, 9)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     interior = np.abs(x).max(axis=1) <= 3
-    points = warp_peri.PointSet(x=x, interior=interior, spacing=SPACING)
+    points = warp_peri.Points(x=x, interior=interior, spacing=SPACING)
     operator = warp_peri.LPSOperator(model, points)
     waves = generator.normal(size=(6, 2, 2))
     phase = np.einsum("swa,na->swn", waves, x)
@@ -31,7 +31,7 @@ def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_pe
     b = np.zeros_like(u)
     b[:, interior] = assert_type(operator(u), np.ndarray)
     u += noise * generator.normal(size=u.shape)
-    return warp_peri.PointSet(x=x, interior=interior, spacing=SPACING, u=u, b=b)
+    return warp_peri.Samples(points, u, b)
 
 
 def learn(folder: Path) -> warp_peri.Fit:
@@ -48,7 +48,7 @@ def learn(folder: Path) -> warp_peri.Fit:
     sets = {"train": samples(known, 1), "test": samples(known, 2)}
     warp_peri.save_dataset(folder / "data.h5", warp_peri.Dataset(sets, THICKNESS, DENSITY))
     data = assert_type(warp_peri.load_dataset(folder / "data.h5"), warp_peri.Dataset)
-    train = assert_type(data["train"], warp_peri.PointSet)
+    train = assert_type(data["train"], warp_peri.Samples)
     fit = warp_peri.fit(train, horizon=HORIZON, degree=1, method="optimum")
     assert_type(fit, warp_peri.Fit)
     fit.model.save(folder / "model.json")
@@ -57,12 +57,8 @@ def learn(folder: Path) -> warp_peri.Fit:
     )
     by_shape = warp_peri.fit(train, horizon=HORIZON, influence=shape)
     assert_type(by_shape.influence, warp_peri.InfluenceFunction | None)
-    noise = warp_peri.PointSet(
-        x=train.x,
-        interior=train.interior,
-        spacing=SPACING,
-        u=1e-4 * np.random.default_rng(3).normal(size=train.u.shape),
-        b=np.zeros_like(train.b),
+    noise = warp_peri.Samples(
+        train.points, 1e-4 * np.random.default_rng(3).normal(size=train.u.shape)
     )
     sure = assert_type(warp_peri.fit_uncertainty(fit, train, noise), warp_peri.Uncertainty)
     assert_type(sure.deviation(lambda model: model.mu), np.ndarray)
@@ -73,7 +69,7 @@ def learn(folder: Path) -> warp_peri.Fit:
     return fit
 
 
-def use(model: warp_peri.Model, test: warp_peri.PointSet) -> float:
+def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     """Everything that is done with a model; E_u on a set."""
     certificate = assert_type(warp_peri.certify(model, spacing=SPACING), warp_peri.Certificate)
     assert_type(certificate.holds, bool)

@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 
 from tests.support.problems import lattice, noise
-from warp_peri import Dataset, InputError, PointSet, load_dataset, save_dataset
-from warp_peri.points.dataset import content_hash
+from warp_peri import Dataset, InputError, Points, Samples, load_dataset, save_dataset
+from warp_peri.points.dataset_file import content_hash
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
-LOADS = replace(
+LOADS = Samples(
     GRID,
-    u=noise(GRID, 3),
-    b=noise(GRID, 3, seed=1),
-    samples={"load_id": np.array(["a", "β", "c d"]), "snr": np.array([1.0, np.inf, np.nan])},
+    noise(GRID, 3),
+    noise(GRID, 3, seed=1),
+    arrays={"load_id": np.array(["a", "β", "c d"]), "snr": np.array([1.0, np.inf, np.nan])},
 )
-SCATTERED = PointSet(np.random.default_rng(0).normal(size=(5, 2)), np.arange(5) < 2, 0.0)
+SCATTERED = Samples(
+    Points(np.random.default_rng(0).normal(size=(5, 2)), np.arange(5) < 2, 0.0),
+    np.empty((0, 5, 2)),
+    np.empty((0, 5, 2)),
+)
 DATA = Dataset({"train": LOADS, "bare": SCATTERED}, 3.35, 2267.0, {"seed": 1, "L": [1.5, None]})
 
 
@@ -40,8 +44,8 @@ def test_round_trip_keeps_every_bit(path):
             found = getattr(points, field)
             assert found.dtype == getattr(expected, field).dtype
             assert np.array_equal(found, getattr(expected, field))
-    assert back["train"].samples["load_id"].tolist() == ["a", "β", "c d"]
-    assert np.array_equal(back["train"].samples["snr"], LOADS.samples["snr"], equal_nan=True)
+    assert back["train"].arrays["load_id"].tolist() == ["a", "β", "c d"]
+    assert np.array_equal(back["train"].arrays["snr"], LOADS.arrays["snr"], equal_nan=True)
     assert len(back["train"]) == 3
     assert len(back["bare"]) == 0
 
@@ -118,7 +122,6 @@ BAD_FILES = {
     "spacing text": (attribute("spacing", "5", "train"), "set 'train': spacing: .* got '5'"),
     "two spacings": (attribute("spacing", [5, 5], "train"), "set 'train': spacing: .* got array"),
     "no x": (array("x", None), "set 'train': arrays missing: x"),
-    "no b": (array("b", None), "set 'train': arrays missing: b"),
     "x in space": (array("x", np.ones((N, 3))), rf"set 'train': x: .*\[N, 2\].* got \[{N}, 3\]"),
     "no nodes": (array("x", np.ones((0, 2))), r"set 'train': x: .*N > 0, got \[0, 2\]"),
     "x text": (array("x", ["a"]), "set 'train': x: expected float values"),
@@ -180,12 +183,27 @@ def test_a_set_that_is_not_there_is_named():
         ({"x": [[1.0, 2.0], [3.0]]}, "x: expected an array"),
         ({"x": GRID.x[:-1]}, "interior: expected shape"),
         ({"interior": np.ones(N)}, "interior: expected bool values"),
-        ({"samples": {"u": np.ones(3)}}, "samples: 'u' cannot be the name of an array"),
-        ({"samples": {"a/b": np.ones(3)}}, "samples: 'a/b' cannot be the name of an array"),
-        ({"samples": {"snr": None}}, "snr: expected one entry"),
+        ({"outside": np.ones(N)}, "outside: expected shape"),
+        ({"outside": np.ones(N, bool)}, "true for no interior node"),
     ],
 )
 def test_wrong_points_are_refused_in_memory(change, words):
+    with pytest.raises(InputError, match=words):
+        replace(GRID, **change)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"points": LOADS}, "points: expected Points, got Samples"),
+        ({"u": LOADS.u[:, 1:]}, rf"u: expected shape \[3, {N}, 2\]"),
+        ({"b": LOADS.b[1:]}, rf"b: expected shape \[3, {N}, 2\]"),
+        ({"arrays": {"u": np.ones(3)}}, "arrays: 'u' cannot be the name of an array"),
+        ({"arrays": {"a/b": np.ones(3)}}, "arrays: 'a/b' cannot be the name of an array"),
+        ({"arrays": {"snr": None}}, "snr: expected one entry"),
+    ],
+)
+def test_wrong_samples_are_refused_in_memory(change, words):
     with pytest.raises(InputError, match=words):
         replace(LOADS, **change)
 
@@ -228,8 +246,20 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(path, monkeypatch, 
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_fields_without_loads_carry_none():
-    u = np.ones((3, 4, 2))
-    points = PointSet(x=np.eye(4)[:, :2], interior=np.ones(4, bool), spacing=1.0, u=u)
-    assert points.b.shape == u.shape
-    assert not points.b.any()
+def test_loads_that_are_not_known_stay_unknown(tmp_path):
+    unknown = Samples(GRID, LOADS.u)
+    with pytest.raises(InputError, match="b: expected loads, got samples whose loads are not"):
+        _ = unknown.loads
+    save_dataset(tmp_path / "data.h5", Dataset({"frames": unknown}, 3.35, 2267.0))
+    back = load_dataset(tmp_path / "data.h5")["frames"]
+    assert back.b is None
+    assert np.array_equal(back.u, LOADS.u)
+
+
+def test_periods_and_nodes_outside_come_back(tmp_path):
+    outside = ~GRID.interior & (GRID.x[:, 0] < 0)
+    points = replace(GRID, box=(20.0, 30.0), outside=outside)
+    save_dataset(tmp_path / "data.h5", Dataset({"a": Samples(points, LOADS.u)}, 3.35, 2267.0))
+    back = load_dataset(tmp_path / "data.h5")["a"]
+    assert back.box == (20.0, 30.0)
+    assert np.array_equal(back.outside, outside)

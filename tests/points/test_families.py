@@ -8,7 +8,7 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import ell, lattice, periodic
-from warp_peri import InputError, PointSet
+from warp_peri import InputError, Points
 from warp_peri.points.families import bond_classes, families_of
 
 HORIZONS = (2.0, 2.3, 2.5, 3.0)
@@ -45,7 +45,7 @@ def test_families_are_those_of_brute_force(horizon, angle):
 @pytest.mark.parametrize("horizon", HORIZONS)
 def test_periodic_families_wrap_around(horizon):
     points, box = periodic((9, 7), spacing=0.5)
-    families = families_of(points, 0.5 * horizon, box=box)
+    families = families_of(points, 0.5 * horizon)
     assert len(families.whole) == len(families.rows) == len(points.x)
     for i in range(len(points.x)):
         near, xi = reference.family(points.x, i, 0.5 * horizon, np.array(box))
@@ -106,12 +106,12 @@ def test_error_counts_the_nodes_that_lack_the_collar():
     points = lattice(5, 2.0)
     hole = np.argmin(np.abs(points.x - (-4, -4)).sum(1))  # reached by the lower left corner only
     keep = np.arange(len(points.x)) != hole
-    whole = PointSet(points.x[keep], points.interior[keep], 1.0)
+    whole = Points(points.x[keep], points.interior[keep], 1.0)
     families_of(whole, 2.0)  # a corner of the square is no family member
     hole = np.argmin(np.abs(points.x - (-4, 0)).sum(1))
     keep = np.arange(len(points.x)) != hole
     with pytest.raises(InputError, match=r"1 of 25 have not at horizon 2 Å; no horizon of two"):
-        families_of(PointSet(points.x[keep], points.interior[keep], 1.0), 2.0)
+        families_of(Points(points.x[keep], points.interior[keep], 1.0), 2.0)
 
 
 def test_error_says_when_no_horizon_fits():
@@ -137,11 +137,9 @@ BAD_POINTS = {
     "spacing too small": (moved(POINTS, spacing=0.9), "no two points are that close"),
     "spacing too large": (moved(POINTS, spacing=2.0), "square lattice of spacing 2.0"),
     "a rectangular lattice": (moved(POINTS, x=POINTS.x * (1, 1.001)), "square lattice"),
-    "one point": (PointSet([[0.0, 0.0]], [True], 1.0), "no two points"),
+    "one point": (Points([[0.0, 0.0]], [True], 1.0), "no two points"),
     "a point twice": (
-        PointSet(
-            np.append(POINTS.x, POINTS.x[:3], 0), np.append(POINTS.interior, [False] * 3), 1.0
-        ),
+        Points(np.append(POINTS.x, POINTS.x[:3], 0), np.append(POINTS.interior, [False] * 3), 1.0),
         "3 duplicates: 0, 1, 2",
     ),
 }
@@ -167,11 +165,11 @@ def test_a_spacing_that_is_none_is_refused(spacing):
 
 @pytest.mark.parametrize("box", [(9.5, 9.0), (4.0, 9.0), (np.nan, 9.0), (9.0,)])
 def test_a_box_that_does_not_fit_is_refused(box):
-    points, _ = periodic((9, 9))
+    points = replace(periodic((9, 9))[0], box=box)
     with pytest.raises(InputError, match="box: expected"):
-        families_of(points, 2.0, box=box)
+        families_of(points, 2.0)
 
 
 def test_a_rotated_lattice_is_not_periodic_along_the_axes():
     with pytest.raises(InputError, match="box: expected a lattice along the axes"):
-        families_of(lattice(9, 2.0, angle=0.3), 2.0, box=(9.0, 9.0))
+        families_of(replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from tests.support import reference
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, QUADRATURE, ROUNDING, kernel, lattice, noise
-from warp_peri import InputError, LPSOperator, PointSet, solvability, solve
+from warp_peri import InputError, LPSOperator, Points, solvability, solve
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, families_of
 from warp_peri.points.quadrature import quadrature_weights
@@ -91,7 +91,7 @@ def test_the_operator_is_the_reference_in_a_periodic_box():
     u = noise(points)
     expected = reference.operator(points.x, points.interior, model, u, np.array(box))
     with pytest.warns(UserWarning, match="certified"):
-        found = LPSOperator(model, points, box=box, allow_uncertified=True)(u)
+        found = LPSOperator(model, points, allow_uncertified=True)(u)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
@@ -153,7 +153,7 @@ GOOD = cloud(4, 3.0)
 
 
 def with_points(*extra):
-    return PointSet(
+    return Points(
         np.concatenate([GOOD.x, extra]), np.append(GOOD.interior, [False] * len(extra)), 0.0
     )
 
@@ -185,9 +185,9 @@ def test_points_that_are_no_numbers_are_refused():
 
 @pytest.mark.parametrize("box", [(5.9, 20.0), (np.nan, 9.0), (9.0,)])
 def test_a_box_that_does_not_fit_is_refused(box):
-    points, _ = periodic_cloud(7)
+    points = replace(periodic_cloud(7)[0], box=box)
     with pytest.raises(InputError, match="box: expected two periods above 6"):
-        families_of(points, 3.0, box=box)
+        families_of(points, 3.0)
 
 
 @pytest.mark.parametrize("degree", [1, 2.5, -1])
@@ -197,8 +197,8 @@ def test_a_degree_below_two_is_refused(degree):
 
 
 def test_memory_is_within_forty_bytes_a_bond():
-    points, box = periodic_cloud(40)
-    families = families_of(points, 3.0, box=box)
+    points, _ = periodic_cloud(40)
+    families = families_of(points, 3.0)
     working = 8 + 8  # K W, and a dilatation's own K W
     assert families.bytes_per_bond + working <= 40.5  # the half byte is row, which is by node
     ordered = families_of(replace(lattice(60, 3.0)), 3.0)

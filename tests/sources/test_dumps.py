@@ -105,7 +105,7 @@ def test_samples_on_nodes(tmp_path):
     u, b = coarse_grain(omega, displacement=np.stack(means[:2]) - means[2], force=force, **options)
     np.testing.assert_allclose(found.u, u, atol=1e-9)
     np.testing.assert_allclose(found.b, b)
-    assert list(found.samples["load_id"]) == ["a.dump", "b.dump"]
+    assert list(found.arrays["load_id"]) == ["a.dump", "b.dump"]
     with pytest.raises(InputError, match="0, 1 or 2 dumps"):
         coarse_grain_dumps(
             loads, omega, points, reference=REFERENCE, force=force, unloaded=3 * [rest], **options

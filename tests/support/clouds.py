@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri import Model, PointSet
+from warp_peri import Model, Points
 
 
 def cloud(number, horizon, perturbation=0.3, seed=0, length=None):
@@ -15,15 +15,15 @@ def cloud(number, horizon, perturbation=0.3, seed=0, length=None):
     steps = np.argwhere(np.ones(2 * [number + 2 * pad])) - pad
     shift = np.random.default_rng(seed).uniform(-perturbation, perturbation, steps.shape)
     inside = ((steps >= 0) & (steps < number)).all(axis=1)
-    return PointSet(h * (steps + 0.5 + shift), inside, 0.0)
+    return Points(h * (steps + 0.5 + shift), inside, 0.0)
 
 
 def periodic_cloud(number, perturbation=0.3, seed=0):
     """number × number perturbed nodes in a periodic box, all interior, and the box."""
     steps = np.argwhere(np.ones((number, number)))
     shift = np.random.default_rng(seed).uniform(-perturbation, perturbation, steps.shape)
-    points = PointSet(steps + shift, np.ones(len(steps), bool), 0.0)
-    return points, (float(number), float(number))
+    box = (float(number), float(number))
+    return Points(steps + shift, np.ones(len(steps), bool), 0.0, box=box), box
 
 
 def plain(horizon, lam=0.3, mu=0.8):

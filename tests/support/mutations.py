@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 
 from tests.support.problems import kernel, lattice, noise
-from warp_peri import Dataset, PointSet, save_dataset
-from warp_peri.points.dataset import content_hash
+from warp_peri import Dataset, Points, Samples, save_dataset
+from warp_peri.points.dataset_file import content_hash
 
 HOSTILE = (
     "", " ", "\x00", "../../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "NaN", "1e999",
@@ -25,8 +25,11 @@ def good_data(path):
     points = lattice(3, 1.0, spacing=2.5)
     u, b = noise(points, 4), noise(points, 4, seed=1)
     ids = {"load_id": np.array(["a", "b", "c", "δ"]), "snr": np.arange(4.0)}
-    loads = PointSet(points.x, points.interior, points.spacing, u, b, ids)
-    cloud = PointSet(np.random.default_rng(0).normal(size=(30, 2)), np.arange(30) < 9, 0.0)
+    loads = Samples(points, u, b, ids)
+    cloud = Samples(
+        Points(np.random.default_rng(0).normal(size=(30, 2)), np.arange(30) < 9, 0.0),
+        np.empty((0, 30, 2)),
+    )
     data = Dataset({"train": loads, "bare": cloud}, 3.35, 2267.0, {"seed": 1, "L": [1.5, None]})
     save_dataset(path, data)
     return data
@@ -175,7 +178,7 @@ def hostile_data(path, rng):
     data = good_data(path)
     words = [text.replace("\x00", "") for text in rng.choices(HOSTILE, k=4)]
     points = data["train"]
-    points.samples["load_id"] = np.array(words)
+    points.arrays["load_id"] = np.array(words)
     record = {rng.choice(HOSTILE): rng.choice(HOSTILE) for _ in range(3)}
     name = rng.choice(
         [text for text in HOSTILE if text.strip(" ") and not set(text) & set("/\x00")]

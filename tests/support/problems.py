@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_peri import Model, PointSet
+from warp_peri import Model, Points, Samples
 
 ROUNDING = 1e-12
 """Two ways of computing the same number; relative to its size."""
@@ -43,7 +43,7 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=(0.0, 0.0)):
     mask = np.pad(mask, pad)
     steps = np.argwhere(np.ones_like(mask)) - pad
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return PointSet(spacing * steps @ turn.T + origin, mask.ravel(), spacing)
+    return Points(spacing * steps @ turn.T + origin, mask.ravel(), spacing)
 
 
 def ell():
@@ -57,8 +57,8 @@ def ell():
 def periodic(shape, spacing=1.0):
     """A periodic square lattice, all of it interior, and its box."""
     steps = np.argwhere(np.ones(shape))
-    points = PointSet(spacing * steps, np.ones(len(steps), bool), spacing)
-    return points, (spacing * shape[0], spacing * shape[1])
+    box = (spacing * shape[0], spacing * shape[1])
+    return Points(spacing * steps, np.ones(len(steps), bool), spacing, box=box), box
 
 
 def noise(points, samples=None, seed=0):
@@ -84,7 +84,7 @@ def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     u = smooth(points.x, samples, seed, wave_number)
     b = np.zeros_like(u)
     b[:, points.interior] = LPSOperator(model, points, **options)(u)
-    return replace(points, u=u, b=b)
+    return Samples(points, u, b)
 
 
 STENCILS = {2: (1 / 2,), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
@@ -103,3 +103,8 @@ def difference(function, at, step, order=8):
 def fitted_order(spacings, errors):
     """Slope of the error over the spacing on logarithmic axes."""
     return np.polyfit(np.log(spacings), np.log(errors), 1)[0]
+
+
+def with_nodes(samples, **change):
+    """The same fields on changed points."""
+    return replace(samples, points=replace(samples.points, **change))

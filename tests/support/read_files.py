@@ -6,7 +6,7 @@ import sys
 import time
 
 from warp_peri import InputError, load_dataset, load_model
-from warp_peri.points.dataset import content_hash
+from warp_peri.points.dataset_file import content_hash
 
 
 def peak():

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 
 from tests.support.problems import lattice
+from warp_peri import Samples
 from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import nodes_of
 
 
 def waves(model, cells=6, period=19.0, highest=4):
@@ -28,14 +29,14 @@ def waves(model, cells=6, period=19.0, highest=4):
         cos, sin = np.cos(wave * points.x).prod(axis=1), np.sin(wave * points.x).prod(axis=1)
         u[s, :, axis], u[s, :, 1 - axis] = answer[s, axis] * cos, -answer[s, 1 - axis] * sin
         b[s, :, axis] = load[s, axis] * cos
-    return dataclasses.replace(points, u=u, b=b, samples={"wave_vector": k})
+    return Samples(points, u, b, {"wave_vector": k})
 
 
 def fluctuation(points, count, size, seed):
     """White noise of a size on every node, as a set without loads."""
     random = np.random.default_rng(seed)
     u = size * random.normal(size=(count, len(points.x), 2))
-    return PointSet(x=points.x, interior=points.interior, spacing=points.spacing, u=u)
+    return Samples(nodes_of(points), u)
 
 
 def noisy(points, size, seed):

@@ -8,7 +8,7 @@ from tools import samples
 from tools.loads import PatchLoad, RimLoad, WaveLoad
 from tools.samples import TRAINING_STRAIN, cache_file, read_sample
 from tools.statics import TOLERANCE, ConvergenceError
-from warp_peri.points.dataset import load_dataset
+from warp_peri.points.dataset_file import load_dataset
 
 
 @pytest.fixture
@@ -41,12 +41,12 @@ def test_data_set_cache_and_resume(small, tmp_path, monkeypatch):
     train = data["train"]
     assert train.spacing == 5.0
     assert data["train_fine"].spacing == 2.5
-    assert list(train.samples["load_id"]) == ["x k=(0,1)", "y k=(2,1)"]
-    assert list(data["test"].samples["load_id"]) == ["table2-3"]
+    assert list(train.arrays["load_id"]) == ["x k=(0,1)", "y k=(2,1)"]
+    assert list(data["test"].arrays["load_id"]) == ["table2-3"]
     for points in data.sets.values():
-        assert (points.samples["residual"] <= TOLERANCE).all()
-        assert (points.samples["amplitude"] > 0).all()
-    strain = train.samples["max_bond_strain"]
+        assert (points.arrays["residual"] <= TOLERANCE).all()
+        assert (points.arrays["amplitude"] > 0).all()
+    strain = train.arrays["max_bond_strain"]
     assert np.abs(strain / TRAINING_STRAIN - 1).max() <= 1e-4
     assert data.density == pytest.approx(2147, rel=2e-3)
     truth = data.provenance["truth"]

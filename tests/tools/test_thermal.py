@@ -14,7 +14,7 @@ from tools.loads import PatchLoad, WaveLoad, atom_force
 from tools.long_wave import long_wave_constants
 from tools.reductions import REDUCTIONS, settled
 from tools.thermal import Task, read_run, run_file
-from warp_peri.points.dataset import load_dataset
+from warp_peri.points.dataset_file import load_dataset
 
 BOLTZMANN = 8.617333262e-5  # eV/K
 EV_PER_AMU_SQUARE_ANGSTROM_PER_PS = 1.0364269656e-4
@@ -84,9 +84,9 @@ def test_data_sets_of_every_reduction(plans, tmp_path, monkeypatch):
         assert data.provenance["reduction"] == reduction
         assert data.provenance["factor"] == factor
         train = data["train"]
-        assert list(train.samples["seed"]) == [1, 2, 1]
-        assert (train.samples["snr"] > 0).all()
-        assert list(train.samples["load_id"]) == ["x k=(0,1)", "x k=(1,0)", "y k=(1,1)"]
+        assert list(train.arrays["seed"]) == [1, 2, 1]
+        assert (train.arrays["snr"] > 0).all()
+        assert list(train.arrays["load_id"]) == ["x k=(0,1)", "x k=(1,0)", "y k=(1,1)"]
         assert not data["noise"].b.any()
         # Loads are those of 0 K, times the factor.
         assert np.abs(train.b).max() > 0

@@ -20,7 +20,9 @@ from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.whole import locked, write_json
 from warp_peri.models.lps import Model, load_model
-from warp_peri.points.dataset import Dataset, PointSet, load_dataset, save_dataset
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import smoothing_matrix
 
 Result = dict[str, Any]
@@ -231,7 +233,7 @@ def run_solve(given: argparse.Namespace) -> Result:
     u = warp_peri.solve(
         model,
         points,
-        points.b,
+        points.loads,
         points.u,
         method=given.method,
         allow_uncertified=given.allow_uncertified,
@@ -265,7 +267,7 @@ def run_export(given: argparse.Namespace) -> Result:
         else:
             settings = given.out / "export.toml"
             u = warp_peri.solve(
-                model, points, points.b, points.u, allow_uncertified=given.allow_uncertified
+                model, points, points.loads, points.u, allow_uncertified=given.allow_uncertified
             )
             with locked(given.out):
                 paths = warp_peri.export.write_fields(
@@ -333,14 +335,14 @@ def model_summary(model: Model) -> Result:
     }
 
 
-def set_summary(points: PointSet) -> Result:
+def set_summary(points: Samples) -> Result:
     """Sizes of a point set."""
     return {
         "samples": len(points),
         "nodes": len(points.x),
         "interior": int(points.interior.sum()),
         "spacing": points.spacing,
-        "arrays": sorted(points.samples),
+        "arrays": sorted(points.arrays),
     }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import warp_peri
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
@@ -38,7 +38,7 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
     return force
 
 
-def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> PointSet:
+def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> Points:
     """Nodes of a square lattice within `reach` of its middle [Å], by radius for a round body.
 
     Raises InputError for lengths that leave no collar.
@@ -53,7 +53,7 @@ def node_lattice(spacing: float, reach: float, interior: float, *, round_body: b
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     size = np.linalg.norm(x, axis=1) if round_body else np.abs(x).max(axis=1)
     kept = size <= reach * (1 + 1e-9)
-    return PointSet(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
+    return Points(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
 
 
 def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFunction:

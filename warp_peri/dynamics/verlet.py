@@ -15,8 +15,8 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import LPSOperator
 from warp_peri.operator.symbol import stiffnesses
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import PointsLike
 from warp_peri.stability.proof import largest_bound
 
 INERTIA = 1e-8
@@ -71,7 +71,7 @@ def critical_time_step(
 
 def velocity_verlet(
     model: Model,
-    points: PointSet,
+    points: PointsLike,
     u: ArrayLike,
     v: ArrayLike,
     *,
@@ -79,7 +79,6 @@ def velocity_verlet(
     step: float,
     steps: int,
     b: ArrayLike | None = None,
-    box: tuple[float, float] | None = None,
     every: int = 1,
     allow_uncertified: bool = False,
     allow_unstable: bool = False,
@@ -97,7 +96,6 @@ def velocity_verlet(
         step: Δt [ps], at most the critical one.
         steps: number of steps.
         b: body force density, constant in time [TPa/Å], shape [N, 2]; none by default.
-        box: periods (Lx, Ly) [Å] when the points are periodic.
         every: steps from one record of the energy to the next.
         allow_uncertified: warn about an uncertified spacing instead of raising.
         allow_unstable: warn about a step above the critical one instead of raising.
@@ -133,7 +131,7 @@ def velocity_verlet(
             raise InputError(message)
         warnings.warn(message, stacklevel=2)
 
-    operator = LPSOperator(model, points, box=box, allow_uncertified=allow_uncertified)
+    operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
     free = points.interior
     u_all, v_free, load = state[0], state[1][free], state[2][free]
     inertia = INERTIA * density

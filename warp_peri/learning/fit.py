@@ -39,8 +39,8 @@ from warp_peri.losses.response import responses_of
 from warp_peri.models.lps import Model
 from warp_peri.models.shapes import InfluenceFunction, shapes_of
 from warp_peri.operator.symbol import moduli as moduli_of
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.stability.certificate import Certificate, certify
 from warp_peri.stability.conditions import Conditions
@@ -108,7 +108,7 @@ class Fit:
 
 
 def fit(
-    points: PointSet | Sequence[PointSet],
+    points: Samples | Sequence[Samples],
     *,
     horizon: float,
     degree: int | None = None,
@@ -118,7 +118,7 @@ def fit(
     zeta: float = 0.01,
     normalise: bool = False,
     loss: str = "auto",
-    noise: PointSet | Sequence[PointSet] | None = None,
+    noise: Samples | Sequence[Samples] | None = None,
     two_functions: bool = False,
     moduli: tuple[float, float] | str | None = None,
     parametrisation: str = "projected",
@@ -200,7 +200,7 @@ def fit(
                 raise InputError(f"moduli: expected (λ, μ) or {ISOTROPIC!r}, got {moduli!r}")
         elif not _are_moduli(moduli):
             raise InputError(f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {moduli!r:.60}")
-    sets = [points] if isinstance(points, PointSet) else list(points)
+    sets = [points] if isinstance(points, Samples) else list(points)
     if not sets:
         raise InputError("points: expected at least one training set, got none")
     weights = sample_weights(sets, normalise=normalise)
@@ -222,7 +222,7 @@ def fit(
             "lattice_spacing whose symbol keeps the conditions"
         )
     asked = [Conditions(bond_classes(h, horizon), conditions, zeta) for h in spacings]
-    unloaded = [noise] if isinstance(noise, PointSet) else list(noise or [])
+    unloaded = [noise] if isinstance(noise, Samples) else list(noise or [])
     if unloaded and len(unloaded) != len(sets):
         raise InputError(f"noise: expected {len(sets)} sets, got {len(unloaded)}")
     added = [
@@ -399,11 +399,11 @@ def _are_moduli(given: Any) -> bool:
     return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)
 
 
-def _key(sets: Sequence[PointSet], *settings: object) -> str:
+def _key(sets: Sequence[Samples], *settings: object) -> str:
     """Hash of the training data and settings."""
     digest = hashlib.sha256(repr(settings).encode())
     for points in sets:
-        for values in (points.x, points.interior, points.u, points.b):
+        for values in (points.x, points.interior, points.u, points.loads):
             digest.update(values.tobytes())
     return digest.hexdigest()
 

@@ -14,7 +14,7 @@ from warp_peri.learning.parameters import Parameters
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.losses.response import WAVE_VECTOR, products
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import Conditions
 
 SMALL_SHARE = 0.01
@@ -31,7 +31,7 @@ class LossChoice:
 
 def choose_loss(
     asked: str,
-    sets: Sequence[PointSet],
+    sets: Sequence[Samples],
     grids: Sequence[ReducedLoss],
     noise: Sequence[np.ndarray],
     conditions: Sequence[Conditions],
@@ -70,7 +70,7 @@ def choose_loss(
     found = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
     if share < SMALL_SHARE:
         return LossChoice("residual", found)
-    if responds and all(WAVE_VECTOR in points.samples for points in sets):
+    if responds and all(WAVE_VECTOR in points.arrays for points in sets):
         return LossChoice("output", f"{found}; loads are single waves")
     return LossChoice("corrected", found)
 

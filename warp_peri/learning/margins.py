@@ -18,8 +18,8 @@ from scipy.linalg import eigh
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.sweeps import Sweeps
 from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import Conditions
 
 ZONE_INTERVALS = 24
@@ -93,7 +93,7 @@ class DenseMargins:
     interior nodes. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c.
     """
 
-    def __init__(self, sets: Sequence[PointSet], horizon: float) -> None:
+    def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
         self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
         self.parts = [_class_matrices(points, horizon) for points in sets]
         self.count = 3 * len(sets)
@@ -116,7 +116,7 @@ class DenseMargins:
         return torch.cat(parts)
 
 
-def _class_matrices(points: PointSet, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
     """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
     sweeps = Sweeps(points, horizon)
     unknown = np.repeat(points.interior, 2)

@@ -20,8 +20,8 @@ from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import fit
 from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.models.lps import load_model
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""
@@ -84,12 +84,12 @@ class Sweep:
 
 
 def sweep(
-    train: PointSet,
-    val: PointSet,
+    train: Samples,
+    val: Samples,
     folder: str | os.PathLike[str],
     *,
-    test: PointSet | None = None,
-    noise: PointSet | None = None,
+    test: Samples | None = None,
+    noise: Samples | None = None,
     horizons: Sequence[float] = HORIZONS,
     degrees: Sequence[int] = DEGREES,
     conditions: str = "direct",
@@ -129,10 +129,10 @@ def sweep(
 
 
 def _sweep(
-    train: PointSet,
-    val: PointSet,
-    test: PointSet | None,
-    noise: PointSet | None,
+    train: Samples,
+    val: Samples,
+    test: Samples | None,
+    noise: Samples | None,
     folder: Path,
     horizons: Sequence[float],
     degrees: Sequence[int],
@@ -188,10 +188,10 @@ def _average(trial: Trial, base: Trial) -> float:
 
 
 def _trial(
-    train: PointSet,
-    val: PointSet,
-    test: PointSet | None,
-    noise: PointSet | None,
+    train: Samples,
+    val: Samples,
+    test: Samples | None,
+    noise: Samples | None,
     horizon: float,
     degree: int,
     conditions: str,
@@ -247,10 +247,10 @@ def _read(file: Path) -> Trial | None:
     return trial
 
 
-def _key(sets: Sequence[PointSet | None], conditions: str) -> str:
+def _key(sets: Sequence[Samples | None], conditions: str) -> str:
     digest = hashlib.sha256(conditions.encode())
     for points in sets:
         if points is not None:
             for field in (points.x, points.interior, points.u, points.b):
-                digest.update(field.tobytes())
+                digest.update(b"" if field is None else field.tobytes())
     return digest.hexdigest()[:12]

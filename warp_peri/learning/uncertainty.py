@@ -25,7 +25,7 @@ from warp_peri.losses.reduced import Features, ReducedLoss, reduce
 from warp_peri.losses.response import WAVE_VECTOR, WaveResponse, products
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import symbol
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import ZoneSearch
 
 ACTIVE = 0.02
@@ -68,7 +68,7 @@ class Uncertainty:
 
 
 def fit_uncertainty(
-    found: Fit, points: PointSet | Sequence[PointSet], noise: PointSet | Sequence[PointSet]
+    found: Fit, points: Samples | Sequence[Samples], noise: Samples | Sequence[Samples]
 ) -> Uncertainty:
     """What noise makes of a fit.
 
@@ -82,8 +82,8 @@ def fit_uncertainty(
 
     Raises InputError for data that the fit cannot have learned from, or for a loss as above.
     """
-    sets = [points] if isinstance(points, PointSet) else list(points)
-    fields = [noise] if isinstance(noise, PointSet) else list(noise)
+    sets = [points] if isinstance(points, Samples) else list(points)
+    fields = [noise] if isinstance(noise, Samples) else list(noise)
     model, settings = found.model, found.settings
     if not len(sets) == len(fields) == len(settings.conditions):
         raise InputError(
@@ -134,11 +134,11 @@ def fit_uncertainty(
 
 
 def _linearised(
-    loss: str, model: Model, points: PointSet, noise: PointSet, weight: np.ndarray
+    loss: str, model: Model, points: Samples, noise: Samples, weight: np.ndarray
 ) -> ReducedLoss:
     """The loss that the fit minimised, about its model."""
     if loss == "output":
-        if WAVE_VECTOR not in points.samples:
+        if WAVE_VECTOR not in points.arrays:
             raise InputError(f"loss: with 'output' expected loads with their {WAVE_VECTOR}")
         return WaveResponse(points, model.horizon).about(model)
     grid = reduce(points, model.horizon, weight)
@@ -148,7 +148,7 @@ def _linearised(
 
 
 def _response_pushes(
-    model: Model, points: PointSet, noise: PointSet, slope: np.ndarray
+    model: Model, points: Samples, noise: Samples, slope: np.ndarray
 ) -> np.ndarray:
     """Gradients of the output-error loss by noise: columns whose outer products add up to Cov."""
     response = WaveResponse(points, model.horizon)
@@ -160,8 +160,8 @@ def _response_pushes(
 
 def _residual_pushes(
     model: Model,
-    points: PointSet,
-    noise: PointSet,
+    points: Samples,
+    noise: Samples,
     weight: np.ndarray,
     slope: np.ndarray,
     loss: str,
@@ -176,7 +176,7 @@ def _residual_pushes(
 
     force, bend = (np.stack(part) for part in zip(*(swept(u) for u in noise.u)))
     each = []
-    for u, b, size in zip(points.u, points.b, weight):
+    for u, b, size in zip(points.u, points.loads, weight):
         own, own_bend = swept(u)
         residual = own - b[points.interior].ravel()
         each.append(2 * size * (own_bend.T @ force.T + np.einsum("eny,n->ye", bend, residual)))
@@ -188,9 +188,9 @@ def _residual_pushes(
     return np.concatenate([columns, spread / np.sqrt(len(noise) * (len(noise) - 1))], axis=1)
 
 
-def _by_seed(points: PointSet, each: np.ndarray) -> np.ndarray:
+def _by_seed(points: Samples, each: np.ndarray) -> np.ndarray:
     """Gradients of samples by field of noise, [S, Y, E], as columns: one seed, one noise."""
-    seeds = np.asarray(points.samples.get("seed", np.arange(len(points))))
+    seeds = np.asarray(points.arrays.get("seed", np.arange(len(points))))
     groups = [each[seeds == seed].sum(axis=0) for seed in np.unique(seeds)]
     columns: np.ndarray = np.concatenate(groups, axis=1) / np.sqrt(each.shape[2])
     return columns

@@ -11,10 +11,10 @@ import torch
 from warp_peri.errors import InputError
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.sweeps import Sweeps
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import Samples
 
 
-def sample_weights(sets: Sequence[PointSet], *, normalise: bool) -> list[np.ndarray]:
+def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarray]:
     """Weight of each sample's ‖L u − b‖² in the loss, one array of shape [S] a set.
 
     The loss is Σ f² ‖L u − b‖² / Σ f² ‖b‖² over the samples of all sets, f = 1, or 1/‖b‖ with
@@ -25,7 +25,7 @@ def sample_weights(sets: Sequence[PointSet], *, normalise: bool) -> list[np.ndar
     for points in sets:
         if len(points) == 0:
             raise InputError("the training set has no samples")
-        load = np.linalg.norm(points.b[:, points.interior].reshape(len(points), -1), axis=1)
+        load = np.linalg.norm(points.loads[:, points.interior].reshape(len(points), -1), axis=1)
         if not load.any():
             raise InputError("the training set has no loads on its interior")
         if normalise and not load.all():
@@ -44,10 +44,10 @@ class FullLoss:
         weight: of each sample, shape [S].
     """
 
-    def __init__(self, points: PointSet, horizon: float, weight: np.ndarray) -> None:
+    def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
         self.sweeps = Sweeps(points, horizon)
         self.u = torch.tensor(points.u)  # a copy: the set may be read-only
-        self.b = torch.tensor(points.b[:, points.interior])
+        self.b = torch.tensor(points.loads[:, points.interior])
         self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:

@@ -12,10 +12,10 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.losses.reduced import ReducedLoss, reduce, with_rows
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import Samples
 
 
-def noise_loss(noise: PointSet, points: PointSet, horizon: float, weight: np.ndarray) -> np.ndarray:
+def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarray) -> np.ndarray:
     """Factor R_e of what the noise adds to a reduced loss: ‖R_e c‖² is its expectation.
 
     Args:
@@ -30,7 +30,7 @@ def noise_loss(noise: PointSet, points: PointSet, horizon: float, weight: np.nda
     Raises InputError for noise without fields or on other nodes.
     """
     check_noise(noise, points)
-    bare = dataclasses.replace(noise, b=np.zeros_like(noise.u), samples={})
+    bare = Samples(noise.points, noise.u, np.zeros_like(noise.u))
     each = np.full(len(noise), weight.sum() / len(noise))
     return reduce(bare, horizon, each).R
 
@@ -52,7 +52,7 @@ def corrected(loss: ReducedLoss, R_noise: np.ndarray) -> ReducedLoss:
     return dataclasses.replace(loss, R=with_rows(np.zeros_like(loss.R), form))
 
 
-def check_noise(noise: PointSet, points: PointSet) -> None:
+def check_noise(noise: Samples, points: Samples) -> None:
     """Raise InputError when noise does not belong to a training set."""
     if len(noise) == 0:
         raise InputError("noise: expected at least one field, got none")

@@ -18,9 +18,9 @@ from warp_peri.kernels.lps import features as kernels
 from warp_peri.launch import DEVICE
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.operator.sweeps import Sweeps
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import BondClasses
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import Samples
 
 _BLOCK_BYTES = 2**27
 """Rows are factorised in blocks of about this size, so memory does not grow with the data."""
@@ -86,7 +86,7 @@ class Features:
 
     def __init__(
         self,
-        points: PointSet,
+        points: Samples,
         horizon: float,
         *,
         quadrature_degree: int = DEGREE,
@@ -129,7 +129,7 @@ class Features:
 
 
 def reduce(
-    points: PointSet,
+    points: Samples,
     horizon: float,
     weight: np.ndarray,
     *,
@@ -155,7 +155,7 @@ def reduce(
     for first in range(0, len(points), block):
         some = slice(first, first + block)
         rows = features(points.u[some])
-        rows = np.concatenate([rows, -points.b[some][:, points.interior, None, :]], axis=2)
+        rows = np.concatenate([rows, -points.loads[some][:, points.interior, None, :]], axis=2)
         rows *= factor[some, None, None, None]
         R = with_rows(R, rows.transpose(0, 1, 3, 2).reshape(-1, columns))
     return ReducedLoss(features.classes, R, features.pairs)

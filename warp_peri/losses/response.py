@@ -20,8 +20,8 @@ from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, with_ro
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.samples import Samples
 
 WAVE_VECTOR = "wave_vector"
 """Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
@@ -60,15 +60,15 @@ class WaveResponse:
     Raises InputError for a sample without load or displacement at its wave vector.
     """
 
-    def __init__(self, points: PointSet, horizon: float) -> None:
+    def __init__(self, points: Samples, horizon: float) -> None:
         self.classes = bond_classes(points.spacing, horizon)
-        k = np.asarray(points.samples[WAVE_VECTOR], dtype=float)
+        k = np.asarray(points.arrays[WAVE_VECTOR], dtype=float)
         if k.shape != (len(points), 2) or not np.isfinite(k).all():
             raise InputError(f"{WAVE_VECTOR}: expected shape [{len(points)}, 2], got {k.shape}")
-        self.onto = [_projection(points.x, *sample) for sample in zip(k, points.b)]
+        self.onto = [_projection(points.x, *sample) for sample in zip(k, points.loads)]
         self.u, self.b = (
             np.array([(onto * field.T).sum(axis=1) for onto, field in zip(self.onto, fields)])
-            for fields in (points.u, points.b)
+            for fields in (points.u, points.loads)
         )
         for name, value in (("u", self.u), ("b", self.b)):
             size = np.linalg.norm(value, axis=1)
@@ -125,7 +125,7 @@ class CollarResponse:
     Raises InputError for a sample without displacement on its interior.
     """
 
-    def __init__(self, points: PointSet, horizon: float, start: ReducedLoss) -> None:
+    def __init__(self, points: Samples, horizon: float, start: ReducedLoss) -> None:
         self.points, self._start = points, start
         self.features = Features(points, horizon)
         flat = points.u[:, points.interior].reshape(len(points), -1)
@@ -143,7 +143,7 @@ class CollarResponse:
         R = np.zeros((width, width))
         for first in range(0, len(points), SAMPLES_AT_ONCE):
             some = slice(first, first + SAMPLES_AT_ONCE)
-            field, load = points.u[some].copy(), points.b[some][:, inside]
+            field, load = points.u[some].copy(), points.loads[some][:, inside]
             load = load.reshape(len(field), -1)
             outer = field[:, ~inside].reshape(len(field), -1)
             answer = lu_solve(factors, load.T - collar @ outer.T).T
@@ -163,12 +163,12 @@ class CollarResponse:
 
 
 def responses_of(
-    sets: Sequence[PointSet], horizon: float, starts: Sequence[ReducedLoss]
+    sets: Sequence[Samples], horizon: float, starts: Sequence[ReducedLoss]
 ) -> list[Response]:
     """The response of each set: at the wave vectors of its loads, if it has them."""
     return [
         WaveResponse(points, horizon)
-        if WAVE_VECTOR in points.samples
+        if WAVE_VECTOR in points.arrays
         else CollarResponse(points, horizon, start)
         for points, start in zip(sets, starts)
     ]

@@ -8,7 +8,6 @@ from typing import Any, overload
 import numpy as np
 import torch
 import warp as wp
-from numpy.typing import ArrayLike
 from torch.autograd.function import once_differentiable
 
 from warp_peri.errors import InputError
@@ -16,8 +15,8 @@ from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.operator.adjoint import gradient
 from warp_peri.operator.sweeps import Sweeps
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike
 
 
 class _Force(torch.autograd.Function):
@@ -82,9 +81,8 @@ class LPSOperator:
 
     Args:
         model: the model.
-        points: a lattice or scattered points, whose interior has the 2δ collar.
-        box: periods (Lx, Ly) [Å] when the points are periodic.
-        outside: nodes that are not part of the body, shape [N] bool; bonds to them are broken.
+        points: a lattice or scattered points, whose interior has the 2δ collar; bonds to nodes
+            outside the body are broken.
         quadrature_degree: of the polynomials that the weights are exact for.
         allow_uncertified: warn instead of raising when the model holds no certificate for this
             spacing.
@@ -102,10 +100,8 @@ class LPSOperator:
     def __init__(
         self,
         model: Model,
-        points: PointSet,
+        points: PointsLike,
         *,
-        box: tuple[float, float] | None = None,
-        outside: ArrayLike | None = None,
         quadrature_degree: int = DEGREE,
         allow_uncertified: bool = False,
         device: str = DEVICE,
@@ -115,8 +111,6 @@ class LPSOperator:
         self.sweeps = Sweeps(
             points,
             model.horizon,
-            box=box,
-            outside=outside,
             bond_based=model.lam == model.mu,
             quadrature_degree=quadrature_degree,
             device=device,

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
-from numpy.typing import ArrayLike
 
 from warp_peri.kernels.lps.matrix import bond_entries, surface_entries
 from warp_peri.launch import floats, launch, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.sweeps import Sweeps
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,8 @@ class Matrices:
 
 def matrices(
     model: Model,
-    points: PointSet,
+    points: PointsLike,
     *,
-    box: tuple[float, float] | None = None,
-    outside: ArrayLike | None = None,
     quadrature_degree: int = DEGREE,
 ) -> Matrices:
     """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
@@ -54,8 +51,6 @@ def matrices(
     sweeps = Sweeps(
         points,
         model.horizon,
-        box=box,
-        outside=outside,
         bond_based=model.lam == model.mu,
         quadrature_degree=quadrature_degree,
     )
@@ -69,7 +64,7 @@ def matrices(
     return assemble(sweeps, points, tables)
 
 
-def assemble(sweeps: Sweeps, points: PointSet, tables: Sequence[wp.array[Any]]) -> Matrices:
+def assemble(sweeps: Sweeps, points: PointsLike, tables: Sequence[wp.array[Any]]) -> Matrices:
     """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
     edges = len(sweeps.families.neighbour)
     gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)

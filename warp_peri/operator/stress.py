@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import families_of
+from warp_peri.points.samples import PointsLike
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,7 @@ class NodeFields:
     energy: np.ndarray
 
 
-def node_fields(
-    model: Model, points: PointSet, u: ArrayLike, *, box: tuple[float, float] | None = None
-) -> NodeFields:
+def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
 
     The stress is that of a family deformed as the node's own force state is; on a lattice it is
@@ -43,7 +41,6 @@ def node_fields(
         model: the model; no certificate is asked for.
         points: a lattice or scattered points; its u is not looked at.
         u: displacement [Å] on all nodes, shape [N, 2] or [S, N, 2].
-        box: periods (Lx, Ly) [Å] when the points are periodic.
 
     Raises InputError for a u of another shape, or a point set that does not carry the horizon.
     """
@@ -56,7 +53,7 @@ def node_fields(
         or not np.isfinite(u).all()
     ):
         raise InputError(f"u: expected finite values of shape [S, {nodes}, 2], got {list(u.shape)}")
-    families = families_of(points, model.horizon, box=box)
+    families = families_of(points, model.horizon)
     owner = np.repeat(np.arange(nodes), np.diff(families.row))
     kept = points.interior[owner]
     owner, far = owner[kept], families.neighbour[kept]

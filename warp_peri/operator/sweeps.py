@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 from scipy.special import comb
 
 from warp_peri.errors import InputError
@@ -17,9 +16,9 @@ from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.launch import DEVICE, floats, ints, known_device, launch, launch_slices, zeros
 from warp_peri.models.influence import CANCELLED
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike
 
 PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
 
@@ -48,11 +47,9 @@ class Sweeps:
     """The Warp launches of (4)–(9) over the interior nodes of a point set.
 
     Args:
-        points: the point set: a lattice, or scattered points (spacing 0).
-        horizon: δ [Å].
-        box: periods (Lx, Ly) [Å] when the points are periodic.
-        outside: nodes that are not part of the body, shape [N] bool; bonds to them are broken, and
+        points: a lattice, or scattered points (spacing 0). Bonds to nodes outside are broken, and
             the dilatation of nodes that had such bonds is corrected (theory.md, 40–41).
+        horizon: δ [Å].
         bond_based: λ = μ without a dilatation (theory.md, 42).
         quadrature_degree: of the polynomials that the weights are exact for.
         precision: "float64" or "float32".
@@ -70,11 +67,9 @@ class Sweeps:
 
     def __init__(
         self,
-        points: PointSet,
+        points: PointsLike,
         horizon: float,
         *,
-        box: tuple[float, float] | None = None,
-        outside: ArrayLike | None = None,
         bond_based: bool = False,
         quadrature_degree: int = DEGREE,
         precision: str = "float64",
@@ -90,8 +85,6 @@ class Sweeps:
         self.families = families_of(
             points,
             horizon,
-            box=box,
-            outside=outside,
             bond_based=bond_based,
             degree=quadrature_degree,
         )
@@ -107,6 +100,7 @@ class Sweeps:
         pattern = np.ones((1, 2)) if lattice is None else families.pattern
         inverse_square = 1 / (pattern**2).sum(axis=1, keepdims=True)
         x = points.x if lattice is None else np.zeros((1, 2))
+        box = points.box
         inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
         self.lattice = int(lattice is not None)
         self._kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}

@@ -13,15 +13,14 @@ from functools import lru_cache
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.launch import ints, launch_slices, zeros
 from warp_peri.points import scattered
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.quadrature import DEGREE, quadrature_weights
+from warp_peri.points.samples import PointsLike
 
 HORIZON_TOLERANCE = 1e-6
 """The ball is closed: a bond belongs to the family when r ≤ δ (1 + this)."""
@@ -163,23 +162,18 @@ def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
 
 
 def families_of(
-    points: PointSet,
+    points: PointsLike,
     horizon: float,
     *,
-    box: tuple[float, float] | None = None,
-    outside: ArrayLike | None = None,
     bond_based: bool = False,
     degree: int = DEGREE,
 ) -> Families:
     """Families and quadrature weights of the nodes that a force on the interior needs.
 
     Args:
-        points: a lattice (spacing > 0, maybe rotated) or scattered points (spacing 0).
+        points: a lattice (spacing > 0, maybe rotated) or scattered points (spacing 0), periodic or
+            not, with nodes outside the body or without.
         horizon: δ [Å].
-        box: periods (Lx, Ly) along the axes [Å], more than 2δ and on a lattice whole multiples of
-            the spacing; None when the set is not periodic.
-        outside: nodes that are not part of the body, shape [N] bool: they complete the balls that
-            the quadrature integrates over, and bonds to them are broken (theory.md, 40–42).
         bond_based: force on the interior needs no dilatation, so a collar of δ is enough.
         degree: of the quadrature.
 
@@ -187,7 +181,7 @@ def families_of(
     below the spacing, a family without exact weights, and interior nodes that lack the collar;
     nodes are named by number.
     """
-    x, interior = points.x, points.interior
+    x, interior, box, outside = points.x, points.interior, points.box, points.outside
     grid = None
     if points.spacing > 0:
         classes = bond_classes(points.spacing, horizon, degree=degree)
@@ -196,7 +190,7 @@ def families_of(
             raise InputError(
                 f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
             )
-        grid, axes, table, lacking = _lattice_table(points, classes, box)
+        grid, axes, table, lacking = _lattice_table(points, classes)
         bonds = len(classes.steps)
         row = np.arange(len(x) + 1, dtype=np.int64) * bonds
         neighbour = table.reshape(-1)
@@ -212,12 +206,6 @@ def families_of(
     row = row.astype(np.int32)
     has_broken = np.zeros(len(x), bool)
     if outside is not None:
-        outside = np.asarray(outside)
-        if outside.shape != (len(x),) or outside.dtype != bool or (outside & interior).any():
-            raise InputError(
-                f"outside: expected shape [{len(x)}] of bool, true for no interior node, got "
-                f"{outside.dtype} of shape {list(outside.shape)}"
-            )
         has_broken = _any_neighbour(row, neighbour, outside) & ~outside
         _break(row, neighbour, outside)
     needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
@@ -249,7 +237,7 @@ def families_of(
     return Families(row, neighbour, reverse, r, weight, *nodes)
 
 
-def lattice_steps(points: PointSet) -> tuple[np.ndarray, np.ndarray]:
+def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the nodes of a lattice from its corner, shape [N, 2] int32, and its axes as columns.
 
     Raises InputError naming points off the lattice.
@@ -268,10 +256,10 @@ def lattice_steps(points: PointSet) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lattice_table(
-    points: PointSet, classes: BondClasses, box: tuple[float, float] | None
+    points: PointsLike, classes: BondClasses
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
-    h = classes.spacing
+    h, box = classes.spacing, points.box
     grid, axes = lattice_steps(points)
     reach = int(np.abs(classes.steps).max())
     if box is None:

@@ -6,18 +6,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import PointsLike
 
 
-def largest_strain(points: PointSet, u: ArrayLike, outside: ArrayLike | None = None) -> float:
+def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
 
     Args:
-        points: a lattice or scattered points.
+        points: a lattice or scattered points; nodes outside the body do not count.
         u: displacement [Å], shape [N, 2] or [S, N, 2].
-        outside: nodes that are not part of the body, shape [N] bool.
     """
-    body = np.ones(len(points.x), bool) if outside is None else ~np.asarray(outside)
+    body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x = points.x[body]
     count = min(5, len(x))
     r, near = cKDTree(x).query(x, k=count)

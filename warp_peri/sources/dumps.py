@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.sources.coarse_graining import coarse_grain
 
 FRAME = "ITEM: TIMESTEP"
@@ -189,7 +189,7 @@ def check_box(
 def coarse_grain_dumps(
     dumps: Sequence[str | os.PathLike[str]],
     omega: sp.csr_array,
-    points: PointSet,
+    points: PointsLike,
     *,
     reference: ArrayLike,
     force: ArrayLike,
@@ -202,7 +202,7 @@ def coarse_grain_dumps(
     skip: int = 0,
     iota: float | None = None,
     progress: bool = False,
-) -> PointSet:
+) -> Samples:
     """Samples on nodes from the dump of each load.
 
     Args:
@@ -247,14 +247,8 @@ def coarse_grain_dumps(
         node_area=node_area,
         thickness=thickness,
     )
-    return PointSet(
-        x=points.x,
-        interior=points.interior,
-        spacing=points.spacing,
-        u=u,
-        b=b,
-        samples={"load_id": np.array([Path(path).name for path in dumps])},
-    )
+    names = {"load_id": np.array([Path(path).name for path in dumps])}
+    return Samples(nodes_of(points), u, b, names)
 
 
 def _opened(path: str | os.PathLike[str]) -> TextIO:

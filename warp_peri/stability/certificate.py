@@ -12,8 +12,8 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import PointsLike
 from warp_peri.stability.conditions import Conditions, ZoneSearch
 from warp_peri.stability.proof import proven_bound
 
@@ -77,7 +77,7 @@ class Certificate:
         return asdict(self) | {"statement": self.statement}
 
 
-def certify(model: Model, *, spacing: float, points: PointSet | None = None) -> Certificate:
+def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -> Certificate:
     """Compute the certificate of a model on a lattice.
 
     Args:

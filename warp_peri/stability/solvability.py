@@ -11,9 +11,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike
 
 DENSE = 1500
 """Numbers of unknowns up to which eigenvalues are computed densely."""
@@ -37,7 +37,9 @@ class Solvability:
     negative_weights: float
 
 
-def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
+def solvability(
+    model: Model, points: PointsLike, *, quadrature_degree: int = DEGREE
+) -> Solvability:
     """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior.
 
     On scattered points W_ij ≠ W_ji, so that L is not symmetric and no certificate speaks for it.
@@ -45,15 +47,15 @@ def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
     Args:
         model: the model; certified or not.
         points: a lattice or scattered points.
-        options: box, outside, quadrature_degree as for LPSOperator.
+        quadrature_degree: as for LPSOperator.
 
     Raises InputError for a point set that does not carry the horizon.
     """
-    L = matrices(model, points, **options).operator(model.lam, model.mu)
+    L = matrices(model, points, quadrature_degree=quadrature_degree).operator(model.lam, model.mu)
     A = sp.csc_array(L[:, np.repeat(points.interior, 2)])
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
-    negative = _negative_weights(model, points, options)
+    negative = _negative_weights(model, points, quadrature_degree)
     smallest = smallest_eigenvalue(symmetric)
     if A.shape[0] <= DENSE:
         singular = np.linalg.svd(A.toarray(), compute_uv=False)[-1]
@@ -67,11 +69,9 @@ def solvability(model: Model, points: PointSet, **options: Any) -> Solvability:
     return Solvability(float(smallest), float(singular), float(asymmetry), negative)
 
 
-def _negative_weights(model: Model, points: PointSet, options: dict[str, Any]) -> float:
-    degree = options.get("quadrature_degree", DEGREE)
-    keep = {"box": options.get("box"), "outside": options.get("outside"), "degree": degree}
+def _negative_weights(model: Model, points: PointsLike, degree: int) -> float:
     bond_based = model.lam == model.mu
-    families = families_of(points, model.horizon, bond_based=bond_based, **keep)
+    families = families_of(points, model.horizon, bond_based=bond_based, degree=degree)
     if families.lattice is not None:
         weight = families.weight[families.lattice.bond_class]
     else:

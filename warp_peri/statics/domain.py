@@ -9,9 +9,9 @@ import scipy.fft
 import torch
 
 from warp_peri.operator.stencil import Torus
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import BondClasses, bond_classes, families_of, lattice_steps
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Domain:
 
 
 def domain(
-    points: PointSet,
+    points: PointsLike,
     horizon: float,
     *,
     bond_based: bool = False,

@@ -26,7 +26,7 @@ from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.stencil import stencil
 from warp_peri.operator.sweeps import Sweeps
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import PointsLike
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, Record
 from warp_peri.statics.domain import Domain, domain
 
@@ -81,7 +81,7 @@ class _ByLU(torch.autograd.Function):
     def forward(
         ctx: Any,
         sweeps: Sweeps,
-        points: PointSet,
+        points: PointsLike,
         b: torch.Tensor,
         u: torch.Tensor,
         *parameters: torch.Tensor,
@@ -141,7 +141,7 @@ _by_lu: Callable[..., torch.Tensor] = _ByLU.apply
 
 
 def equilibrium(
-    points: PointSet,
+    points: PointsLike,
     b: torch.Tensor,
     u_collar: torch.Tensor,
     *,

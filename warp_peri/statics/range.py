@@ -5,23 +5,20 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from warp_peri.models.lps import Model
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import PointsLike
 from warp_peri.points.strain import largest_strain
 
 BEYOND = 2.0
 """Strains above this many times those of the training data are worth a warning."""
 
 
-def warn_beyond(
-    model: Model, points: PointSet, u: np.ndarray, outside: ArrayLike | None = None
-) -> None:
+def warn_beyond(model: Model, points: PointsLike, u: np.ndarray) -> None:
     """Warn when a solution is strained far beyond the data that the model was trained on."""
     if model.trained_strain is None:
         return
-    found = largest_strain(points, u, outside)
+    found = largest_strain(points, u)
     if found > BEYOND * model.trained_strain:
         warnings.warn(
             f"strain: the solution reaches {100 * found:.2g} %, the training data "

@@ -14,9 +14,10 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
 from warp_peri.statics.domain import domain
@@ -33,12 +34,10 @@ SINGULAR = 1e-13
 
 def solve(
     model: Model,
-    points: PointSet,
-    b: ArrayLike,
+    points: PointsLike,
+    b: ArrayLike | None,
     u_collar: ArrayLike,
     *,
-    box: tuple[float, float] | None = None,
-    outside: ArrayLike | None = None,
     quadrature_degree: int = DEGREE,
     method: str = "auto",
     tolerance: float = TOLERANCE,
@@ -50,11 +49,10 @@ def solve(
 
     Args:
         model: the model, certified for the spacing of the points.
-        points: a lattice or scattered points; its u and b are not looked at.
+        points: a lattice or scattered points; displacement outside the body is handed through.
         b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
-        box, outside, quadrature_degree: as for LPSOperator; displacement outside the body is
-            handed through.
+        quadrature_degree: as for LPSOperator.
         method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
             conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
             with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
@@ -85,7 +83,7 @@ def solve(
     fixed, free = ~points.interior, points.interior
     if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
         raise InputError("b, u_collar: expected finite values")
-    plain = points.spacing > 0 and box is None and outside is None
+    plain = nodes_of(points).is_plain_lattice
     if method == "auto":
         method = choose_method(points, plain=plain)
     if method in PRECONDITIONERS:
@@ -116,7 +114,7 @@ def solve(
         u[..., free, :] = found[..., free, :]
         warn_beyond(model, points, u)
         return u
-    parts = matrices(model, points, box=box, outside=outside, quadrature_degree=quadrature_degree)
+    parts = matrices(model, points, quadrature_degree=quadrature_degree)
     L = parts.operator(model.lam, model.mu)
     unknown = np.repeat(free, 2)
     stiffness = sp.csc_array(L[:, unknown])
@@ -148,11 +146,11 @@ def solve(
                 f"{smallest:.1e} TPa/Å², so that its equilibria are not stable"
             )
     u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
-    warn_beyond(model, points, u, outside)
+    warn_beyond(model, points, u)
     return u
 
 
-def choose_method(points: PointSet, *, plain: bool) -> str:
+def choose_method(points: PointsLike, *, plain: bool) -> str:
     """The cheapest method for a point set; plain: a lattice without a box or broken bonds."""
     nodes = int(np.count_nonzero(points.interior))
     if not plain:
@@ -160,12 +158,12 @@ def choose_method(points: PointSet, *, plain: bool) -> str:
     if nodes <= DIRECT:
         return "lu"
     inside, _ = lattice_steps(
-        PointSet(points.x[points.interior], np.ones(nodes, bool), points.spacing)
+        Points(points.x[points.interior], np.ones(nodes, bool), points.spacing)
     )
     return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
 
 
-def _definite_by_symbol(model: Model, points: PointSet, degree: int) -> bool:
+def _definite_by_symbol(model: Model, points: PointsLike, degree: int) -> bool:
     """Whether the symbol proves L_II positive definite."""
     bond_based = model.lam == model.mu
     nodes = domain(

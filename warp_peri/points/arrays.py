@@ -1,0 +1,36 @@
+"""Arrays as they enter: of the kind asked for, contiguous, finite."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.errors import InputError
+
+
+def checked(name: str, value: ArrayLike, kind: type) -> np.ndarray:
+    """An array of float64 or bool; InputError naming it and the first value that is not finite."""
+    try:
+        value = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"{name}: expected an array ({error})") from None
+    wanted = "b" if kind is bool else "fiu"
+    if value.dtype.kind not in wanted:
+        raise InputError(f"{name}: expected {kind.__name__} values, got {value.dtype}")
+    value = np.require(value, np.float64 if kind is float else bool, ["C", "W"])
+    if kind is float and not np.isfinite(value).all():
+        bad = np.argwhere(~np.isfinite(value))[0].tolist()
+        raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
+    return value
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is one real number."""
+    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
+
+
+def is_name(name: Any) -> bool:
+    """Whether HDF5 takes it as the name of one thing."""
+    return isinstance(name, str) and name not in ("", ".") and "/" not in name

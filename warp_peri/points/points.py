@@ -1,0 +1,63 @@
+"""Nodes of a body: where they are, which are unknown, and what bounds them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked, is_number
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Nodes of one body.
+
+    Attributes:
+        x: positions [Å], shape [N, 2].
+        interior: nodes where equilibrium is asked and displacement unknown in a solve, [N] bool;
+            the others are the collar, whose displacement is data.
+        spacing: lattice spacing [Å]; 0 for scattered points.
+        box: periods (Lx, Ly) along the axes [Å], more than twice the horizon and on a lattice whole
+            multiples of the spacing; None when the points are not periodic.
+        outside: nodes that are not part of the body, shape [N] bool, or None: they complete the
+            balls that the quadrature integrates over, and bonds to them are broken (theory.md,
+            40–42).
+
+    Raises InputError naming the first field of wrong shape or with a value that is not finite.
+    Periods are held against a horizon where there is one.
+    """
+
+    x: np.ndarray
+    interior: np.ndarray
+    spacing: float
+    box: tuple[float, float] | None = None
+    outside: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        for name, kind in (("x", float), ("interior", bool)):
+            object.__setattr__(self, name, checked(name, getattr(self, name), kind))
+        if self.x.ndim != 2 or self.x.shape[1] != 2 or len(self.x) == 0:
+            raise InputError(f"x: expected shape [N, 2] with N > 0, got {list(self.x.shape)}")
+        n = len(self.x)
+        if self.interior.shape != (n,):
+            raise InputError(f"interior: expected shape [{n}], got {list(self.interior.shape)}")
+        if not self.interior.any():
+            raise InputError("interior: expected at least one interior node, got none")
+        if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
+            raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
+        if self.outside is not None:
+            outside = np.asarray(self.outside)
+            wrong = outside.shape != (n,) or outside.dtype != bool
+            if wrong or (outside & self.interior).any():
+                raise InputError(
+                    f"outside: expected shape [{n}] of bool, true for no interior node, got "
+                    f"{outside.dtype} of shape {list(outside.shape)}"
+                )
+            object.__setattr__(self, "outside", outside)
+
+    @property
+    def is_plain_lattice(self) -> bool:
+        """Whether it is a lattice that neither repeats nor has broken bonds."""
+        return self.spacing > 0 and self.box is None and self.outside is None

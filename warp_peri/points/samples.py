@@ -1,0 +1,95 @@
+"""Fields on points: displacement, and the load where it is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked, is_name
+from warp_peri.points.points import Points
+
+FIELDS = ("x", "u", "b", "interior", "outside")
+"""Names that no array of samples may bear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of one body on one set of points.
+
+    Attributes:
+        points: the nodes; x, interior, spacing, box and outside are theirs.
+        u: displacements [Å], shape [S, N, 2].
+        b: body force densities [TPa/Å], shape [S, N, 2]; None where the load is not known.
+        arrays: optional per-sample arrays by name, each with first dimension S.
+
+    Raises InputError naming the first field of wrong shape or with a value that is not finite.
+    """
+
+    points: Points
+    u: np.ndarray
+    b: np.ndarray | None = None
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.points, Points):
+            raise InputError(f"points: expected Points, got {type(self.points).__name__}")
+        for name in ("u", "b") if self.b is not None else ("u",):
+            object.__setattr__(self, name, checked(name, getattr(self, name), float))
+            shape, n = getattr(self, name).shape, len(self.x)
+            if len(shape) != 3 or shape[1:] != (n, 2) or shape[0] != len(self.u):
+                raise InputError(
+                    f"{name}: expected shape [{len(self.u)}, {n}, 2], got {list(shape)}"
+                )
+        for name, value in self.arrays.items():
+            if name in FIELDS or not is_name(name):
+                raise InputError(f"arrays: {name!r} cannot be the name of an array")
+            if np.ndim(value) == 0 or len(value) != len(self.u):
+                raise InputError(f"{name}: expected one entry for each of {len(self.u)} samples")
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.u)
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions [Å], shape [N, 2]."""
+        return self.points.x
+
+    @property
+    def interior(self) -> np.ndarray:
+        """Nodes where equilibrium is asked, shape [N] bool."""
+        return self.points.interior
+
+    @property
+    def spacing(self) -> float:
+        """Lattice spacing [Å]; 0 for scattered points."""
+        return self.points.spacing
+
+    @property
+    def box(self) -> tuple[float, float] | None:
+        """Periods [Å]."""
+        return self.points.box
+
+    @property
+    def outside(self) -> np.ndarray | None:
+        """Nodes that are not part of the body, shape [N] bool."""
+        return self.points.outside
+
+    @property
+    def loads(self) -> np.ndarray:
+        """b [TPa/Å]; InputError where it is not known."""
+        if self.b is None:
+            raise InputError("b: expected loads, got samples whose loads are not known (b=None)")
+        return self.b
+
+
+PointsLike: TypeAlias = Points | Samples
+"""What has nodes: functions that look at no field take either."""
+
+
+def nodes_of(given: PointsLike) -> Points:
+    """The points themselves."""
+    return given.points if isinstance(given, Samples) else given
