@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from warp_peri import plots
 from warp_peri.files.whole import whole_file, write_text
-from warp_peri.learning.fit import Fit
+from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.samples import Samples

@@ -24,6 +24,7 @@ from examples.studies import sweep_report
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError
 from warp_peri.files.whole import locked, write_json
+from warp_peri.learning import methods
 from warp_peri.learning.fit import fit
 from warp_peri.learning.options import METHODS
 from warp_peri.learning.sweep import sweep
@@ -47,12 +48,11 @@ def run(given: argparse.Namespace) -> dict[str, object]:
     with phase("learning", seconds):
         found = fit(
             sets["train"],
-            horizon=given.horizon,
-            degree=given.degree,
-            method=given.method,
-            conditions=given.conditions,
+            given.horizon,
+            warp_peri.Bernstein(given.degree),
+            method=methods.named(given.method, seed=given.seed),
+            conditions=warp_peri.Conditions(given.conditions),
             noise=noise,
-            seed=given.seed,
             progress=True,
         )
     print(f"loss: {found.loss.name} ({found.loss.reason})")

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from warp_peri.errors import InputError
     from warp_peri.launch import set_threads
     from warp_peri.learning.evaluate import evaluate
-    from warp_peri.learning.fit import Fit, fit
+    from warp_peri.learning.fit import fit
+    from warp_peri.learning.methods import Bernstein, Constrained, Optimum, TwoStage
+    from warp_peri.learning.result import Fit
     from warp_peri.learning.sweep import Sweep, sweep
     from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
     from warp_peri.models.lps import Model, load_model
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from warp_peri.points.samples import Samples
     from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
     from warp_peri.stability.certificate import Certificate, certify
+    from warp_peri.stability.conditions import Conditions
     from warp_peri.stability.solvability import Solvability, solvability
     from warp_peri.statics.equilibrium import equilibrium
     from warp_peri.statics.solve import solve, solve_periodic
@@ -36,8 +39,11 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Bernstein",
     "Certificate",
     "Choice",
+    "Conditions",
+    "Constrained",
     "Dataset",
     "Fit",
     "InfluenceFunction",
@@ -45,11 +51,13 @@ __all__ = [
     "LPSOperator",
     "Model",
     "Motion",
+    "Optimum",
     "Points",
     "Samples",
     "Scene",
     "Solvability",
     "Sweep",
+    "TwoStage",
     "Uncertainty",
     "certify",
     "choose_model",
@@ -77,7 +85,9 @@ _NAMES = {
     "errors": ("InputError",),
     "launch": ("set_threads",),
     "learning.evaluate": ("evaluate",),
-    "learning.fit": ("Fit", "fit"),
+    "learning.fit": ("fit",),
+    "learning.methods": ("Bernstein", "Constrained", "Optimum", "TwoStage"),
+    "learning.result": ("Fit",),
     "learning.sweep": ("Sweep", "sweep"),
     "learning.uncertainty": ("Uncertainty", "fit_uncertainty"),
     "models.lps": ("Model", "load_model"),
@@ -89,6 +99,7 @@ _NAMES = {
     "points.samples": ("Samples",),
     "sources.coarse_graining": ("coarse_grain", "smoothing_matrix"),
     "stability.certificate": ("Certificate", "certify"),
+    "stability.conditions": ("Conditions",),
     "stability.solvability": ("Solvability", "solvability"),
     "statics.equilibrium": ("equilibrium",),
     "statics.solve": ("solve", "solve_periodic"),

@@ -10,7 +10,7 @@ from matplotlib.collections import QuadMesh
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
-from warp_peri.learning.fit import Stage
+from warp_peri.learning.result import Stage
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.families import BondClasses, bond_classes

@@ -24,7 +24,7 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 DEGREES = (0, 1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
@@ -66,7 +66,7 @@ def unconstrained(grid: ReducedLoss, degree: int) -> tuple[Parameters, float, fl
     assert best is not None
     cost, y, coordinates = best
     point = coordinates.point(y)
-    search = ZoneSearch(Conditions(grid.classes, "direct", 1.0))
+    search = ZoneSearch(LatticeConditions(grid.classes, Conditions("direct", 1.0)))
     smallest = float(search.worst(point.v[0], point.z[0], point.kappa)[0][0]) + 1.0
     return coordinates.parameters(y, []), float(np.sqrt(2 * cost)), smallest
 
@@ -89,7 +89,7 @@ def sign_changing(data: Dataset) -> Entry:
     # Fits of one horizon and degree, so that nothing but the conditions differs.
     at = next(at for at in sorted(models, key=lambda at: smallest[at]) if unsafe[at])
     free, degree, ratio = models[at], DEGREES[at[0]], RATIOS[at[1]]
-    kept = warp_peri.fit(train, horizon=free.horizon, degree=degree, method="optimum").model
+    kept = warp_peri.fit(train, horizon=free.horizon, kernel=warp_peri.Bernstein(degree)).model
     errors = {key: displacement_error(one, test) for key, one in models.items() if unsafe[key]}
     sides = range(4, 17)
     sizes, spectra = [], {"without": [], "with": []}  # type: ignore[var-annotated]
@@ -196,7 +196,7 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
     for horizon in (12.5, 20.0):
         for name, sets in (("5 Å", both[:1]), ("5 and 2.5 Å", both)):
             model = warp_peri.fit(
-                sets, horizon=horizon, degree=12, method="optimum", normalise=True
+                sets, horizon=horizon, kernel=warp_peri.Bernstein(12), normalise=True
             ).model
             first = first or model
             label = f"δ = {horizon:g} Å, trained on {name}"
@@ -247,7 +247,7 @@ def plain_symbol(alpha: float, ratio: float) -> tuple[float, float, float]:
     kappa = (LAM - MU) / MU**2
     x1, x2 = classes.xi.T
     shear = 8 * v[classes.bond_class] @ (x1**2 * x2**2 / (x1**2 + x2**2))
-    search = ZoneSearch(Conditions(classes, "direct", 1.0))
+    search = ZoneSearch(LatticeConditions(classes, Conditions("direct", 1.0)))
     smallest = search.worst(v, v, kappa)[0][0] + 1.0
     return shear / MU, smallest / MU, classes.count[0] * v[0] / MU
 
@@ -347,7 +347,7 @@ def large_degrees(data: Dataset) -> Entry:
     errors, swings = [], []
     r = np.linspace(train.spacing, horizon, 2000)
     for degree in tqdm(tried, desc="high degrees"):
-        found = warp_peri.fit(train, horizon=horizon, degree=degree, method="optimum")
+        found = warp_peri.fit(train, horizon=horizon, kernel=warp_peri.Bernstein(degree))
         errors.append(found.history[-1].E_res_train)
         at_bonds = np.abs(found.model.influence(classes.r)).max()
         swings.append(float(np.abs(found.model.influence(r)).max() / at_bonds))

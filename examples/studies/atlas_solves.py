@@ -27,7 +27,7 @@ from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.points import Points
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
 MU = 0.7223
 
@@ -74,13 +74,16 @@ def lame_parameters(data: Dataset) -> Entry:
     kernels = {"1/r": (1.0, np.ones(1)), "no conditions": (free.alpha, free.D)}
     for kind in ("direct", "paper"):
         model = warp_peri.fit(
-            train, horizon=horizon, degree=10, method="optimum", conditions=kind
+            train,
+            horizon=horizon,
+            kernel=warp_peri.Bernstein(10),
+            conditions=warp_peri.Conditions(kind),
         ).model
         kernels[f"conditions '{kind}'"] = (model.alpha, model.D)
     bulk = np.concatenate([np.logspace(-6, 0, 13), np.logspace(0.5, 6, 12)])  # (λ + μ)/μ
     small = square_lattice(12, horizon, train.spacing)
     classes = bond_classes(train.spacing, horizon)
-    search = ZoneSearch(Conditions(classes, "direct", 1.0))
+    search = ZoneSearch(LatticeConditions(classes, Conditions("direct", 1.0)))
     symbols: dict[str, list[float]] = {}
     conditions: dict[str, list[float]] = {}
     for name, (alpha, D) in kernels.items():

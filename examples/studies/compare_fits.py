@@ -14,6 +14,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from warp_peri import Bernstein, Optimum, TwoStage
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -26,8 +28,9 @@ from examples.train_graphene import DATA, make_data
 from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json, write_text
-from warp_peri.learning.fit import Fit, fit
+from warp_peri.learning.fit import fit
 from warp_peri.learning.margins import DenseMargins
+from warp_peri.learning.result import Fit
 from warp_peri.models.lps import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
@@ -45,23 +48,22 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
     truth = data.provenance["truth"]
     moduli = (truth["lambda"], truth["mu"])
     cases: dict[str, dict[str, Any]] = {
-        "Algorithm 1 as printed (ReLU)": {"method": "two-stage", "parametrisation": "relu"},
-        "Algorithm 1, projected bounds": {"method": "two-stage"},
-        "constrained, direct": {"method": "optimum"},
-        "constrained, paper's (i), (iii)": {"method": "optimum", "conditions": "paper"},
-        "constrained, isotropic": {"method": "optimum", "moduli": "isotropic"},
-        "constrained, true moduli held": {"method": "optimum", "moduli": moduli},
-        "two functions": {"method": "optimum", "two_functions": True},
+        "Algorithm 1 as printed (ReLU)": {"method": TwoStage(parametrisation="relu")},
+        "Algorithm 1, projected bounds": {"method": TwoStage()},
+        "constrained, direct": {},
+        "constrained, paper's (i), (iii)": {"conditions": warp_peri.Conditions("paper")},
+        "constrained, isotropic": {"method": Optimum(moduli="isotropic")},
+        "constrained, true moduli held": {"method": Optimum(moduli=moduli)},
+        "two functions": {"kernel": Bernstein(10, two_functions=True)},
         "two functions, isotropic": {
-            "method": "optimum",
-            "two_functions": True,
-            "moduli": "isotropic",
+            "kernel": Bernstein(10, two_functions=True),
+            "method": Optimum(moduli="isotropic"),
         },
     }
     rows = []
     for name, options in tqdm(cases.items(), desc="one grid"):
         begin = time.perf_counter()
-        found = fit(data["train"], horizon=20.0, degree=10, **options)
+        found = fit(data["train"], **({"horizon": 20.0, "kernel": Bernstein(10)} | options))
         row = {"fit": name, "seconds": time.perf_counter() - begin}
         sets = {role: data[role] for role in ("train", "val", "test")}
         rows.append(row | _numbers(found) | _errors(found.model, sets))
@@ -74,7 +76,7 @@ def two_grids(data: Dataset, unseen: Samples) -> list[dict[str, Any]]:
     both = [data["train"], data["train_fine"]]
     for horizon in tqdm((12.5, 20.0), desc="two grids"):
         begin = time.perf_counter()
-        found = fit(both, horizon=horizon, degree=10, method="optimum")
+        found = fit(both, horizon=horizon, kernel=Bernstein(10))
         row = {"fit": f"δ = {horizon:g} Å", "seconds": time.perf_counter() - begin}
         row |= _numbers(found)
         third = warp_peri.certify(found.model, spacing=unseen.spacing)

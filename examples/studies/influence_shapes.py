@@ -23,7 +23,7 @@ from examples.train_graphene import make_data
 from tools.make_graphene import SMOOTHING_RADIUS
 from warp_peri.errors import InputError
 from warp_peri.files.whole import whole_file, write_json, write_text
-from warp_peri.learning.fit import Fit
+from warp_peri.learning.result import Fit
 from warp_peri.models.shapes import InfluenceFunction, damped_wave, named, table
 from warp_peri.plots import kernel_values
 from warp_peri.points.dataset import Dataset
@@ -47,18 +47,17 @@ def waves() -> list[InfluenceFunction]:
 
 def fits(train: Samples) -> dict[str, tuple[int, Fit]]:
     """By name, the number of parameters of the shape and the fit."""
-    cases: dict[str, tuple[int, dict[str, Any]]] = {
-        name: (1, {"influence": named(name, HORIZON)})
-        for name in ("gaussian", "exponential", "conical")
+    cases: dict[str, tuple[int, Any]] = {
+        name: (1, named(name, HORIZON)) for name in ("gaussian", "exponential", "conical")
     }
-    cases["damped wave"] = (3, {"influence": waves()})
+    cases["damped wave"] = (3, waves())
     # The scale of a kernel has no effect: one value or coefficient less than there are.
     values = table(KNOTS, 1 / KNOTS, learned=True)
-    cases["table, 9 knots"] = (len(KNOTS) - 1, {"influence": values})
-    cases["Bernstein, M = 10"] = (DEGREE + 1, {"degree": DEGREE, "method": "optimum"})
+    cases["table, 9 knots"] = (len(KNOTS) - 1, values)
+    cases["Bernstein, M = 10"] = (DEGREE + 1, warp_peri.Bernstein(DEGREE))
     return {
-        name: (count, warp_peri.fit(train, horizon=HORIZON, **options))
-        for name, (count, options) in tqdm(cases.items(), desc="fits")
+        name: (count, warp_peri.fit(train, HORIZON, kernel))
+        for name, (count, kernel) in tqdm(cases.items(), desc="fits")
     }
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from examples.graphene_report import save_figure
 from warp_peri import plots
-from warp_peri.learning.fit import Fit
+from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes

@@ -29,7 +29,7 @@ from tools.make_thermal import make_thermal
 from tools.reductions import REDUCTIONS
 from warp_peri.errors import InputError
 from warp_peri.files.whole import locked, write_json, write_text
-from warp_peri.learning.fit import Fit
+from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import sweep
 from warp_peri.models.lps import load_model
 from warp_peri.points.dataset import Dataset
@@ -60,8 +60,7 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
                 found = warp_peri.fit(
                     own["train"],
                     horizon=HORIZON,
-                    degree=DEGREE,
-                    method="optimum",
+                    kernel=warp_peri.Bernstein(DEGREE),
                     normalise=True,
                     loss=loss,
                     noise=own["noise"],

@@ -12,6 +12,8 @@ import sys
 import time
 from pathlib import Path
 
+from warp_peri import Bernstein, TwoStage
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -80,11 +82,10 @@ def main(arguments: list[str] | None = None) -> int:
         found = fit(
             sets,
             horizon=given.horizon,
-            degree=given.degree,
-            method="two-stage",
-            lattice_spacing=SPACING,
-            checkpoint=given.out / "stage2.npz",
-            seed=given.seed,
+            kernel=Bernstein(given.degree),
+            method=TwoStage(
+                seed=given.seed, checkpoint=given.out / "stage2.npz", lattice_spacing=SPACING
+            ),
             progress=True,
         )
     except InputError as error:

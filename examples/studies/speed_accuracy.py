@@ -23,6 +23,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from warp_peri import Bernstein
+
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import matplotlib
@@ -165,7 +167,7 @@ def fitted(
     if positive:
         model = positive_model(train, horizon=horizon, degree=degree)
     else:
-        model = fit(train, horizon=horizon, degree=degree, method="optimum").model
+        model = fit(train, horizon=horizon, kernel=Bernstein(degree)).model
     model.save(file)
     return model
 

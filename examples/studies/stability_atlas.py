@@ -46,7 +46,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
 
     def model() -> warp_peri.Model:
         if not learned:
-            found = warp_peri.fit(data["train"], horizon=20.0, degree=10, method="optimum")
+            found = warp_peri.fit(data["train"], horizon=20.0, kernel=warp_peri.Bernstein(10))
             learned.append(found.model)
         return learned[0]
 

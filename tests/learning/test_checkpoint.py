@@ -1,11 +1,13 @@
 """Stage 2 goes on where it was, to the same bits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import InputError, fit
+from warp_peri import Bernstein, Conditions, InputError, TwoStage, fit
 from warp_peri.learning import two_stage
 from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.learning.parameters import Parameters
@@ -18,16 +20,12 @@ def points():
     return manufactured(kernel("positive", 2.5, lam=-0.2), lattice(6, 2.5), 6)
 
 
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    monkeypatch.setattr(two_stage, "EPOCHS", 100)
-    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 30)
-    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 5)
+QUICK = TwoStage(epochs=100, inner_epochs=30, outer_iterations=5)
 
 
-def run(points, checkpoint=None, **options):
-    settings = {"horizon": 2.5, "degree": 3, "method": "two-stage"} | options
-    return fit(points, checkpoint=checkpoint, **settings).history[-1].parameters
+def run(points, checkpoint=None, degree=3, **options):
+    method = replace(QUICK, checkpoint=checkpoint)
+    return fit(points, 2.5, Bernstein(degree), method=method, **options).history[-1].parameters
 
 
 @pytest.mark.parametrize("after", [1, 3])
@@ -54,7 +52,13 @@ def test_resumed_is_unbroken(points, tmp_path, monkeypatch, after):
 
 def test_a_finished_run_is_not_run_again(points, tmp_path, monkeypatch):
     first = run(points, tmp_path / "state.npz")
-    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 0)
+    adam = two_stage._adam
+
+    def first_stage_only(variables, extra, *rest):
+        assert not extra, "stage 2 has slacks, and was finished"
+        return adam(variables, extra, *rest)
+
+    monkeypatch.setattr(two_stage, "_adam", first_stage_only)
     again = run(points, tmp_path / "state.npz")
     assert again.losses == first.losses
     np.testing.assert_array_equal(again.D, first.D)
@@ -66,7 +70,7 @@ def test_a_checkpoint_of_another_run_is_refused(points, tmp_path):
     with pytest.raises(InputError, match="other data or settings"):
         run(points, path, degree=4)
     with pytest.raises(InputError, match="other data or settings"):
-        run(points, path, zeta=0.02)
+        run(points, path, conditions=Conditions(zeta=0.02))
 
 
 def test_a_broken_checkpoint_is_named(points, tmp_path):
@@ -86,14 +90,18 @@ class _Fixed:
         return torch.tensor([0.5], dtype=torch.float64)
 
 
-def test_the_multiplier_climbs_with_the_violation(points, tmp_path, monkeypatch):
-    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 0)
-    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 1)
+def test_the_multiplier_climbs_with_the_violation(points, tmp_path):
+    method = TwoStage(inner_epochs=0, outer_iterations=1)
     weight = sample_weights([points], normalise=False)[0]
     kept = Checkpoint(tmp_path / "state.npz", "key")
     start = Parameters(-0.1, 0.7, 1.0, np.ones(2))
     two_stage.sign_changing_stage(
-        [reduce(points, 2.5, weight)], start, _Fixed(), checkpoint=kept, tick=lambda loss: None
+        [reduce(points, 2.5, weight)],
+        start,
+        _Fixed(),
+        method,
+        checkpoint=kept,
+        tick=lambda loss: None,
     )
     *_, slack, multiplier, previous = kept.load().tensors
     assert slack == 1.0

@@ -8,7 +8,16 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import InfluenceFunction, InputError, evaluate, fit, load_model
+from warp_peri import (
+    Bernstein,
+    InfluenceFunction,
+    InputError,
+    Optimum,
+    TwoStage,
+    evaluate,
+    fit,
+    load_model,
+)
 from warp_peri.learning.uncertainty import fit_uncertainty
 from warp_peri.models.shapes import gaussian, named, table
 from warp_peri.operator.symbol import stiffnesses
@@ -22,7 +31,7 @@ residual of about 1e-8 and two Gaussians of nearly one width are told apart by a
 @every_shape
 def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 3)
-    found = fit(points, horizon=HORIZON, influence=off(shape))
+    found = fit(points, horizon=HORIZON, kernel=off(shape))
     model = found.model
     assert found.influence is not None
     value, expected = found.influence.vector, shape.vector
@@ -43,7 +52,7 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
 def test_two_lattices_at_once():
     shape, spacings = SHAPES["sign-changing"], (1.0, 0.8)
     sets = [manufactured(solid(shape, *spacings), lattice(4, HORIZON, h), 2) for h in spacings]
-    found = fit(sets, horizon=HORIZON, influence=off(shape))
+    found = fit(sets, horizon=HORIZON, kernel=off(shape))
     assert found.influence is not None
     np.testing.assert_allclose(found.influence.vector, shape.vector, rtol=RECOVERED)
     assert found.model.certified_on == spacings
@@ -52,7 +61,7 @@ def test_two_lattices_at_once():
 def test_a_given_table_leaves_the_constants_to_learn():
     shape = table([0.5, 1.5, 3.0], [1.0, 0.6, 0.1])
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, influence=shape)
+    found = fit(points, horizon=HORIZON, kernel=shape)
     assert found.influence is not None
     assert found.influence.parameters == {}
     assert (found.model.lam, found.model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
@@ -65,8 +74,8 @@ def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     true = kernel("sign-changing", HORIZON, lam=-0.3, mu=0.7)
     points = noisy(manufactured(true, lattice(4, HORIZON), 3), 0.02, seed=1)
     shape = table(LENGTHS, first, learned=True)
-    found = fit(points, horizon=HORIZON, influence=shape, loss="residual")
-    expected = fit(points, horizon=HORIZON, degree=len(LENGTHS) - 1, method="optimum")
+    found = fit(points, horizon=HORIZON, kernel=shape, loss="residual")
+    expected = fit(points, horizon=HORIZON, kernel=Bernstein(len(LENGTHS) - 1))
     (loss,), reference = found.starts.values(), min(expected.starts.values())
     assert loss == pytest.approx(reference, rel=1e-5)
     classes = bond_classes(1.0, HORIZON)
@@ -78,7 +87,7 @@ def test_bounds_are_kept():
     shape = SHAPES["gaussian"]
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     bounded = InfluenceFunction(gaussian, {"width": 2.4}, {"width": (2.2, 3.0)})
-    found = fit(points, horizon=HORIZON, influence=bounded)
+    found = fit(points, horizon=HORIZON, kernel=bounded)
     assert found.influence is not None
     assert found.influence.parameters["width"] == pytest.approx(2.2, abs=1e-6)
 
@@ -86,7 +95,7 @@ def test_bounds_are_kept():
 def test_the_fit_does_not_need_a_forecast_of_the_width():
     shape = SHAPES["gaussian"]
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, influence=named("gaussian", HORIZON))
+    found = fit(points, horizon=HORIZON, kernel=named("gaussian", HORIZON))
     assert found.influence is not None
     assert found.influence.parameters["width"] == pytest.approx(1.9, rel=RECOVERED)
 
@@ -99,7 +108,7 @@ def test_noise_and_how_sure_a_shape_is():
     size = 0.002
     noise = fluctuation(clean, 8, size, seed=1)
     data = noisy(clean, size, seed=2)
-    found = fit(data, horizon=2.5, influence=off(shape), loss="output", noise=noise)
+    found = fit(data, horizon=2.5, kernel=off(shape), loss="output", noise=noise)
     sure = fit_uncertainty(found, data, noise)
     K = 2.0
 
@@ -119,7 +128,7 @@ def test_a_start_beside_zero_is_no_trap(start):
 
     true = InfluenceFunction(falling, {"a": 0.28})
     points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, influence=true.at(np.array([start])))
+    found = fit(points, horizon=HORIZON, kernel=true.at(np.array([start])))
     assert found.influence is not None
     assert found.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
 
@@ -133,7 +142,7 @@ def test_a_function_is_never_asked_beyond_its_bounds():
     true = InfluenceFunction(root, {"a": 0.0}, {"a": (0.0, 5.0)})
     points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
     start = InfluenceFunction(root, {"a": 0.5}, {"a": (0.0, 5.0)})
-    found = fit(points, horizon=HORIZON, influence=start)
+    found = fit(points, horizon=HORIZON, kernel=start)
     assert found.influence is not None
     assert 0 <= found.influence.parameters["a"] < 1e-4
 
@@ -145,10 +154,10 @@ def test_a_start_that_leaves_its_domain_is_passed_over():
 
     points = manufactured(solid(SHAPES["gaussian"], 1.0), lattice(4, HORIZON), 2)
     bad = InfluenceFunction(logarithm, {"a": 3.01})
-    found = fit(points, horizon=HORIZON, influence=[bad, off(SHAPES["gaussian"])])
+    found = fit(points, horizon=HORIZON, kernel=[bad, off(SHAPES["gaussian"])])
     assert list(found.starts) == ["1 gaussian"]
     with pytest.raises(InputError, match="'logarithm': K is not finite"):
-        fit(points, horizon=HORIZON, influence=bad)
+        fit(points, horizon=HORIZON, kernel=bad)
 
 
 @pytest.mark.parametrize("moduli", [(-0.2, 0.7), "isotropic"])
@@ -156,7 +165,7 @@ def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
     shape = table([0.5, 3.0], [1.0, 0.1])
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     with pytest.raises(RuntimeError, match="moduli to be held missed by"):
-        fit(points, horizon=HORIZON, influence=shape, moduli=moduli)
+        fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=moduli))
 
 
 def test_moduli_are_held_by_a_shape_that_can():
@@ -165,7 +174,7 @@ def test_moduli_are_held_by_a_shape_that_can():
 
     shape = InfluenceFunction(two, {"a": 0.1, "b": 0.1})
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, influence=shape, moduli=(0.1, 0.6))
+    found = fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=(0.1, 0.6)))
     assert found.moduli[0]["C44"] == pytest.approx(0.6, abs=1e-6)
     assert (found.model.lam, found.model.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
 
@@ -179,16 +188,11 @@ def test_a_fit_with_a_table_travels():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "degree, influence: expected one of the two"),
-        ({"degree": 3, "influence": SHAPES["gaussian"]}, "expected one of the two"),
-        ({"influence": SHAPES["gaussian"], "method": "two-stage"}, "one for both parts"),
-        ({"influence": SHAPES["gaussian"], "two_functions": True}, "one for both parts"),
-        ({"influence": gaussian}, r"f\(r, width\) is InfluenceFunction\(f, "),
-        ({"influence": "gaussian"}, "expected an InfluenceFunction or a list of them"),
-        ({"influence": [gaussian]}, "expected an InfluenceFunction or a list of them"),
-        ({"degree": 1, "moduli": 0.7}, r"expected \(λ, μ\)"),
-        ({"degree": 1, "moduli": (0.7,)}, r"expected \(λ, μ\)"),
-        ({"degree": 1, "moduli": (0.1, 0.7, 0.2)}, r"expected \(λ, μ\)"),
+        ({"kernel": SHAPES["gaussian"], "method": TwoStage()}, "learned by Optimum or Constr"),
+        ({"kernel": gaussian}, r"f\(r, width\) is InfluenceFunction\(f, "),
+        ({"kernel": "gaussian"}, "expected an InfluenceFunction or a list of them"),
+        ({"kernel": [gaussian]}, "expected an InfluenceFunction or a list of them"),
+        ({"kernel": []}, "expected Bernstein"),
     ],
 )
 def test_what_a_fit_refuses(options, message):
@@ -200,15 +204,15 @@ def test_what_a_fit_refuses(options, message):
 def test_scattered_points_are_refused():
     points = manufactured(kernel("1/r", HORIZON), lattice(3, HORIZON), 1)
     scattered = with_nodes(points, spacing=0.0)
-    with pytest.raises(InputError, match="on lattices only"):
-        fit(scattered, horizon=HORIZON, influence=SHAPES["gaussian"])
+    with pytest.raises(InputError, match="scattered points need"):
+        fit(scattered, horizon=HORIZON, kernel=SHAPES["gaussian"])
 
 
 def test_several_starts_and_the_best_of_them():
     shape = SHAPES["gaussian"]
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     others = [SHAPES["exponential"], named("conical", HORIZON)]
-    found = fit(points, horizon=HORIZON, influence=[others[0], off(shape), others[1]])
+    found = fit(points, horizon=HORIZON, kernel=[others[0], off(shape), others[1]])
     assert found.influence is not None
     assert found.influence.name == "gaussian"
     assert list(found.starts) == ["0 exponential", "1 gaussian", "2 conical"]

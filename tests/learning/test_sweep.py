@@ -91,11 +91,11 @@ def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
     options = {"horizons": (2.0, 2.5), "degrees": (0,), "jobs": 1}
     fit, horizons = sweeps.fit, []
 
-    def fails(points, *, horizon, **rest):
+    def fails(points, horizon, *rest, **options):
         horizons.append(horizon)
         if horizon == 2.0:
             raise RuntimeError("stage 3: no start ended with the conditions kept")
-        return fit(points, horizon=horizon, **rest)
+        return fit(points, horizon, *rest, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(sweeps, "fit", fails)

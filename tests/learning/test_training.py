@@ -5,24 +5,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.problems import kernel, lattice, manufactured, noise
-from warp_peri import InputError, certify, evaluate, fit
-from warp_peri.learning import fit as training
-from warp_peri.learning import optimum, two_stage
+from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
+from warp_peri import (
+    Bernstein,
+    Conditions,
+    Constrained,
+    InputError,
+    Optimum,
+    TwoStage,
+    certify,
+    evaluate,
+    fit,
+)
+from warp_peri.learning import training_data as training
 from warp_peri.operator.symbol import moduli, stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import LatticeConditions, ZoneSearch
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01
 
 
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    """Few epochs: stage 3 does not depend on how far the others came."""
-    monkeypatch.setattr(two_stage, "EPOCHS", 250)
-    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 40)
-    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 4)
+QUICK = TwoStage(epochs=250, inner_epochs=40, outer_iterations=4)
+"""Few epochs: stage 3 does not depend on how far the others came."""
 
 
 def data(name, horizon, spacing=1.0, lam=LAM):
@@ -55,13 +60,8 @@ RECOVERED = {
 )
 def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, precision, astray):
     points, true = data(name, horizon)
-    found = fit(
-        points,
-        horizon=horizon,
-        degree=degree,
-        method="optimum",
-        two_functions="two functions" in name,
-    )
+    kernel = Bernstein(degree, two_functions="two functions" in name)
+    found = fit(points, horizon, kernel, method=Constrained(QUICK))
     model = found.model
     assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=precision)
     for found_table, true_table in zip(shares(model), shares(true)):
@@ -76,7 +76,7 @@ def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, prec
 
 def test_all_stages_lead_to_the_same_optimum():
     points, _ = data("sign-changing", 3.0)
-    found = fit(points, horizon=3.0, degree=5)
+    found = fit(points, horizon=3.0, kernel=Bernstein(5), method=Constrained(QUICK))
     assert [stage.name[0] for stage in found.history] == ["1", "2", "3"]
     assert len(found.starts) == 3
     assert max(found.starts.values()) < 1e-5
@@ -93,7 +93,7 @@ def test_all_stages_lead_to_the_same_optimum():
 def test_a_violating_model_ends_feasible_with_the_condition_active():
     points, true = data("sign-changing", 2.5)
     assert certify(true, spacing=1.0).symbol_min < -0.01
-    found = fit(points, horizon=2.5, degree=4, method="optimum", zeta=ZETA)
+    found = fit(points, horizon=2.5, kernel=Bernstein(4), conditions=Conditions(zeta=ZETA))
     assert ZETA <= found.certificate.symbol_min <= 1.02 * ZETA
     assert found.certificate.holds
     assert found.model.certified_on == (1.0,)
@@ -106,13 +106,13 @@ def test_a_violating_model_ends_feasible_with_the_condition_active():
 def test_the_printed_conditions_hold_densely_and_are_active(name):
     horizon = 3.0
     points, _ = data(name, horizon)
-    conditions = {"conditions": "paper", "zeta": ZETA, "two_functions": name == "two functions"}
-    found = fit(points, horizon=horizon, degree=5, method="optimum", **conditions)
+    kernel = Bernstein(5, two_functions=name == "two functions")
+    found = fit(points, horizon, kernel, conditions=Conditions("paper", ZETA))
     dense = certify(found.model, spacing=1.0, points=points)
     assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
     assert dense.schwarz
     assert dense.gamma_min > 0
-    search = ZoneSearch(Conditions(bond_classes(1.0, horizon), "paper", ZETA))
+    search = ZoneSearch(LatticeConditions(bond_classes(1.0, horizon), Conditions("paper", ZETA)))
     margins, _ = search.worst(*shares(found.model))
     assert (margins >= -1e-8).all()
     if name == "sign-changing":  # the model that made the data keeps (i) and breaks (iii)
@@ -123,7 +123,7 @@ def test_the_printed_conditions_hold_densely_and_are_active(name):
 
 def test_two_stage_stops_after_two_stages():
     points, _ = data("sign-changing", 3.0)
-    found = fit(points, horizon=3.0, degree=5, method="two-stage")
+    found = fit(points, horizon=3.0, kernel=Bernstein(5), method=QUICK)
     assert [stage.name[0] for stage in found.history] == ["1", "2"]
     assert found.starts == {}
     first, second = found.history
@@ -135,8 +135,8 @@ def test_two_stage_stops_after_two_stages():
 @pytest.mark.parametrize("parametrisation", ["projected", "relu"])
 def test_stage_one_stays_inside_its_bounds(parametrisation):
     points, _ = data("sign-changing", 3.0)
-    kwargs = {"method": "two-stage", "parametrisation": parametrisation}
-    for stage in fit(points, horizon=3.0, degree=5, **kwargs).history:
+    method = replace(QUICK, parametrisation=parametrisation)
+    for stage in fit(points, 3.0, Bernstein(5), method=method).history:
         at = stage.parameters
         assert at.mu > 0
         assert at.lam + at.mu > 0
@@ -147,19 +147,28 @@ def test_the_same_seed_gives_the_same_bits():
     points, _ = data("positive", 2.5)
     points = replace(points, b=points.b + 0.05 * noise(points, 10))
     first, second, other = (
-        fit(points, horizon=2.5, degree=3, method="two-stage", seed=seed) for seed in (1, 1, 2)
+        fit(points, horizon=2.5, kernel=Bernstein(3), method=replace(QUICK, seed=seed))
+        for seed in (1, 1, 2)
     )
     for name in ("lam", "mu", "alpha", "D"):
         assert np.array_equal(getattr(first.model, name), getattr(second.model, name))
     assert first.history[0].loss == second.history[0].loss
     assert first.history[0].loss != other.history[0].loss
-    whole = [fit(points, horizon=2.5, degree=3, seed=1, jobs=jobs).model for jobs in (1, 2)]
+    whole = [
+        fit(
+            points,
+            horizon=2.5,
+            kernel=Bernstein(3),
+            method=Constrained(replace(QUICK, seed=1), Optimum(jobs=jobs)),
+        ).model
+        for jobs in (1, 2)
+    ]
     assert np.array_equal(whole[0].D, whole[1].D)
 
 
 def test_two_lattices_are_learned_together():
     sets, models = zip(*(data("positive", 2.0, spacing) for spacing in (1.0, 0.9)))
-    found = fit(sets, horizon=2.0, degree=3, method="optimum")
+    found = fit(sets, horizon=2.0, kernel=Bernstein(3))
     assert found.model.trained_on == found.model.certified_on == (1.0, 0.9)
     assert (found.model.lam, found.model.mu) == pytest.approx((LAM, MU), abs=1e-5)
     for model, points in zip(models, sets):
@@ -173,11 +182,11 @@ def test_two_lattices_are_learned_together():
 
 def test_held_moduli_are_held():
     points, _ = data("positive", 3.0)
-    held = fit(points, horizon=3.0, degree=5, method="optimum", moduli=(0.1, 0.65)).model
+    held = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))).model
     assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
     expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
     assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
-    loose = fit(points, horizon=3.0, degree=5, method="optimum", moduli="isotropic").model
+    loose = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli="isotropic")).model
     assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == pytest.approx(loose.mu, abs=1e-8)
 
 
@@ -187,11 +196,10 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     size = np.logspace(-1, 1, 10)[:, None, None]
     scaled = replace(points, u=size * points.u, b=size * points.b)
     first, second = (
-        fit(one, horizon=3.0, degree=5, method="optimum", normalise=True).model
-        for one in (points, scaled)
+        fit(one, horizon=3.0, kernel=Bernstein(5), normalise=True).model for one in (points, scaled)
     )
     assert (second.lam, second.mu) == pytest.approx((first.lam, first.mu), abs=1e-6)
-    absolute = fit(scaled, horizon=3.0, degree=5, method="optimum").model
+    absolute = fit(scaled, horizon=3.0, kernel=Bernstein(5)).model
     assert abs(absolute.mu - first.mu) > 1e-4
 
 
@@ -205,31 +213,65 @@ def test_a_reduced_loss_that_departs_from_the_full_one_is_caught(monkeypatch):
 
     monkeypatch.setattr(training, "reduce", wrong)
     with pytest.raises(RuntimeError, match="the reduced loss .* departs from the full"):
-        fit(points, horizon=2.5, degree=3, method="optimum")
+        fit(points, horizon=2.5, kernel=Bernstein(3))
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"degree": -1}, "degree: expected a whole number ≥ 0, got -1"),
-        ({"degree": 1.5}, "degree: expected a whole number ≥ 0, got 1.5"),
         ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0 Å\), got 0.5"),
         ({"horizon": np.nan}, "horizon: expected at least one spacing"),
         ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
         ({"horizon": 3.0}, "twice the horizon: .* the largest that fits is"),
-        ({"method": "best"}, "method: expected one of constrained, two-stage, .* got 'best'"),
-        ({"conditions": "none"}, "conditions: expected one of direct, paper, got 'none'"),
-        ({"zeta": -0.01}, "zeta: expected a stiffness > 0 TPa, got -0.01"),
-        ({"seed": -1}, "seed: expected a whole number ≥ 0, got -1"),
-        ({"moduli": (0.3, -0.8)}, "moduli: expected .* with μ > 0"),
-        ({"moduli": "held"}, "moduli: expected .* got 'held'"),
-        ({"moduli": (0.3, 0.8), "method": "two-stage"}, "moduli: the two-stage method"),
+        ({"method": "best"}, r"method: expected Optimum\(…\), TwoStage\(…\) or .* got 'best'"),
+        ({"conditions": "paper"}, r"conditions: expected Conditions\(…\), got 'paper'"),
+        ({"kernel": 10}, "expected an InfluenceFunction or a list of them"),
     ],
 )
 def test_bad_choices_are_refused(change, words):
     points, _ = data("positive", 2.0)
     with pytest.raises(InputError, match=words):
-        fit(points, **{"horizon": 2.0, "degree": 2, **change})
+        fit(points, **{"horizon": 2.0, "kernel": Bernstein(2), **change})
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Bernstein(-1), "degree: expected a whole number ≥ 0, got -1"),
+        (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
+        (lambda: Conditions("none"), "conditions: expected one of direct, paper, got 'none'"),
+        (lambda: Conditions(zeta=-0.01), "zeta: expected a stiffness > 0 TPa, got -0.01"),
+        (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
+        (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
+        (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),
+        (lambda: TwoStage(constraints="dense", lattice_spacing=1.0), "goes with .*'symbol'"),
+        (lambda: Optimum((0.3, -0.8)), "moduli: expected .* with μ > 0"),
+        (lambda: Optimum(0.7), r"moduli: expected \(λ, μ\)"),
+        (lambda: Optimum((0.7,)), r"moduli: expected \(λ, μ\)"),
+        (lambda: Optimum((0.1, 0.7, 0.2)), r"moduli: expected \(λ, μ\)"),
+        (lambda: Optimum("held"), "moduli: expected .* got 'held'"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+OLD = "degree influence two_functions zeta moduli jobs parametrisation constraints checkpoint"
+
+
+@pytest.mark.parametrize("name", [*OLD.split(), "lattice_spacing", "seed"])
+def test_an_old_option_names_the_new_one(name):
+    points, _ = data("positive", 2.0)
+    with pytest.raises(InputError, match=f"fit: {name} is now (kernel|method|conditions)"):
+        fit(points, horizon=2.0, **{name: 1})
+
+
+def test_noise_for_scattered_points_is_refused():
+    points, _ = data("positive", 2.0)
+    points = with_nodes(points, spacing=0.0)
+    with pytest.raises(InputError, match="noise: fields of noise are for lattices"):
+        fit(points, 2.0, Bernstein(2), method=TwoStage(lattice_spacing=1.0), noise=points)
 
 
 def test_sets_that_cannot_be_learned_from_are_refused():
@@ -241,14 +283,13 @@ def test_sets_that_cannot_be_learned_from_are_refused():
         ({"points": replace(points.points, spacing=0.0)}, "scattered points need"),
     ):
         with pytest.raises(InputError, match=words):
-            fit(replace(points, **change), horizon=2.0, degree=2)
+            fit(replace(points, **change), 2.0, Bernstein(2))
     with pytest.raises(InputError, match="at least one training set"):
-        fit([], horizon=2.0, degree=2)
+        fit([], 2.0, Bernstein(2))
 
 
-def test_conditions_that_were_not_kept_in_the_end_are_an_error(monkeypatch):
+def test_conditions_that_were_not_kept_in_the_end_are_an_error():
     points, _ = data("sign-changing", 3.0)
-    monkeypatch.setattr(optimum, "ROUNDS", 1)
-    monkeypatch.setattr(optimum, "FIRST_CUTS", 1)
+    method = Optimum(rounds=1, first_cuts=1)
     with pytest.raises(RuntimeError, match="no start ended with the conditions kept"):
-        fit(points, horizon=3.0, degree=5, method="optimum", conditions="paper")
+        fit(points, 3.0, Bernstein(5), method=method, conditions=Conditions("paper"))

@@ -5,12 +5,11 @@ import pytest
 import torch
 
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
-from warp_peri import certify, fit
-from warp_peri.learning import two_stage
+from warp_peri import Bernstein, TwoStage, certify, fit
 from warp_peri.learning.margins import DENSE_ZETA, DenseMargins, SymbolMargins
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
 HORIZON, ZETA = 3.0, 0.02
 CLASSES = bond_classes(1.0, HORIZON)
@@ -24,7 +23,7 @@ def class_weights(model):
 def margins_of(kind):
     if kind == "dense":
         return DenseMargins([lattice(ell(), HORIZON)], HORIZON)
-    return SymbolMargins([Conditions(CLASSES, "paper", ZETA)])
+    return SymbolMargins([LatticeConditions(CLASSES, Conditions("paper", ZETA))])
 
 
 @pytest.mark.parametrize("kind", ["symbol", "dense"])
@@ -60,7 +59,7 @@ def test_dense_margins_are_those_of_the_certificate():
 
 def test_symbol_margins_are_the_smallest_of_the_zone():
     model = kernel("sign-changing", HORIZON, lam=-0.2)
-    conditions = Conditions(CLASSES, "paper", ZETA)
+    conditions = LatticeConditions(CLASSES, Conditions("paper", ZETA))
     weights = [tuple(map(torch.from_numpy, class_weights(model)))]
     lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
     found = SymbolMargins([conditions])(lam, mu, weights).numpy()
@@ -69,14 +68,12 @@ def test_symbol_margins_are_the_smallest_of_the_zone():
     assert (found >= smallest - 1e-12).all()
 
 
-def test_stage_two_moves_a_violating_start_towards_the_conditions(monkeypatch):
+def test_stage_two_moves_a_violating_start_towards_the_conditions():
     """On data of a kernel that violates them, the conditions are kept to a small remainder."""
-    monkeypatch.setattr(two_stage, "EPOCHS", 500)
-    monkeypatch.setattr(two_stage, "INNER_EPOCHS", 200)
-    monkeypatch.setattr(two_stage, "OUTER_ITERATIONS", 10)
+    method = TwoStage(epochs=500, inner_epochs=200, outer_iterations=10)
     true = kernel("sign-changing", 2.5)
     assert certify(true, spacing=1.0).symbol_min < -0.03
     points = manufactured(true, lattice(6, 2.5), 6, wave_number=2.0)
-    found = fit(points, horizon=2.5, degree=4, method="two-stage")
+    found = fit(points, horizon=2.5, kernel=Bernstein(4), method=method)
     assert found.certificate.symbol_min > -0.003
     assert found.history[1].E_res_train < found.history[0].E_res_train

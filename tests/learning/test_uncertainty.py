@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import InputError, fit
+from warp_peri import Bernstein, InputError, fit
 from warp_peri.learning.fit import Fit, Settings
 from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.learning.output_error import as_model, output_optimum
@@ -16,7 +16,7 @@ from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.losses.response import WaveResponse
 from warp_peri.operator.symbol import moduli, stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.statics.solve import solve
 
 HORIZON = 2.5
@@ -27,7 +27,7 @@ SIZE = 0.02
 
 def fitted(data, start, zeta=0.01):
     """The output-error fit alone, without the stages and proofs around it."""
-    asked = [Conditions(CLASSES, "direct", zeta)]
+    asked = [LatticeConditions(CLASSES, Conditions("direct", zeta))]
     found = output_optimum([WaveResponse(data, HORIZON)], start, asked, HORIZON)
     settings = Settings(asked, normalise=True, two_functions=False, moduli=None)
     return Fit(
@@ -104,13 +104,13 @@ def test_an_active_condition_stays_where_it_is():
     data = noisy(waves(true, cells=4, highest=3), SIZE, seed=1)
     noise = fluctuation(data, 12, SIZE, seed=2)
     margin = float(
-        ZoneSearch(Conditions(CLASSES, "direct", 1e-9))
+        ZoneSearch(LatticeConditions(CLASSES, Conditions("direct", 1e-9)))
         .worst(*stiffnesses(fitted(data, start).model, CLASSES))[0]
         .min()
     )
 
     def smallest(model):
-        table = ZoneSearch(Conditions(CLASSES, "direct", 1e-9))
+        table = ZoneSearch(LatticeConditions(CLASSES, Conditions("direct", 1e-9)))
         return table.worst(*stiffnesses(model, CLASSES))[0].min()
 
     free = fit_uncertainty(fitted(data, start), data, noise).deviation(smallest)
@@ -151,7 +151,7 @@ def test_what_it_cannot_do_is_refused():
     true = kernel("1/r", HORIZON, lam=-0.1, mu=0.7)
     data = waves(true, cells=3, highest=2)
     noise = fluctuation(data, 3, SIZE, seed=2)
-    found = fit(data, horizon=HORIZON, degree=0, method="optimum", normalise=True)
+    found = fit(data, horizon=HORIZON, kernel=Bernstein(0), normalise=True)
     with pytest.raises(InputError, match="two fields"):
         fit_uncertainty(found, data, fluctuation(data, 1, SIZE, seed=2))
     with pytest.raises(InputError, match="expected 1 sets"):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import InputError, fit
+from warp_peri import Bernstein, InputError, TwoStage, fit
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import reduce
@@ -152,7 +152,7 @@ def test_bias_of_the_raw_loss_is_gone(model, clean):
     """Noise softens what the residual learns; the correction and the response are not misled."""
     data = noisy(clean, SIZE, seed=3)
     noise = fluctuation(clean, 12, SIZE, seed=4)
-    options = {"horizon": HORIZON, "degree": DEGREE, "method": "optimum", "normalise": True}
+    options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
     wrong = {}
     for loss in ("residual", "corrected", "output"):
         found = fit(data, noise=noise, loss=loss, **options)
@@ -165,7 +165,7 @@ def test_bias_of_the_raw_loss_is_gone(model, clean):
 
 
 def test_the_default_follows_the_data(model, clean):
-    options = {"horizon": HORIZON, "degree": DEGREE, "method": "optimum", "normalise": True}
+    options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
     data = noisy(clean, SIZE, seed=3)
     loud, faint = (fluctuation(clean, 8, size, seed=4) for size in (SIZE, 1e-6))
     without = fit(data, **options).loss
@@ -184,7 +184,7 @@ def refusals(clean):
     return {
         "another loss": ({"loss": "huber"}, "one of auto"),
         "nothing to correct by": ({"loss": "corrected"}, "needs fields of noise"),
-        "no output by two stages": ({"loss": "output", "method": "two-stage"}, "two-stage"),
+        "no output by two stages": ({"loss": "output", "method": TwoStage()}, "two-stage"),
         "no noise in the noise": (
             {"noise": dataclasses.replace(noise, u=noise.u[:0])},
             "at least one field",
@@ -198,7 +198,7 @@ def refusals(clean):
 def test_what_cannot_be_used_is_refused(name, clean):
     options, words = refusals(clean)[name]
     with pytest.raises(InputError, match=words):
-        fit(clean, horizon=HORIZON, degree=2, **{"method": "optimum", **options})
+        fit(clean, HORIZON, Bernstein(2), **options)
 
 
 def test_a_sample_without_its_wave_is_named(clean):

@@ -18,7 +18,7 @@ from warp_peri.losses.reduced import reduce
 from warp_peri.models.shapes import gaussian, table
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import Conditions
+from warp_peri.stability.conditions import Conditions, LatticeConditions
 
 # The polynomial
 
@@ -111,7 +111,10 @@ def test_the_gradient_through_the_whole_forward_pass(shape):
     classes, full = bond_classes(1.0, HORIZON), FullLoss(points, HORIZON, weight)
     coordinates = ShapeCoordinates([classes], shape)
     problem = Problem(
-        [reduce(points, HORIZON, weight)], [Conditions(classes, "direct", 0.01)], coordinates, None
+        [reduce(points, HORIZON, weight)],
+        [LatticeConditions(classes, Conditions("direct", 0.01))],
+        coordinates,
+        None,
     )
     y = coordinates.start(Parameters(0.3, 0.5, 0.0, np.ones(1), shape=off(shape)))
 

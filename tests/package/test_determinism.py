@@ -19,13 +19,12 @@ LEARN = """
 import hashlib, sys
 import numpy as np
 from tests.support.jobs import problem
-from warp_peri import fit, solve
-from warp_peri.learning import two_stage
-two_stage.EPOCHS, two_stage.INNER_EPOCHS, two_stage.OUTER_ITERATIONS = 60, 30, 3
+from warp_peri import Bernstein, Constrained, TwoStage, fit, solve
 points = problem()
 digest = lambda *parts: hashlib.sha256(b"".join(np.asarray(p).tobytes() for p in parts)).hexdigest()
 for seed in map(int, sys.argv[1:]):
-    model = fit(points, horizon=2.5, degree=4, seed=seed).model
+    stages = TwoStage(seed=seed, epochs=60, inner_epochs=30, outer_iterations=3)
+    model = fit(points, 2.5, Bernstein(4), method=Constrained(stages)).model
     u = solve(model, points, points.b, points.u, allow_uncertified=True)
     print(digest(model.lam, model.mu, model.alpha, model.D), digest(u))
 """

@@ -9,9 +9,8 @@ import pytest
 import tools.make_graphene as tool
 from examples import train_graphene
 from tests.support.jobs import problem
-from warp_peri import InputError, fit, sweep
+from warp_peri import Bernstein, InputError, TwoStage, fit, sweep
 from warp_peri.files.whole import PART, locked, whole_file
-from warp_peri.learning import two_stage
 
 ROOT = Path(__file__).parent.parent.parent
 HOLD = """
@@ -50,8 +49,7 @@ def refused():
     return pytest.raises(InputError, match="another job is writing here")
 
 
-def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(two_stage, "EPOCHS", 5)
+def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys):
     holder(*(tmp_path / name for name in ("out", "g.h5", "state.npz")))
     with pytest.raises(InputError, match="out: another job is writing here"):
         sweep(problem(), problem(1), tmp_path / "out", horizons=(2.0,), degrees=(0,), jobs=1)
@@ -61,7 +59,12 @@ def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys, monkeyp
     assert train_graphene.main(arguments) == 2
     assert "out: another job is writing here" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"state\.npz: another job"):
-        fit(problem(), horizon=2.0, degree=0, method="two-stage", checkpoint=tmp_path / "state.npz")
+        fit(
+            problem(),
+            horizon=2.0,
+            kernel=Bernstein(0),
+            method=TwoStage(checkpoint=tmp_path / "state.npz", epochs=5),
+        )
 
 
 def test_a_killed_holder_holds_nothing(holder, tmp_path):

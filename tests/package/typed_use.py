@@ -49,13 +49,19 @@ def learn(folder: Path) -> warp_peri.Fit:
     warp_peri.save_dataset(folder / "data.h5", warp_peri.Dataset(sets, THICKNESS, DENSITY))
     data = assert_type(warp_peri.load_dataset(folder / "data.h5"), warp_peri.Dataset)
     train = assert_type(data["train"], warp_peri.Samples)
-    fit = warp_peri.fit(train, horizon=HORIZON, degree=1, method="optimum")
+    fit = warp_peri.fit(
+        train,
+        HORIZON,
+        warp_peri.Bernstein(1),
+        method=warp_peri.Constrained(warp_peri.TwoStage(epochs=9), warp_peri.Optimum(jobs=1)),
+        conditions=warp_peri.Conditions(zeta=0.01),
+    )
     assert_type(fit, warp_peri.Fit)
     fit.model.save(folder / "model.json")
     shape = warp_peri.InfluenceFunction(
         lambda r, length: np.exp(-r / length), {"length": 1.5}, {"length": (0.5, 9.0)}
     )
-    by_shape = warp_peri.fit(train, horizon=HORIZON, influence=shape)
+    by_shape = warp_peri.fit(train, horizon=HORIZON, kernel=shape)
     assert_type(by_shape.influence, warp_peri.InfluenceFunction | None)
     noise = warp_peri.Samples(
         train.points, 1e-4 * np.random.default_rng(3).normal(size=train.u.shape)

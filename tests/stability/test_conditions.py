@@ -7,7 +7,7 @@ from tests.support.problems import GRADIENT, KERNELS, difference, kernel
 from warp_peri import InputError
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import CONDITIONS, Conditions, ZoneSearch
+from warp_peri.stability.conditions import CONDITIONS, Conditions, LatticeConditions, ZoneSearch
 
 CLASSES = bond_classes(1.0, 3.0)
 K = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
@@ -39,7 +39,7 @@ def test_gradient_of_the_ratio(name, lam):
 @every_kernel
 @every_kind
 def test_gradients_of_the_margins(name, kind):
-    at, conditions = symbol(CLASSES, K), Conditions(CLASSES, kind, 0.02)
+    at, conditions = symbol(CLASSES, K), LatticeConditions(CLASSES, Conditions(kind, 0.02))
     v, z, kappa = stiffnesses(kernel(name, 3.0), CLASSES)
 
     def margins(x):
@@ -59,20 +59,20 @@ def test_margins_are_the_printed_conditions(name):
     v, z, kappa = stiffnesses(model, CLASSES)
     at = symbol(CLASSES, K)
     s = at.laplacian
-    found = Conditions(CLASSES, "paper", 0.02).margins(at, v, z, kappa)
+    found = LatticeConditions(CLASSES, Conditions("paper", 0.02)).margins(at, v, z, kappa)
     np.testing.assert_allclose(found[0], eigenvalues(at, v, z, kappa)[:, 0] / s - 0.02, atol=1e-12)
     np.testing.assert_allclose(found[1], eigenvalues(at, v, z, 0.0)[:, 0] / s - 0.02, atol=1e-12)
     w, p = v / 0.6, z / 0.6  # Γ − 2φφᵗ of w, times μ
     expected = 0.6 * eigenvalues(at, w, p, -2.0)[:, 0] / s
     np.testing.assert_allclose(found[2], expected, atol=1e-12)
-    direct = Conditions(CLASSES, "direct", 0.02).margins(at, v, z, kappa)
+    direct = LatticeConditions(CLASSES, Conditions("direct", 0.02)).margins(at, v, z, kappa)
     assert np.array_equal(direct, found[:1])
 
 
 @every_kernel
 @every_kind
 def test_the_search_finds_what_a_finer_grid_finds(name, kind):
-    conditions = Conditions(CLASSES, kind, 0.02)
+    conditions = LatticeConditions(CLASSES, Conditions(kind, 0.02))
     point = stiffnesses(kernel(name, 3.0, lam=0.7), CLASSES)
     smallest, where = ZoneSearch(conditions, 30).worst(*point)
     line = np.linspace(1e-3, np.pi, 301)
@@ -93,4 +93,4 @@ def test_the_search_finds_what_a_finer_grid_finds(name, kind):
 )
 def test_bad_choices_are_refused(kind, zeta, words):
     with pytest.raises(InputError, match=words):
-        Conditions(CLASSES, kind, zeta)
+        LatticeConditions(CLASSES, Conditions(kind, zeta))

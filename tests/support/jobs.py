@@ -42,11 +42,11 @@ def sweep(folder):
 
 def training(folder):
     """All three stages, with a checkpoint."""
-    from warp_peri import fit
-    from warp_peri.learning import two_stage
+    from warp_peri import Bernstein, Constrained, TwoStage, fit
 
-    two_stage.EPOCHS, two_stage.INNER_EPOCHS, two_stage.OUTER_ITERATIONS = 100, 50, 12
-    found = fit(problem(), horizon=2.5, degree=4, checkpoint=folder / "state.npz", seed=3)
+    lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
+    stages = TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
+    found = fit(problem(), 2.5, Bernstein(4), method=Constrained(stages))
     found.model.save(folder / "model.json")
     return ["model.json", "state.npz"]
 

@@ -126,26 +126,27 @@ def _take_sheet(given: argparse.Namespace) -> Dataset | None:
 
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
+    from warp_peri.learning import methods
+
     data = load_dataset(given.data)
     train = data[given.set]
     noise = data[given.noise] if given.noise else None
-    influence = None
+    kernel: warp_peri.Bernstein | warp_peri.InfluenceFunction
+    kernel = warp_peri.Bernstein(DEGREE if given.degree is None else given.degree)
     if given.influence:
-        influence = shape_of(given.influence, given.horizon, train.spacing)
-    degree = DEGREE if influence is None and given.degree is None else given.degree
+        if given.degree is not None:
+            raise InputError("degree, influence: expected one of the two")
+        kernel = shape_of(given.influence, given.horizon, train.spacing)
     with locked(given.out):
         found = warp_peri.fit(
             train,
-            horizon=given.horizon,
-            degree=degree,
-            influence=influence,
-            method=given.method,
-            conditions=given.conditions,
-            zeta=given.zeta,
-            normalise=given.normalise,
+            given.horizon,
+            kernel,
+            method=methods.named(given.method, seed=given.seed),
+            conditions=warp_peri.Conditions(given.conditions, given.zeta),
             loss=given.loss,
             noise=noise,
-            seed=given.seed,
+            normalise=given.normalise,
             progress=not given.json,
         )
         tables, errors = {}, {}

@@ -60,6 +60,8 @@ def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFu
     """The influence function of a name, or of a table in a .csv file for a lattice."""
     if not name.endswith(".csv"):
         return warp_peri.shapes.named(name, horizon)
+    from warp_peri.points.families import bond_classes
+
     try:
         r, K = influence_table(name)
         shape = warp_peri.shapes.table(r, K)
@@ -67,7 +69,7 @@ def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFu
         raise InputError(f"{name}: no such file") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: {error}") from None
-    longest = warp_peri.points.families.bond_classes(spacing, horizon).r[-1] if spacing else horizon
+    longest = bond_classes(spacing, horizon).r[-1] if spacing else horizon
     if not r[-1] >= longest * (1 - 1e-6):
         raise InputError(
             f"{name}: expected K out to the longest bond, {longest:g} Å, got it to {r[-1]:g} Å"

@@ -20,7 +20,7 @@ from warp_peri.operator.sweeps import Sweeps
 from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import Conditions
+from warp_peri.stability.conditions import LatticeConditions
 
 ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4
@@ -54,7 +54,7 @@ _values: Callable[..., torch.Tensor] = _Values.apply
 class SymbolMargins:
     """Smallest margins of the conditions over sampled wave vectors, on each lattice [TPa]."""
 
-    def __init__(self, conditions: Sequence[Conditions]) -> None:
+    def __init__(self, conditions: Sequence[LatticeConditions]) -> None:
         self.conditions = conditions
         self.lattices = [one.classes for one in conditions]
         self.tables = [
@@ -72,7 +72,7 @@ class SymbolMargins:
                 kappa: np.ndarray,
                 v: np.ndarray,
                 z: np.ndarray,
-                one: Conditions = one,
+                one: LatticeConditions = one,
                 at: Symbol = at,
             ) -> tuple[np.ndarray, np.ndarray]:
                 margins = one.margins(at, v, z, float(kappa))

@@ -13,16 +13,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from warp_peri.learning.coordinates import Coordinates, Point
+from warp_peri.learning.methods import Optimum
 from warp_peri.learning.parameters import Parameters
 from warp_peri.learning.shape_coordinates import ShapeCoordinates
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.operator.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 from warp_peri.points.families import BondClasses
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
-FIRST_CUTS = 12
-"""Intervals of the zone grid that the first fit keeps the conditions on."""
-ROUNDS = 40
 LOSS_TOLERANCE = 1e-14
 """Changes of the loss that SLSQP takes for none; losses are relative to the loads."""
 RESTARTS, RESTART_GAIN = 10, 1e-6
@@ -31,7 +29,6 @@ HEADROOM = 1.01
 """A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
 SEARCH_TOLERANCE = 1e-9
 """Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
-ISOTROPIC = "isotropic"
 MODULI_TOLERANCE = 1e-6
 """Distance [TPa] from moduli to be held that counts as none."""
 SMOOTHNESS = 1e-10
@@ -40,7 +37,7 @@ nothing that can be seen, and keeps D from growing until its terms cancel to the
 
 
 @dataclass(frozen=True)
-class Optimum:
+class Reached:
     """Result of one start.
 
     Attributes:
@@ -63,29 +60,28 @@ class Optimum:
 def constrained_optimum(
     grids: Sequence[ReducedLoss],
     start: Parameters,
-    conditions: Sequence[Conditions],
+    conditions: Sequence[LatticeConditions],
+    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
     *,
     two_functions: bool = False,
-    moduli: tuple[float, float] | str | None = None,
-) -> Optimum:
+) -> Reached:
     """Minimise the reduced loss under the conditions over the whole zone, from one start.
 
     Args:
         grids: the reduced loss of each lattice; their sum is minimised.
         start: where to begin.
         conditions: what must hold on each of the lattices.
+        method: moduli to hold, and how many rounds of cutting planes there may be.
         two_functions: give the dilatation coefficients of its own.
-        moduli: (λ, μ) [TPa] to hold, with C44 = μ on every lattice; ISOTROPIC for C44 = μ alone;
-            None to learn all of them.
     """
     classes = [grid.classes for grid in grids]
     coordinates = coordinates_of(classes, start, two_functions=two_functions)
-    problem = Problem(grids, conditions, coordinates, moduli)
+    problem = Problem(grids, conditions, coordinates, method.moduli)
     searches = [ZoneSearch(one) for one in conditions]
-    cuts = [zone_wedge(one.spacing, FIRST_CUTS) for one in classes]
+    cuts = [zone_wedge(one.spacing, method.first_cuts) for one in classes]
     y = coordinates.start(start)
     losses: list[float] = []
-    for _ in range(ROUNDS):
+    for _ in range(method.rounds):
         y, loss = problem.settle(y, [symbol(one, k) for one, k in zip(classes, cuts)])
         losses.append(loss)
         point = coordinates.point(y)
@@ -100,7 +96,7 @@ def constrained_optimum(
     departure = problem.farthest(y)
     kept = kept and departure <= MODULI_TOLERANCE
     parameters = coordinates.parameters(y, losses)
-    return Optimum(parameters, loss, margin, departure, sum(map(len, cuts)), kept)
+    return Reached(parameters, loss, margin, departure, sum(map(len, cuts)), kept)
 
 
 def coordinates_of(
@@ -119,12 +115,15 @@ class Problem:
     def __init__(
         self,
         grids: Sequence[ReducedLoss],
-        conditions: Sequence[Conditions],
+        conditions: Sequence[LatticeConditions],
         coordinates: Coordinates | ShapeCoordinates,
         moduli: tuple[float, float] | str | None,
     ) -> None:
         self.grids, self.coordinates, self.moduli = grids, coordinates, moduli
-        self.asked = [Conditions(one.classes, one.kind, HEADROOM * one.zeta) for one in conditions]
+        self.asked = [
+            LatticeConditions(one.classes, Conditions(one.kind, HEADROOM * one.zeta))
+            for one in conditions
+        ]
 
     def settle(self, y: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
         """SLSQP, begun again where it stopped until that gains nothing.

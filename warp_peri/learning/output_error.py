@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from warp_peri.learning.optimum import Optimum, constrained_optimum
+from warp_peri.learning.methods import Optimum
+from warp_peri.learning.optimum import Reached, constrained_optimum
 from warp_peri.learning.parameters import Parameters
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.losses.response import Response, products
 from warp_peri.models.lps import Model
-from warp_peri.stability.conditions import Conditions
+from warp_peri.stability.conditions import LatticeConditions
 
 STEPS = 12
 GAIN = 1e-5
@@ -22,13 +23,13 @@ GAIN = 1e-5
 def output_optimum(
     responses: Sequence[Response],
     start: Parameters,
-    conditions: Sequence[Conditions],
+    conditions: Sequence[LatticeConditions],
     horizon: float,
+    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
     *,
     two_functions: bool = False,
-    moduli: tuple[float, float] | str | None = None,
     tick: Callable[[float], None] = lambda loss: None,
-) -> Optimum:
+) -> Reached:
     """Minimise the misfit of displacement under the conditions over the whole zone.
 
     Each step is a constrained optimum of the loss linearised about the last one. A step that does
@@ -39,14 +40,12 @@ def output_optimum(
         start: where to begin.
         conditions: what must hold on each lattice.
         horizon: δ [Å].
-        two_functions, moduli: as for constrained_optimum.
+        method, two_functions: as for constrained_optimum.
         tick: called with the loss after each step.
     """
 
-    def step(grids: Sequence[ReducedLoss], at: Parameters) -> Optimum:
-        return constrained_optimum(
-            grids, at, conditions, two_functions=two_functions, moduli=moduli
-        )
+    def step(grids: Sequence[ReducedLoss], at: Parameters) -> Reached:
+        return constrained_optimum(grids, at, conditions, method, two_functions=two_functions)
 
     def about(at: Parameters) -> tuple[list[ReducedLoss], float]:
         model = as_model(at, horizon)

@@ -16,8 +16,6 @@ from warp_peri.points.families import BondClasses
 SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 """μ and λ + μ [TPa] stay above the first, α below the second."""
 
-PARAMETRISATIONS = ("projected", "relu")
-
 
 @dataclass(frozen=True)
 class Parameters:

@@ -18,10 +18,12 @@ from warp_peri.errors import InputError
 from warp_peri.files.whole import locked, write_json
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import fit
+from warp_peri.learning.methods import Bernstein
 from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.stability.conditions import Conditions
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""
@@ -109,7 +111,7 @@ def sweep(
         noise: fields of noise alone on the training nodes, as in `fit`.
         horizons: δ [Å].
         degrees: M.
-        conditions: as in `fit`.
+        conditions: "direct" or "paper", as in Conditions.
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
             chooses another backend.
         progress: show a progress bar.
@@ -205,11 +207,11 @@ def _trial(
     try:
         found = fit(
             train,
-            horizon=horizon,
-            degree=degree,
-            method="optimum",
-            conditions=conditions,
+            horizon,
+            Bernstein(degree),
+            conditions=Conditions(conditions),
             noise=noise,
+            progress=False,
         )
     except RuntimeError as error:
         return f"δ = {horizon:g} Å, M = {degree}: {error}"

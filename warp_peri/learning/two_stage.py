@@ -10,15 +10,12 @@ import torch
 from warp_peri.files.whole import locked
 from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.learning.margins import DenseMargins, SymbolMargins
+from warp_peri.learning.methods import TwoStage
 from warp_peri.learning.parameters import Parameters, Variables
 from warp_peri.losses.full import FullLoss
 from warp_peri.losses.reduced import ReducedLoss
 
 LEARNING_RATE = 1e-3
-EPOCHS = 4000
-"""Most epochs of stage 1; the paper's loss stagnates between 1000 and 2000."""
-INNER_EPOCHS = 500
-OUTER_ITERATIONS = 20
 STAGNATION = 1e-3
 """A stage ends when its loss fell by less than this fraction over the last window of epochs."""
 WINDOW = 200
@@ -29,8 +26,8 @@ LARGEST_PENALTY = 1e20
 def positive_stage(
     terms: Sequence[ReducedLoss | FullLoss],
     start: Parameters,
+    method: TwoStage,
     *,
-    parametrisation: str = "projected",
     tick: Callable[[float], None],
 ) -> Parameters:
     """Stage 1: Adam with D ≥ 0.
@@ -38,24 +35,24 @@ def positive_stage(
     Args:
         terms: the loss of each training set, reduced on lattices, full on scattered points.
         start: λ, μ, α and D to start from.
-        parametrisation: how the bounds are kept, see Variables.
+        method: how the bounds are kept, and the most epochs.
         tick: called with the loss after every epoch.
     """
-    variables = Variables(start, positive=True, parametrisation=parametrisation)
+    variables = Variables(start, positive=True, parametrisation=method.parametrisation)
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
         loss = variables.loss(terms)
         return loss, loss
 
-    return variables.parameters(_adam(variables, [], objective, EPOCHS, tick))
+    return variables.parameters(_adam(variables, [], objective, method.epochs, tick))
 
 
 def sign_changing_stage(
     terms: Sequence[ReducedLoss | FullLoss],
     start: Parameters,
     margins: SymbolMargins | DenseMargins,
+    method: TwoStage,
     *,
-    parametrisation: str = "projected",
     checkpoint: Checkpoint | None = None,
     tick: Callable[[float], None],
 ) -> Parameters:
@@ -69,25 +66,25 @@ def sign_changing_stage(
         terms: the loss of each training set, reduced on lattices, full on scattered points.
         start: result of stage 1.
         margins: of the conditions.
-        parametrisation: how the bounds are kept, see Variables.
+        method: how the bounds are kept, and the most epochs and iterations.
         checkpoint: kept after every outer iteration; a run that finds one goes on from it.
         tick: called with the loss after every epoch.
 
     Raises InputError for a checkpoint of another run, or one that another job writes to.
     """
     with locked(checkpoint.path) if checkpoint is not None else nullcontext():
-        return _augmented_lagrangian(terms, start, margins, parametrisation, checkpoint, tick)
+        return _augmented_lagrangian(terms, start, margins, method, checkpoint, tick)
 
 
 def _augmented_lagrangian(
     terms: Sequence[ReducedLoss | FullLoss],
     start: Parameters,
     margins: SymbolMargins | DenseMargins,
-    parametrisation: str,
+    method: TwoStage,
     checkpoint: Checkpoint | None,
     tick: Callable[[float], None],
 ) -> Parameters:
-    variables = Variables(start, positive=False, parametrisation=parametrisation)
+    variables = Variables(start, positive=False, parametrisation=method.parametrisation)
     slack = torch.ones(margins.count, dtype=torch.float64, requires_grad=True)
     multiplier = torch.zeros(margins.count, dtype=torch.float64)
     previous = torch.full_like(multiplier, torch.inf)
@@ -110,18 +107,18 @@ def _augmented_lagrangian(
             for tensor, value in zip(tensors, state.tensors):
                 tensor.copy_(torch.from_numpy(value))
 
-    while done < OUTER_ITERATIONS:
-        losses += _adam(variables, [slack], objective, INNER_EPOCHS, tick)
+    while done < method.outer_iterations:
+        losses += _adam(variables, [slack], objective, method.inner_epochs, tick)
         done += 1
         with torch.no_grad():
             signed = loss_and_violation()[1]
         H = signed.abs()
-        if (H <= TOLERANCE).all() and _stagnant(losses, INNER_EPOCHS):
-            done = OUTER_ITERATIONS
+        if (H <= TOLERANCE).all() and _stagnant(losses, method.inner_epochs):
+            done = method.outer_iterations
         elif ((H >= REQUIRED_DECREASE * previous) & (H > TOLERANCE)).any():
             penalty *= PENALTY_GROWTH
             if penalty >= LARGEST_PENALTY:
-                done = OUTER_ITERATIONS
+                done = method.outer_iterations
         else:
             multiplier += penalty * signed
         previous.copy_(H)

@@ -15,10 +15,10 @@ import scipy.linalg
 from scipy.special import ndtri
 
 from warp_peri.errors import InputError
-from warp_peri.learning.fit import Fit
 from warp_peri.learning.optimum import Problem, coordinates_of
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.result import Fit
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import check_noise, corrected, noise_loss
 from warp_peri.losses.reduced import Features, ReducedLoss, reduce

@@ -14,7 +14,7 @@ from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
-from warp_peri.stability.conditions import Conditions, ZoneSearch
+from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.stability.proof import proven_bound
 
 INTERVALS = 500
@@ -96,7 +96,7 @@ def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -
     classes = bond_classes(spacing, model.horizon)
     v, z, kappa = stiffnesses(model, classes)
     zeta = 1.0  # any level; the search is for the smallest ratio
-    search = ZoneSearch(Conditions(classes, "direct", zeta), INTERVALS)
+    search = ZoneSearch(LatticeConditions(classes, Conditions("direct", zeta)), INTERVALS)
     smallest = float(search.worst(v, z, kappa)[0][0]) + zeta
     bound = proven_bound(classes, v, z, kappa, smallest)
     if points is None:

@@ -19,17 +19,17 @@ SEARCH_INTERVALS = 120
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of one kind on one lattice.
+    """What a fit must keep on every lattice.
 
     Attributes:
-        classes: bond classes of the lattice.
-        kind: "direct" or "paper".
+        kind: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
         zeta: ζ [TPa].
+
+    Raises InputError for another kind, or a ζ that is not above zero.
     """
 
-    classes: BondClasses
-    kind: str
-    zeta: float
+    kind: str = "direct"
+    zeta: float = 0.01
 
     def __post_init__(self) -> None:
         if self.kind not in CONDITIONS:
@@ -38,6 +38,29 @@ class Conditions:
             )
         if not (np.isfinite(self.zeta) and self.zeta > 0):
             raise InputError(f"zeta: expected a stiffness > 0 TPa, got {self.zeta}")
+
+
+@dataclass(frozen=True)
+class LatticeConditions:
+    """Conditions on one lattice.
+
+    Attributes:
+        classes: bond classes of the lattice.
+        asked: what is to be kept on it.
+    """
+
+    classes: BondClasses
+    asked: Conditions
+
+    @property
+    def kind(self) -> str:
+        """Of the conditions."""
+        return self.asked.kind
+
+    @property
+    def zeta(self) -> float:
+        """ζ [TPa]."""
+        return self.asked.zeta
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,7 +99,7 @@ class Conditions:
 class ZoneSearch:
     """Looks for the smallest margins over the whole zone: a grid, then zooms into its minima."""
 
-    def __init__(self, conditions: Conditions, intervals: int = SEARCH_INTERVALS) -> None:
+    def __init__(self, conditions: LatticeConditions, intervals: int = SEARCH_INTERVALS) -> None:
         self.conditions = conditions
         self.k = zone_wedge(conditions.classes.spacing, intervals)
         self.table = symbol(conditions.classes, self.k)

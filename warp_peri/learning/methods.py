@@ -1,0 +1,152 @@
+"""How a model is learned: what each method is asked for, apart from the data and the conditions."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.learning.options import METHODS
+from warp_peri.models.shapes import InfluenceFunction
+
+PARAMETRISATIONS = ("projected", "relu")
+CONSTRAINTS = ("symbol", "dense")
+ISOTROPIC = "isotropic"
+
+
+@dataclass(frozen=True)
+class Bernstein:
+    """Influence functions K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory.md, 4).
+
+    Attributes:
+        degree: M ≥ 0.
+        two_functions: give the dilatation an influence function of its own.
+
+    Raises InputError for a degree that is none.
+    """
+
+    degree: int = 10
+    two_functions: bool = False
+
+    def __post_init__(self) -> None:
+        _check_whole("degree", self.degree)
+
+
+Kernel: TypeAlias = Bernstein | InfluenceFunction | Sequence[InfluenceFunction]
+
+
+@dataclass(frozen=True)
+class TwoStage:
+    """Algorithm 1 of You et al. (2021): Adam on positive kernels, then an augmented Lagrangian.
+
+    Attributes:
+        parametrisation: "projected" or, as printed, "relu"; see Variables.
+        constraints: of stage 2, "symbol" (over the zone) or, as printed and far slower, "dense"
+            (eigenvalues on the training domain).
+        seed: of the initial D of stage 1.
+        checkpoint: file that stage 2 keeps its state in and goes on from.
+        lattice_spacing: for training sets of scattered points, which have no symbol: spacing [Å]
+            of the lattice on which the conditions are kept.
+        epochs: most epochs of stage 1; the paper's loss stagnates between 1000 and 2000.
+        inner_epochs: most epochs of each round of stage 2.
+        outer_iterations: most rounds of stage 2.
+
+    Raises InputError for a choice or a number that is none.
+    """
+
+    parametrisation: str = "projected"
+    constraints: str = "symbol"
+    seed: int = 0
+    checkpoint: str | os.PathLike[str] | None = None
+    lattice_spacing: float | None = None
+    epochs: int = 4000
+    inner_epochs: int = 500
+    outer_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        for name, known in (
+            ("parametrisation", PARAMETRISATIONS),
+            ("constraints", CONSTRAINTS),
+        ):
+            if getattr(self, name) not in known:
+                raise InputError(
+                    f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"
+                )
+        for name in ("seed", "epochs", "inner_epochs", "outer_iterations"):
+            _check_whole(name, getattr(self, name))
+        if self.lattice_spacing is not None and self.constraints == "dense":
+            raise InputError("lattice_spacing: goes with constraints='symbol', got 'dense'")
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The constrained optimum of the loss (theory.md, 26–28), from plain kernels r^(−α).
+
+    Attributes:
+        moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
+            the moduli of the discrete operator); "isotropic" holds that condition and learns λ
+            and μ; None learns them freely.
+        jobs: threads for the starts.
+        rounds: most rounds of cutting planes.
+        first_cuts: intervals of the zone grid that the first round keeps the conditions on.
+
+    Raises InputError for moduli that no solid has.
+    """
+
+    moduli: tuple[float, float] | str | None = None
+    jobs: int = 1
+    rounds: int = 40
+    first_cuts: int = 12
+
+    def __post_init__(self) -> None:
+        if isinstance(self.moduli, str):
+            if self.moduli != ISOTROPIC:
+                raise InputError(f"moduli: expected (λ, μ) or {ISOTROPIC!r}, got {self.moduli!r}")
+        elif self.moduli is not None and not _are_moduli(self.moduli):
+            raise InputError(
+                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {self.moduli!r:.60}"
+            )
+
+
+@dataclass(frozen=True)
+class Constrained:
+    """Algorithm 1, and from where it ends on to the constrained optimum.
+
+    Attributes:
+        two_stage: settings of the first part.
+        optimum: settings of the second.
+    """
+
+    two_stage: TwoStage = field(default_factory=TwoStage)
+    optimum: Optimum = field(default_factory=Optimum)
+
+
+Method: TypeAlias = TwoStage | Optimum | Constrained
+
+
+def named(name: str, **settings: Any) -> Method:
+    """A method by the name it has on the command line; `seed` is that of Algorithm 1."""
+    if name not in METHODS:
+        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {name!r}")
+    if name == "optimum":
+        return Optimum()
+    first = TwoStage(**settings)
+    return first if name == "two-stage" else Constrained(first)
+
+
+def _check_whole(name: str, value: Any) -> None:
+    if not (isinstance(value, (int, np.integer)) and value >= 0):
+        raise InputError(f"{name}: expected a whole number ≥ 0, got {value!r}")
+
+
+def _are_moduli(given: Any) -> bool:
+    """Whether it is (λ, μ) of a solid."""
+    try:
+        lam, mu = map(float, given)
+    except (TypeError, ValueError):
+        return False
+    return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)

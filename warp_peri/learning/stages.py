@@ -1,0 +1,185 @@
+"""The stages of a fit, one after the other: each timed, shown while it runs, and remembered."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import joblib
+import numpy as np
+from tqdm.auto import tqdm
+
+from warp_peri.errors import InputError
+from warp_peri.learning.checkpoint import Checkpoint
+from warp_peri.learning.margins import DenseMargins, SymbolMargins
+from warp_peri.learning.methods import Bernstein, Optimum, TwoStage
+from warp_peri.learning.optimum import Reached, constrained_optimum
+from warp_peri.learning.output_error import STEPS, output_optimum
+from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.result import Stage
+from warp_peri.learning.training_data import TrainingData
+from warp_peri.learning.two_stage import positive_stage, sign_changing_stage
+from warp_peri.losses.response import responses_of
+from warp_peri.points.samples import Samples
+
+SAME_LOSS = 1e-6
+Tick = Callable[[float], None]
+
+
+class Stages:
+    """Runs the stages of one fit on its data.
+
+    Args:
+        data: training data.
+        losses: what is minimised.
+        progress: show a bar for each stage; None shows it where somebody can see it.
+
+    Attributes:
+        history: the stages that were run, in order.
+        starts: E of stage 3 by start.
+    """
+
+    def __init__(self, data: TrainingData, losses: Sequence[Any], progress: bool | None) -> None:
+        self.data, self.losses = data, losses
+        self.disable = None if progress is None else not progress
+        self.history: list[Stage] = []
+        self.starts: dict[str, float] = {}
+
+    def _run(self, name: str, most: int, run: Callable[[Tick], Parameters]) -> Parameters:
+        begin = time.perf_counter()
+        with tqdm(desc=name, unit=" steps", total=most, disable=self.disable) as bar:
+
+            def tick(loss: float) -> None:
+                bar.update()
+                if bar.n % 100 == 0:
+                    bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
+
+            found = run(tick)
+            bar.total = bar.n  # a stage may end early
+            bar.refresh()
+        seconds = time.perf_counter() - begin
+        error = self.data.errors(*numbers(found))
+        self.history.append(Stage(name, found, error, seconds, found.losses))
+        return found
+
+    def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> list[Parameters]:
+        """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
+        data, kept_in = self.data, None
+        dense = method.constraints == "dense"
+        margins = DenseMargins(data.sets, data.horizon) if dense else SymbolMargins(data.conditions)
+        if method.checkpoint is not None:
+            kept_in = Checkpoint(method.checkpoint, key)
+        first = self._run(
+            "1 positive",
+            method.epochs,
+            lambda tick: positive_stage(self.losses, rough, method, tick=tick),
+        )
+        second = self._run(
+            "2 sign-changing",
+            method.inner_epochs * method.outer_iterations,
+            lambda tick: sign_changing_stage(
+                self.losses, first, margins, method, checkpoint=kept_in, tick=tick
+            ),
+        )
+        return [first, second]
+
+    def optimum(
+        self, starts: dict[str, Parameters], method: Optimum, kernel: Bernstein | None
+    ) -> Parameters:
+        """Stage 3: the best of the constrained optima reached from all starts.
+
+        Raises RuntimeError when no start ends with the conditions and the moduli kept.
+        """
+        two_functions = kernel is not None and kernel.two_functions
+        return self._run(
+            "3 constrained",
+            len(starts),
+            lambda tick: self._best(starts, method, two_functions, tick),
+        )
+
+    def _best(
+        self, starts: dict[str, Parameters], method: Optimum, two_functions: bool, tick: Tick
+    ) -> Parameters:
+        conditions = self.data.conditions
+
+        def attempt(start: Parameters) -> Reached | InputError:
+            try:
+                return constrained_optimum(
+                    self.losses, start, conditions, method, two_functions=two_functions
+                )
+            except InputError as error:  # a function that is not defined where it was led
+                return error
+
+        run = joblib.Parallel(n_jobs=method.jobs, prefer="threads")
+        results = []
+        for name, reached in zip(starts, run(map(joblib.delayed(attempt), starts.values()))):
+            tick(np.nan if isinstance(reached, InputError) else reached.loss)
+            if isinstance(reached, InputError):
+                failed = reached
+                continue
+            self.starts[name] = float(np.sqrt(reached.loss))
+            results.append(reached)
+        if not results:
+            raise failed
+        kept = [reached for reached in results if reached.converged]
+        if not kept:
+            margin = max(reached.margin for reached in results)
+            closest = min(reached.departure for reached in results)
+            raise RuntimeError(
+                "stage 3: no start ended with the conditions kept; smallest margin "
+                f"{margin:.1e} TPa, moduli to be held missed by {closest:.1e} TPa or more"
+            )
+        lowest = min(reached.loss for reached in kept)
+        # Equal losses are one optimum: the first start is kept, whatever the rounding.
+        first = next(reached for reached in kept if reached.loss <= lowest * (1 + SAME_LOSS))
+        parameters: Parameters = first.parameters
+        return parameters
+
+    def output(self, start: Parameters, method: Optimum, kernel: Bernstein | None) -> Parameters:
+        """Stage 4: on from there to the least misfit of displacement.
+
+        Raises RuntimeError when it ends with the conditions or the moduli not kept.
+        """
+        data = self.data
+        responses = responses_of(data.sets, data.horizon, self.losses)
+        two_functions = kernel is not None and kernel.two_functions
+
+        def refined(tick: Tick) -> Parameters:
+            reached = output_optimum(
+                responses,
+                start,
+                data.conditions,
+                data.horizon,
+                method,
+                two_functions=two_functions,
+                tick=tick,
+            )
+            if not reached.converged:
+                raise RuntimeError(
+                    f"stage 4: ended with a margin of {reached.margin:.1e} TPa, and moduli to be "
+                    f"held missed by {reached.departure:.1e} TPa"
+                )
+            return reached.parameters
+
+        return self._run("4 output error", STEPS, refined)
+
+
+def numbers(at: Parameters) -> tuple[Any, ...]:
+    """What lps_force takes after u."""
+    own = () if at.D_dilatation is None else (at.D_dilatation,)
+    return (at.lam, at.mu, at.alpha, at.D, *own)
+
+
+def checkpoint_key(data: TrainingData, method: TwoStage, *settings: object) -> str:
+    """Hash of the training data and of everything that stage 2 depends on."""
+    asked = dataclasses.replace(method, checkpoint=None)
+    digest = hashlib.sha256(repr((data.horizon, data.spacings, asked, *settings)).encode())
+    sets: list[Samples] = [*data.sets, *data.noise]
+    for samples in sets:
+        load = np.zeros(0) if samples.b is None else samples.b
+        for values in (samples.x, samples.interior, samples.u, load):
+            digest.update(values.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,113 @@
+"""The training sets of a fit, made ready once: full losses, reduced ones, conditions, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.losses.full import FullLoss, sample_weights
+from warp_peri.losses.noise import corrected, noise_loss
+from warp_peri.losses.reduced import ReducedLoss, reduce
+from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
+from warp_peri.stability.conditions import Conditions, LatticeConditions
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What every method learns from.
+
+    Attributes:
+        sets: training sets.
+        horizon: δ [Å].
+        full: the loss of each through Warp's operator.
+        grids: the reduced loss of each; none for scattered points.
+        conditions: what must hold on each lattice.
+        noise: fields of noise of each set; empty when nothing is known of it.
+        added: what that noise adds to each reduced loss.
+    """
+
+    sets: list[Samples]
+    horizon: float
+    full: list[FullLoss]
+    grids: list[ReducedLoss]
+    conditions: list[LatticeConditions]
+    noise: list[Samples]
+    added: list[np.ndarray]
+
+    @property
+    def spacings(self) -> list[float]:
+        """Of the lattices that carry the conditions [Å]."""
+        return [one.classes.spacing for one in self.conditions]
+
+    def losses(self, name: str) -> list[ReducedLoss] | list[FullLoss]:
+        """What is minimised under the name of a loss (see choose_loss)."""
+        if self.added and name != "residual":
+            return [corrected(grid, R) for grid, R in zip(self.grids, self.added)]
+        return self.grids or self.full
+
+    def errors(self, *numbers: object) -> float:
+        """E_res over all samples at λ, μ, α, D."""
+        return float(np.concatenate([one.errors(*numbers) for one in self.full]).mean())
+
+
+def training_data(
+    samples: Samples | Sequence[Samples],
+    horizon: float,
+    conditions: Conditions,
+    *,
+    noise: Samples | Sequence[Samples] | None,
+    normalise: bool,
+    lattice_spacing: float | None,
+) -> TrainingData:
+    """Check the sets and make everything that is computed of them once.
+
+    Args:
+        samples: one training set or several, all on lattices or not.
+        horizon: δ [Å].
+        conditions: to keep on each lattice.
+        noise: fields of noise alone on the nodes of each.
+        normalise: divide each sample by ‖b‖ in the residual.
+        lattice_spacing: of the lattice that carries the conditions for scattered points [Å]; None
+            where the method has none.
+
+    Raises InputError for sets that cannot be learned from.
+    """
+    sets = listed(samples)
+    if not sets:
+        raise InputError("points: expected at least one training set, got none")
+    weights = sample_weights(sets, normalise=normalise)
+    full = [FullLoss(one, horizon, weight) for one, weight in zip(sets, weights)]
+    grids, unloaded = [], listed(noise)
+    if all(one.spacing > 0 for one in sets):
+        if lattice_spacing is not None:
+            raise InputError("lattice_spacing: only for scattered points")
+        grids = [reduce(one, horizon, weight) for one, weight in zip(sets, weights)]
+        spacings = [one.spacing for one in sets]
+    elif lattice_spacing is not None:
+        spacings = [lattice_spacing]
+    else:
+        raise InputError(
+            "points: scattered points need method=TwoStage(lattice_spacing=…) with constraints "
+            "'symbol', and a spacing whose symbol keeps the conditions"
+        )
+    asked = [LatticeConditions(bond_classes(h, horizon), conditions) for h in spacings]
+    if unloaded and not grids:
+        raise InputError("noise: fields of noise are for lattices; scattered points take none")
+    if unloaded and len(unloaded) != len(sets):
+        raise InputError(f"noise: expected {len(sets)} sets, got {len(unloaded)}")
+    added = [
+        noise_loss(one, points, horizon, weight)
+        for one, points, weight in zip(unloaded, sets, weights)
+    ]
+    return TrainingData(sets, horizon, full, grids, asked, unloaded, added)
+
+
+def listed(samples: Samples | Sequence[Samples] | None) -> list[Samples]:
+    """One set, several or none as a list."""
+    if samples is None:
+        return []
+    return [samples] if isinstance(samples, Samples) else list(samples)
