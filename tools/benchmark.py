@@ -31,8 +31,9 @@ from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
 from warp_peri.operator.adjoint import BLOCKS
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import influence_inputs
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 
@@ -58,20 +59,20 @@ def problem(kind: str, side: int) -> tuple[Points, tuple[float, float]]:
     return Points(x, np.ones(len(x), bool), float(kind != "scattered"), box=box), box
 
 
-def ours(sweeps: Sweeps, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable, Callable]:
+def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable, Callable]:
     """The library: forward, and forward and backward to (u, D, α)."""
     u, g = (torch.as_tensor(field, dtype=dtype) for field in fields)
     lam, mu = MODEL["lam"], MODEL["mu"]
     alpha, D = (torch.as_tensor(MODEL[key], dtype=dtype) for key in ("alpha", "D"))
 
     def forward() -> np.ndarray:
-        sweeps.forget()  # the rivals compute K every time
-        return lps_force(sweeps, u, lam, mu, alpha, D).numpy()
+        bonds.forget()  # the rivals compute K every time
+        return lps_force(bonds, u, lam, mu, alpha, D).numpy()
 
     def both() -> list[np.ndarray]:
-        sweeps.forget()
+        bonds.forget()
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
-        Lu = lps_force(sweeps, leaves[0], lam, mu, leaves[2], leaves[1])
+        Lu = lps_force(bonds, leaves[0], lam, mu, leaves[2], leaves[1])
         return [found.numpy() for found in torch.autograd.grad(Lu, leaves, g)]
 
     return forward, both
@@ -124,12 +125,12 @@ def copy_bandwidth() -> float:
     return 2 * source.nbytes / best
 
 
-def traffic(sweeps: Sweeps, nodes: int, bonds: int, size: int) -> int:
+def traffic(bonds: Bonds, nodes: int, count: int, size: int) -> int:
     """Bytes a forward pass must move if every array is read or written once a sweep."""
     fields = nodes * (2 * (2 * size + size) + 2 * size)  # u and θ in both sweeps, L u out
-    if sweeps.lattice:
-        return 2 * 4 * bonds + fields
-    return bonds * (2 * (4 + size) + 4 * size) + fields  # K: r, W in, K W out; volume: r, K W
+    if bonds.lattice:
+        return 2 * 4 * count + fields
+    return count * (2 * (4 + size) + 4 * size) + fields  # K: r, W in, K W out; volume: r, K W
 
 
 def report(title: str, seconds: dict[str, float], bonds: int) -> None:
@@ -144,21 +145,21 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
     """One table; returns the seconds of our forward pass."""
     points, box = problem(kind, side)
     start = time.perf_counter()
-    sweeps = Sweeps(points, HORIZON, precision=precision)
+    bonds = Bonds(points, HORIZON, precision=precision)
     built = time.perf_counter() - start
-    bonds, nodes = len(sweeps.families.neighbour), len(points.x)
+    count, nodes = len(bonds.families.neighbour), len(points.x)
     fields = np.random.default_rng(1).normal(size=(2, nodes, 2))
     dtype, size = getattr(torch, precision), np.dtype(precision).itemsize
-    force, gradient = ours(sweeps, fields, dtype)
-    print(f"\n{kind}, {nodes} nodes, {bonds / nodes:.1f} bonds a node, {precision}")
+    force, gradient = ours(bonds, fields, dtype)
+    print(f"\n{kind}, {nodes} nodes, {count / nodes:.1f} bonds a node, {precision}")
     print(
-        f"  families and weights {built:.2f} s; {memory(sweeps, size) / bonds:.1f} bytes a bond"
+        f"  families and weights {built:.2f} s; {memory(bonds, size) / count:.1f} bytes a bond"
         " all told"
     )
     forward: Candidates = {"warp_peri": force, "warp_peri, 1 thread": on_threads(1, force)}
     both: Candidates = {"warp_peri": gradient, "warp_peri, 1 thread": on_threads(1, gradient)}
-    t = rivals.tables(sweeps, points.x, np.array(box), *fields, **MODEL)
-    if bonds < LARGE:
+    t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
+    if count < LARGE:
         forward["torch scatter"], both["torch scatter"] = rivals.torch_scatter(t, dtype)
         if precision == "float64":
             forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
@@ -167,10 +168,10 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
     add_numba(forward, both, t, precision)
     tolerance = 1e-8 if precision == "float64" else 5e-2  # sums of a million in single precision
     seconds = interleaved(forward, rounds, tolerance)
-    report("forward", seconds, bonds)
-    share = traffic(sweeps, nodes, bonds, size) / seconds["warp_peri"] / bandwidth
+    report("forward", seconds, count)
+    share = traffic(bonds, nodes, count, size) / seconds["warp_peri"] / bandwidth
     print(f"    of copy bandwidth: {100 * share:.0f} %")
-    report("forward and backward to u, D, α", interleaved(both, rounds, tolerance), bonds)
+    report("forward and backward to u, D, α", interleaved(both, rounds, tolerance), count)
     return seconds["warp_peri"]
 
 
@@ -186,16 +187,18 @@ def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision
         forward[name], both[name] = rivals.numba_parallel(t, dtype, fastmath=fast)
 
 
-def memory(sweeps: Sweeps, size: int) -> int:
+def memory(bonds: Bonds, size: int) -> int:
     """Bytes of all arrays of the operator, of one evaluation and of its gradient."""
     held = [
-        value for value in (*vars(sweeps).values(), *sweeps.links) if isinstance(value, wp.array)
+        value
+        for value in (*vars(bonds).values(), *vars(bonds.arrays).values())
+        if isinstance(value, wp.array)
     ]
     total = sum({array.ptr: array.capacity for array in held}.values())
-    bonds, classes, nodes = len(sweeps.families.neighbour), len(sweeps.r), sweeps.nodes
-    volumes = 1 if sweeps.lattice else nodes
+    count, classes, nodes = len(bonds.families.neighbour), len(bonds.r), bonds.nodes
+    volumes = 1 if bonds.lattice else nodes
     state = classes + volumes + nodes * (2 + 1 + 2)  # K W, m; u, θ, L u
-    bars = len(sweeps.families.pattern) or bonds / BLOCKS  # ∂/∂(K W), one block a thread
+    bars = len(bonds.families.pattern) or count / BLOCKS  # ∂/∂(K W), one block a thread
     gradient = THREADS * bars + nodes * (2 + 2 + 1 + 2)  # g, h, τ, ∂/∂u
     return total + round(size * (state + gradient))
 
@@ -209,11 +212,11 @@ def setting_up(side: int, forward: float) -> None:
         families = families_of(points, HORIZON)
         seconds.append(time.perf_counter() - start)
     bonds = len(families.neighbour)
-    small = Sweeps(*problem_of_sweeps())
+    small = Bonds(*small_problem())
     part = 2_000_000  # K of so many bonds, each by itself
     r = np.resize(families.r[families.classes.bond_class], part)
     degree = len(MODEL["D"]) - 1
-    inputs = (*small.influence_inputs(degree)[:2], small.floats(r), small.floats(np.ones(part)))
+    inputs = (*influence_inputs(small, degree)[:2], small.floats(r), small.floats(np.ones(part)))
     alpha, D = small.floats(np.array([MODEL["alpha"]])), small.floats(MODEL["D"])
     kernel, out = influence(degree, small.scalar), small.zeros(part)
     times = []
@@ -227,8 +230,8 @@ def setting_up(side: int, forward: float) -> None:
     print("  one forward sweep that evaluates K once for every bond (5 × asked)")
 
 
-def problem_of_sweeps() -> tuple[Points, float]:
-    """A small point set, for the kernels of its sweeps."""
+def small_problem() -> tuple[Points, float]:
+    """A small point set, for the kernels of its bonds."""
     points, _ = problem("lattice", 20)
     middle = np.abs(points.x - 9.5).max(axis=1) < 1
     return Points(points.x, middle, 1.0), HORIZON

@@ -16,7 +16,7 @@ import torch
 from scipy.special import comb
 
 from warp_peri.models.influence import bernstein_basis
-from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator.bonds import Bonds
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class Tables:
 
 
 def tables(
-    sweeps: Sweeps, x: np.ndarray, box: np.ndarray, u: np.ndarray, g: np.ndarray, **model
+    bonds: Bonds, x: np.ndarray, box: np.ndarray, u: np.ndarray, g: np.ndarray, **model
 ) -> Tables:
     """The tables of a periodic point set, bond by bond."""
-    families = sweeps.families
+    families = bonds.families
     row, neighbour = families.row, families.neighbour
     if families.lattice is None:
         at = np.repeat(np.arange(len(x)), np.diff(row))
@@ -80,7 +80,7 @@ def tables(
         xi=np.ascontiguousarray(xi),
         r=families.r,
         weight=families.weight,
-        horizon=sweeps.horizon,
+        horizon=bonds.horizon,
         u=u,
         g=g,
         **model,

@@ -20,9 +20,9 @@ from tools import rivals
 from warp_peri import Model, load_model, set_threads
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
+from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.stencil import Torus, stencil
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.points import Points
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import Domain, domain
@@ -135,21 +135,21 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     points = Points(x, np.ones(side**2, bool), 1.0, box=(float(side), float(side)))
     horizon = model.horizon / model.certified_on[0]
     box = (float(side), float(side))
-    sweeps = Sweeps(points, horizon)
+    bonds = Bonds(points, horizon)
     u = np.random.default_rng(1).normal(size=(side**2, 2))
     law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
-    tables = rivals.tables(sweeps, points.x, np.array(box), u, u, **law)
+    tables = rivals.tables(bonds, points.x, np.array(box), u, u, **law)
     forward, _ = rivals.numba_parallel(tables, np.float64, fastmath=False)
     torus = Torus((side, side), torch.device("cpu"))
     scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
-    symbol = torus.symbol(stencil(sweeps.families.classes, *numbers(scaled)))
+    symbol = torus.symbol(stencil(bonds.families.classes, *numbers(scaled)))
     field = torch.from_numpy(np.ascontiguousarray(u.T.reshape(2, side, side)))
     D = torch.from_numpy(model.D)
     candidates = {
         "stencil by FFT": lambda: torus.product(symbol, field).reshape(2, -1).T.numpy(),
         "Numba, two sweeps": lambda: forward(),
         "warp_peri, two sweeps": lambda: lps_force(
-            sweeps, torch.from_numpy(u), model.lam, model.mu, model.alpha, D
+            bonds, torch.from_numpy(u), model.lam, model.mu, model.alpha, D
         ).numpy(),
     }
     times: dict[str, list[float]] = {name: [] for name in candidates}

@@ -20,9 +20,10 @@ from warp_peri.launch import ints
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
 from warp_peri.models.lps import Model
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble, matrices
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes, families_of
@@ -260,13 +261,13 @@ def free_edge(number: int, lam: float, *, corrected: bool) -> float:
     a, b = points.x.T
     stretch = 3 * lam / (lam + 2 * MU)  # no stress across the edge
     exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
-    sweeps = Sweeps(body, horizon)
+    bonds = Bonds(body, horizon)
     if not corrected:
-        sweeps.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
+        bonds.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
     one = torch.ones(1, dtype=torch.float64)
-    alpha, D = (sweeps.floats(one.numpy()) for _ in range(2))
-    tables = 2 * sweeps.influence(alpha, D, gradient=False)
-    L = assemble(sweeps, body, tables).operator(lam, MU)
+    alpha, D = (bonds.floats(one.numpy()) for _ in range(2))
+    tables = 2 * influence(bonds, alpha, D)
+    L = assemble(bonds, tables).operator(lam, MU)
     unknown = np.repeat(body.interior, 2)
     given = np.where(outside[:, None], 0.0, exact).ravel()
     found = spsolve(sp.csc_array(L[:, unknown]), -L[:, ~unknown] @ given[~unknown])
@@ -326,15 +327,15 @@ def single_precision() -> Entry:
     errors: dict[str, list[float]] = {}
     rough = {}
     for precision, dtype in (("float32", torch.float32), ("float64", torch.float64)):
-        sweeps = Sweeps(points, horizon, precision=precision)
+        bonds = Bonds(points, horizon, precision=precision)
 
         def force(
-            field: np.ndarray, sweeps: Sweeps = sweeps, dtype: torch.dtype = dtype
+            field: np.ndarray, bonds: Bonds = bonds, dtype: torch.dtype = dtype
         ) -> np.ndarray:
-            return lps_force(sweeps, torch.from_numpy(field).to(dtype), *numbers).double().numpy()
+            return lps_force(bonds, torch.from_numpy(field).to(dtype), *numbers).double().numpy()
 
         errors[precision] = []
-        exact = lps_force(Sweeps(points, horizon), torch.from_numpy(u), *numbers).numpy()
+        exact = lps_force(Bonds(points, horizon), torch.from_numpy(u), *numbers).numpy()
         for shift in shifts:
             found = force(u + shift)
             errors[precision].append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))

@@ -14,8 +14,8 @@ from tools import rivals
 from warp_peri import InputError, Model, Samples
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import class_weights, reduce
+from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.families import lattice_steps
 from warp_peri.points.points import Points
 
@@ -47,10 +47,10 @@ def by_numba(model: Model, points: Samples) -> Solver:
     x = points.spacing * np.argwhere(np.ones(shape))
     sides = (float(box[0]), float(box[1]))
     torus = Points(x, np.ones(len(x), bool), points.spacing, box=sides)
-    sweeps = Sweeps(torus, model.horizon)
+    bonds = Bonds(torus, model.horizon)
     field = np.zeros((len(x), 2))
     law = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
-    tables = rivals.tables(sweeps, x, box, field, np.zeros_like(field), **law)
+    tables = rivals.tables(bonds, x, box, field, np.zeros_like(field), **law)
     force, _ = rivals.numba_parallel(tables, np.float64, fastmath=False)
     place = np.ravel_multi_index(tuple(step.T), tuple(shape))
     inside = place[points.interior]

@@ -17,25 +17,59 @@ from warp_peri.kernels.bonds import add_to, bonds
 def adjoints(scalar):
     """The kernels in one precision."""
     of = bonds(scalar)
-    vec, bond_type, box_type = of.vec, of.bond, of.box
-    bond_class_of, bond_of = of.bond_class_of, of.bond_of
-    volume_of, int_at, scalar_at = of.volume_of, of.int_at, of.scalar_at
-    add_at = add_to(scalar)
-    scalars_at, vecs_at = of.scalars_at, of.vecs_at
+    int_at = of.int_at
+    BondArrays = of.BondArrays
 
     @wp.func
     def reverse_class(
-        lattice: wp.int32, reverse: wp.array(dtype=wp.int32), e: wp.int32, c: wp.int32
+        bonds: BondArrays, reverse: wp.array(dtype=wp.int32), e: wp.int32, c: wp.int32
     ):
-        if lattice == 1:
+        if bonds.lattice == 1:
             return c
         return int_at(reverse, e)
+
+    structs = _structs(of)
+    return SimpleNamespace(
+        scaled=_scaled(of),
+        dilatation_adjoint=_dilatation_adjoint(of, reverse_class),
+        displacement_adjoint=_displacement_adjoint(of, reverse_class),
+        table_adjoint=_table_adjoint(of, structs),
+        **vars(structs),
+    )
+
+
+def _structs(of):
+    """What table_adjoint reads: the law as tables and numbers, and the fields it was applied to."""
+    scalar, vec = of.scalar, of.vec
+
+    @wp.struct
+    class Law:
+        kw: wp.array(dtype=scalar)
+        m: wp.array(dtype=scalar)
+        kd: wp.array(dtype=scalar)
+        md: wp.array(dtype=scalar)
+        lam: wp.array(dtype=scalar)
+        mu: wp.array(dtype=scalar)
+
+    @wp.struct
+    class Fields:
+        u: wp.array2d(dtype=vec)
+        theta: wp.array2d(dtype=scalar)
+        h: wp.array2d(dtype=vec)
+        hd: wp.array2d(dtype=vec)
+        tau: wp.array2d(dtype=scalar)
+
+    return SimpleNamespace(Law=Law, Fields=Fields)
+
+
+def _scaled(of):
+    BondArrays, scalar, vec, volume_of = of.BondArrays, of.scalar, of.vec, of.volume_of
 
     @wp.kernel(enable_backward=False)
     def scaled(
         first: wp.int32,
         rows: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
+        bonds: BondArrays,
         m: wp.array(dtype=scalar),
         g: wp.array2d(dtype=vec),
         h: wp.array2d(dtype=vec),
@@ -43,19 +77,21 @@ def adjoints(scalar):
         """h = g/m on all nodes."""
         s, t = wp.tid()
         i = rows[first + t]
-        h[s, i] = g[s, first + t] / m[volume_of(lattice, i)]
+        h[s, i] = g[s, first + t] / m[volume_of(bonds, i)]
+
+    return scaled
+
+
+def _dilatation_adjoint(of, reverse_class):
+    BondArrays, scalar, vec = of.BondArrays, of.scalar, of.vec
+    bond_of, bond_class_of, volume_of = of.bond_of, of.bond_class_of, of.volume_of
+    int_at, scalar_at, vecs_at = of.int_at, of.scalar_at, of.vecs_at
 
     @wp.kernel(enable_backward=False)
     def dilatation_adjoint(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         reverse: wp.array(dtype=wp.int32),
         kd: wp.array(dtype=scalar),
         md: wp.array(dtype=scalar),
@@ -69,26 +105,30 @@ def adjoints(scalar):
         i = nodes[first + t]
         own = hd[s, i]
         total = scalar(0.0)
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
-            p = e - lattice * row[i]
-            bond = bond_of(lattice, pattern, p, x, i, j, box)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
+            p = e - skip
+            bond = bond_of(bonds, p, i, j)
             xi = vec(bond[0], bond[1])
-            c = bond_class_of(lattice, bond_class, p)
-            back = reverse_class(lattice, reverse, e, c)
+            c = bond_class_of(bonds, p)
+            back = reverse_class(bonds, reverse, e, c)
             total += wp.dot(xi, scalar_at(kd, c) * own - scalar_at(kd, back) * vecs_at(hd, s, j))
-        tau[s, i] = scalar(-4.0) * (lam[0] - mu[0]) / md[volume_of(lattice, i)] * total
+        tau[s, i] = scalar(-4.0) * (lam[0] - mu[0]) / md[volume_of(bonds, i)] * total
+
+    return dilatation_adjoint
+
+
+def _displacement_adjoint(of, reverse_class):
+    BondArrays, scalar, vec = of.BondArrays, of.scalar, of.vec
+    bond_of, bond_class_of, int_at = of.bond_of, of.bond_class_of, of.int_at
+    scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
 
     @wp.kernel(enable_backward=False)
     def displacement_adjoint(
         first: wp.int32,
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         reverse: wp.array(dtype=wp.int32),
         kw: wp.array(dtype=scalar),
         kd: wp.array(dtype=scalar),
@@ -104,14 +144,16 @@ def adjoints(scalar):
         own_tau = tau[s, i]
         factor = scalar(16.0) * mu[0]
         total = vec()
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
             if j >= 0:
-                p = e - lattice * row[i]
-                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                p = e - skip
+                bond = bond_of(bonds, p, i, j)
                 xi = vec(bond[0], bond[1])
-                c = bond_class_of(lattice, bond_class, p)
-                back = reverse_class(lattice, reverse, e, c)
+                c = bond_class_of(bonds, p)
+                back = reverse_class(bonds, reverse, e, c)
                 stretch = (
                     wp.dot(xi, scalar_at(kw, c) * own - scalar_at(kw, back) * vecs_at(h, s, j))
                     * bond[2]
@@ -123,32 +165,80 @@ def adjoints(scalar):
                 ) * xi
         u_bar[s, i] = total
 
+    return displacement_adjoint
+
+
+def _by_bond(of, structs):
+    """What the bonds of one node add to ∂/∂(K W), and its share of ∂/∂λ, ∂/∂μ and ∂/∂m."""
+    BondArrays, scalar, vec = of.BondArrays, of.scalar, of.vec
+    bond_of, bond_class_of, int_at = of.bond_of, of.bond_class_of, of.int_at
+    scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
+    add_at = add_to(scalar)
+    Law, Fields = structs.Law, structs.Fields
+
+    @wp.func
+    def by_bond(
+        bonds: BondArrays,
+        law: Law,
+        fields: Fields,
+        i: wp.int32,
+        base: wp.int32,
+        one_table: wp.int32,
+        kw_bar: wp.array(dtype=scalar),
+        kd_bar: wp.array(dtype=scalar),
+    ):
+        factor = scalar(-16.0) * law.mu[0]
+        dilatational = scalar(-2.0) * (law.lam[0] - law.mu[0])
+        shear = scalar(0.0)
+        bulk = scalar(0.0)
+        volume = scalar(0.0)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for s in range(fields.u.shape[0]):
+            ui = fields.u[s, i]
+            hi = fields.h[s, i]
+            hdi = fields.hd[s, i]
+            theta_i = fields.theta[s, i]
+            tau_i = fields.tau[s, i]
+            for e in range(begin, bonds.row[i + 1]):
+                j = int_at(bonds.neighbour, e)
+                p = e - skip
+                bond = bond_of(bonds, p, i, j)
+                xi = vec(bond[0], bond[1])
+                c = bond_class_of(bonds, p)
+                stretch = wp.dot(xi, vecs_at(fields.u, s, j) - ui)
+                by_shear = wp.dot(xi, hi) * stretch * bond[2]
+                by_bulk = wp.dot(xi, hdi) * (theta_i + scalars_at(fields.theta, s, j))
+                shear += scalar_at(law.kw, c) * by_shear
+                bulk += scalar_at(law.kd, c) * by_bulk
+                by_w = factor * by_shear
+                by_d = dilatational * by_bulk + tau_i * stretch
+                if one_table == 1:
+                    add_at(kw_bar, p - base, by_w + by_d)
+                else:
+                    add_at(kw_bar, p - base, by_w)
+                    add_at(kd_bar, p - base, by_d)
+            volume += tau_i * theta_i
+        return shear, bulk, volume
+
+    return by_bond
+
+
+def _table_adjoint(of, structs):
+    BondArrays, scalar, volume_of, scalar_at = of.BondArrays, of.scalar, of.volume_of, of.scalar_at
+    add_at = add_to(scalar)
+    by_bond = _by_bond(of, structs)
+    Law, Fields = structs.Law, structs.Fields
+
     @wp.kernel(enable_backward=False)
     def table_adjoint(
         block: wp.int32,
-        base: wp.int32,
+        span: wp.vec3i,
         nodes: wp.array(dtype=wp.int32),
-        begin: wp.int32,
-        end: wp.int32,
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         r: wp.array(dtype=scalar),
-        kw: wp.array(dtype=scalar),
-        m: wp.array(dtype=scalar),
-        kd: wp.array(dtype=scalar),
-        md: wp.array(dtype=scalar),
-        lam: wp.array(dtype=scalar),
-        mu: wp.array(dtype=scalar),
-        u: wp.array2d(dtype=vec),
-        theta: wp.array2d(dtype=scalar),
-        h: wp.array2d(dtype=vec),
-        hd: wp.array2d(dtype=vec),
-        tau: wp.array2d(dtype=scalar),
+        law: Law,
+        fields: Fields,
         one_table: wp.int32,
         kw_bar: wp.array(dtype=scalar),
         kd_bar: wp.array(dtype=scalar),
@@ -156,72 +246,42 @@ def adjoints(scalar):
     ):
         """∂/∂(K W) of the bonds of nodes begin ≤ t < end, one after another, (45–47).
 
-        kw_bar and kd_bar hold the numbers p − base of the pattern; with one table both sums go to
-        kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of, (47).
+        span is (base, begin, end). kw_bar and kd_bar hold the numbers p − base of the pattern; with
+        one table both sums go to kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of, (47).
         """
-        factor = scalar(-16.0) * mu[0]
-        dilatational = scalar(-2.0) * (lam[0] - mu[0])
+        base = span[0]
+        factor = scalar(-16.0) * law.mu[0]
+        dilatational = scalar(-2.0) * (law.lam[0] - law.mu[0])
         shears = scalar(0.0)
         bulks = scalar(0.0)
         volumes = scalar(0.0)
         volumes_d = scalar(0.0)
-        for t in range(begin, end):
+        for t in range(span[1], span[2]):
             i = nodes[t]
-            shear = scalar(0.0)
-            bulk = scalar(0.0)
-            volume = scalar(0.0)
-            for s in range(u.shape[0]):
-                ui = u[s, i]
-                hi = h[s, i]
-                hdi = hd[s, i]
-                theta_i = theta[s, i]
-                tau_i = tau[s, i]
-                for e in range(row[i], row[i + 1]):
-                    j = int_at(neighbour, e)
-                    p = e - lattice * row[i]
-                    bond = bond_of(lattice, pattern, p, x, i, j, box)
-                    xi = vec(bond[0], bond[1])
-                    c = bond_class_of(lattice, bond_class, p)
-                    stretch = wp.dot(xi, vecs_at(u, s, j) - ui)
-                    by_shear = wp.dot(xi, hi) * stretch * bond[2]
-                    by_bulk = wp.dot(xi, hdi) * (theta_i + scalars_at(theta, s, j))
-                    shear += scalar_at(kw, c) * by_shear
-                    bulk += scalar_at(kd, c) * by_bulk
-                    by_w = factor * by_shear
-                    by_d = dilatational * by_bulk + tau_i * stretch
-                    if one_table == 1:
-                        add_at(kw_bar, p - base, by_w + by_d)
-                    else:
-                        add_at(kw_bar, p - base, by_w)
-                        add_at(kd_bar, p - base, by_d)
-                volume += tau_i * theta_i
+            shear, bulk, volume = by_bond(bonds, law, fields, i, base, one_table, kw_bar, kd_bar)
             shears += shear
             bulks += bulk
-            m_bar = -factor * shear / m[volume_of(lattice, i)]
-            md_bar = -dilatational * bulk / md[volume_of(lattice, i)] - volume / scalar(2.0)
+            v = volume_of(bonds, i)
+            m_bar = -factor * shear / law.m[v]
+            md_bar = -dilatational * bulk / law.md[v] - volume / scalar(2.0)
             if one_table == 1:
                 m_bar += md_bar
-            if lattice == 1:  # one volume for all: its bonds are done once, below
+            if bonds.lattice == 1:  # one volume for all: its bonds are done once, below
                 volumes += m_bar
                 volumes_d += md_bar
             else:
-                for e in range(row[i], row[i + 1]):
+                for e in range(bonds.row[i], bonds.row[i + 1]):
                     square = scalar_at(r, e) * scalar_at(r, e)
                     add_at(kw_bar, e - base, m_bar * square)
                     if one_table == 0:
                         add_at(kd_bar, e - base, md_bar * square)
         parts[block, 0] = shears
         parts[block, 1] = bulks
-        if lattice == 1:
-            for p in range(pattern.shape[0]):
-                square = scalar(1.0) / pattern[p][2]
+        if bonds.lattice == 1:
+            for p in range(bonds.pattern.shape[0]):
+                square = scalar(1.0) / bonds.pattern[p][2]
                 add_at(kw_bar, p, volumes * square)
                 if one_table == 0:
                     add_at(kd_bar, p, volumes_d * square)
 
-    return SimpleNamespace(
-        scaled=scaled,
-        dilatation_adjoint=dilatation_adjoint,
-        displacement_adjoint=displacement_adjoint,
-        table_adjoint=table_adjoint,
-    )
+    return table_adjoint

@@ -5,31 +5,27 @@ import warp as wp
 from warp_peri.kernels.bonds import bonds
 
 _of = bonds(wp.float64)
-bond_class_of, bond_of, box_type = _of.bond_class_of, _of.bond_of, _of.box
-vec, bond_type = _of.vec, _of.bond
+BondArrays, vec = _of.BondArrays, _of.vec
+bond_class_of, bond_of = _of.bond_class_of, _of.bond_of
 
 
 @wp.kernel
 def class_dilatation(
     nodes: wp.array(dtype=wp.int32),
-    lattice: wp.int32,
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    bond_class: wp.array(dtype=wp.int32),
-    pattern: wp.array(dtype=bond_type),
-    x: wp.array(dtype=wp.vec2d),
-    box: box_type,
+    bonds: BondArrays,
     u: wp.array2d(dtype=wp.vec2d),
     theta: wp.array3d(dtype=wp.float64),
 ):
     """θ_c,i = 2 Σ_{j in class c} ξ·(u_j − u_i): the dilatation of unit class weights, (14)."""
     s, t = wp.tid()
     i = nodes[t]
-    for e in range(row[i], row[i + 1]):
-        j = neighbour[e]
-        p = e - lattice * row[i]
-        c = bond_class_of(lattice, bond_class, p)
-        bond = bond_of(lattice, pattern, p, x, i, j, box)
+    begin = bonds.row[i]
+    skip = bonds.lattice * begin
+    for e in range(begin, bonds.row[i + 1]):
+        j = bonds.neighbour[e]
+        p = e - skip
+        c = bond_class_of(bonds, p)
+        bond = bond_of(bonds, p, i, j)
         xi = vec(bond[0], bond[1])
         part = wp.float64(2.0) * wp.dot(xi, u[s, j] - u[s, i])
         theta[s, i, c] = theta[s, i, c] + part
@@ -38,13 +34,7 @@ def class_dilatation(
 @wp.kernel
 def class_force(
     nodes: wp.array(dtype=wp.int32),
-    lattice: wp.int32,
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    bond_class: wp.array(dtype=wp.int32),
-    pattern: wp.array(dtype=bond_type),
-    x: wp.array(dtype=wp.vec2d),
-    box: box_type,
+    bonds: BondArrays,
     column: wp.array2d(dtype=wp.int32),
     u: wp.array2d(dtype=wp.vec2d),
     theta: wp.array3d(dtype=wp.float64),
@@ -56,11 +46,13 @@ def class_force(
     """
     s, t = wp.tid()
     i = nodes[t]
-    for e in range(row[i], row[i + 1]):
-        j = neighbour[e]
-        p = e - lattice * row[i]
-        c = bond_class_of(lattice, bond_class, p)
-        bond = bond_of(lattice, pattern, p, x, i, j, box)
+    begin = bonds.row[i]
+    skip = bonds.lattice * begin
+    for e in range(begin, bonds.row[i + 1]):
+        j = bonds.neighbour[e]
+        p = e - skip
+        c = bond_class_of(bonds, p)
+        bond = bond_of(bonds, p, i, j)
         xi = vec(bond[0], bond[1])
         stretch = wp.dot(xi, u[s, j] - u[s, i]) * bond[2]
         features[s, t, c] = features[s, t, c] - wp.float64(16.0) * stretch * xi

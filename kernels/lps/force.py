@@ -20,18 +20,25 @@ from warp_peri.kernels.bonds import bonds
 def sweeps(scalar):
     """The kernels in one precision."""
     of = bonds(scalar)
-    vec, mat, bond_type, box_type = of.vec, of.mat, of.bond, of.box
-    bond_class_of, bond_of = of.bond_class_of, of.bond_of
-    volume_of, int_at, scalar_at = of.volume_of, of.int_at, of.scalar_at
-    scalars_at, vecs_at = of.scalars_at, of.vecs_at
+    return SimpleNamespace(
+        weighted_volume=_weighted_volume(of),
+        dilatation=_dilatation(of),
+        surface_shape=_surface_shape(of),
+        surface_dilatation=_surface_dilatation(of),
+        force=_force(of),
+        bond_force=_bond_force(of),
+    )
+
+
+def _weighted_volume(of):
+    BondArrays, scalar, bond_class_of = of.BondArrays, of.scalar, of.bond_class_of
+    volume_of, scalar_at = of.volume_of, of.scalar_at
 
     @wp.kernel
     def weighted_volume(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
+        bonds: BondArrays,
         r: wp.array(dtype=scalar),
         kw: wp.array(dtype=scalar),
         m: wp.array(dtype=scalar),
@@ -39,22 +46,26 @@ def sweeps(scalar):
         """m_i = Σ_j K r² W over the whole ball, broken bonds included, (5)."""
         i = nodes[first + wp.tid()]
         total = scalar(0.0)
-        for e in range(row[i], row[i + 1]):
-            c = bond_class_of(lattice, bond_class, e - lattice * row[i])
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            c = bond_class_of(bonds, e - skip)
             total += scalar_at(kw, c) * scalar_at(r, c) * scalar_at(r, c)
-        m[volume_of(lattice, i)] = total
+        m[volume_of(bonds, i)] = total
+
+    return weighted_volume
+
+
+def _dilatation(of):
+    BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
+    bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
+    scalar_at, vecs_at = of.scalar_at, of.vecs_at
 
     @wp.kernel
     def dilatation(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         kd: wp.array(dtype=scalar),
         md: wp.array(dtype=scalar),
         u: wp.array2d(dtype=vec),
@@ -63,55 +74,62 @@ def sweeps(scalar):
         """θ_i = (2/m_i) Σ_j K ξ·(u_j − u_i) W, (6), where no bond is broken."""
         s, t = wp.tid()
         i = nodes[first + t]
-        factor = scalar(2.0) / md[volume_of(lattice, i)]
+        factor = scalar(2.0) / md[volume_of(bonds, i)]
         total = scalar(0.0)
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
-            p = e - lattice * row[i]
-            bond = bond_of(lattice, pattern, p, x, i, j, box)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
+            p = e - skip
+            bond = bond_of(bonds, p, i, j)
             xi = vec(bond[0], bond[1])
-            k = scalar_at(kd, bond_class_of(lattice, bond_class, p))
+            k = scalar_at(kd, bond_class_of(bonds, p))
             total += factor * k * wp.dot(xi, vecs_at(u, s, j) - u[s, i])
         theta[s, i] = total
+
+    return dilatation
+
+
+def _surface_shape(of):
+    BondArrays, scalar, vec, mat, bond_of = of.BondArrays, of.scalar, of.vec, of.mat, of.bond_of
+    bond_class_of, int_at, scalar_at = of.bond_class_of, of.int_at, of.scalar_at
 
     @wp.kernel
     def surface_shape(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         kd: wp.array(dtype=scalar),
         shape: wp.array(dtype=mat),
     ):
         """S_i = Σ_j K ξ⊗ξ W over the unbroken bonds, (40)."""
         i = nodes[first + wp.tid()]
         total = mat()
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
             if j >= 0:
-                p = e - lattice * row[i]
-                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                p = e - skip
+                bond = bond_of(bonds, p, i, j)
                 xi = vec(bond[0], bond[1])
-                k = scalar_at(kd, bond_class_of(lattice, bond_class, p))
+                k = scalar_at(kd, bond_class_of(bonds, p))
                 total += k * wp.outer(xi, xi)
         shape[i] = total
+
+    return surface_shape
+
+
+def _surface_dilatation(of):
+    BondArrays, scalar, vec, mat, bond_of = of.BondArrays, of.scalar, of.vec, of.mat, of.bond_of
+    bond_class_of, int_at, scalar_at = of.bond_class_of, of.int_at, of.scalar_at
+    vecs_at = of.vecs_at
 
     @wp.kernel
     def surface_dilatation(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         kd: wp.array(dtype=scalar),
         shape: wp.array(dtype=mat),
         u: wp.array2d(dtype=vec),
@@ -122,27 +140,31 @@ def sweeps(scalar):
         i = nodes[first + t]
         correction = wp.inverse(shape[i])
         total = scalar(0.0)
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
             if j >= 0:
-                p = e - lattice * row[i]
-                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                p = e - skip
+                bond = bond_of(bonds, p, i, j)
                 xi = vec(bond[0], bond[1])
-                k = scalar_at(kd, bond_class_of(lattice, bond_class, p))
+                k = scalar_at(kd, bond_class_of(bonds, p))
                 total += k * wp.dot(xi, correction * (vecs_at(u, s, j) - u[s, i]))
         theta[s, i] = total
+
+    return surface_dilatation
+
+
+def _force(of):
+    BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
+    bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
+    scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
 
     @wp.kernel
     def force(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         kw: wp.array(dtype=scalar),
         m: wp.array(dtype=scalar),
         kd: wp.array(dtype=scalar),
@@ -156,33 +178,37 @@ def sweeps(scalar):
         """(L u)_i = −(2/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
         s, t = wp.tid()
         i = nodes[first + t]
-        dilatational = scalar(-2.0) * (lam[0] - mu[0]) / md[volume_of(lattice, i)]
-        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(lattice, i)]
+        dilatational = scalar(-2.0) * (lam[0] - mu[0]) / md[volume_of(bonds, i)]
+        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(bonds, i)]
         total = vec()
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
             if j >= 0:
-                p = e - lattice * row[i]
-                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                p = e - skip
+                bond = bond_of(bonds, p, i, j)
                 xi = vec(bond[0], bond[1])
-                c = bond_class_of(lattice, bond_class, p)
+                c = bond_class_of(bonds, p)
                 stretch = wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[2]
                 density = scalar_at(kd, c) * dilatational * (theta[s, i] + scalars_at(theta, s, j))
                 density += scalar_at(kw, c) * deviatoric * stretch
                 total += density * xi
         Lu[s, first + t] = total
 
+    return force
+
+
+def _bond_force(of):
+    BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
+    bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
+    scalar_at, vecs_at = of.scalar_at, of.vecs_at
+
     @wp.kernel
     def bond_force(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        lattice: wp.int32,
-        row: wp.array(dtype=wp.int32),
-        neighbour: wp.array(dtype=wp.int32),
-        bond_class: wp.array(dtype=wp.int32),
-        pattern: wp.array(dtype=bond_type),
-        x: wp.array(dtype=vec),
-        box: box_type,
+        bonds: BondArrays,
         kw: wp.array(dtype=scalar),
         m: wp.array(dtype=scalar),
         mu: wp.array(dtype=scalar),
@@ -192,23 +218,18 @@ def sweeps(scalar):
         """(L u)_i = −(16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (42): λ = μ, no dilatation."""
         s, t = wp.tid()
         i = nodes[first + t]
-        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(lattice, i)]
+        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(bonds, i)]
         total = vec()
-        for e in range(row[i], row[i + 1]):
-            j = int_at(neighbour, e)
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        for e in range(begin, bonds.row[i + 1]):
+            j = int_at(bonds.neighbour, e)
             if j >= 0:
-                p = e - lattice * row[i]
-                bond = bond_of(lattice, pattern, p, x, i, j, box)
+                p = e - skip
+                bond = bond_of(bonds, p, i, j)
                 xi = vec(bond[0], bond[1])
-                k = scalar_at(kw, bond_class_of(lattice, bond_class, p)) * deviatoric
+                k = scalar_at(kw, bond_class_of(bonds, p)) * deviatoric
                 total += k * wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[2] * xi
         Lu[s, first + t] = total
 
-    return SimpleNamespace(
-        weighted_volume=weighted_volume,
-        dilatation=dilatation,
-        surface_shape=surface_shape,
-        surface_dilatation=surface_dilatation,
-        force=force,
-        bond_force=bond_force,
-    )
+    return bond_force

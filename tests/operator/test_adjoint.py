@@ -12,8 +12,9 @@ from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
 from warp_peri import InputError, set_threads
 from warp_peri.launch import threads
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import evaluate
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.sweeps import Sweeps
 
 TAPE = 1e-12
 DIFFERENCES = 1e-8
@@ -32,15 +33,15 @@ def body(points):
     return replace(points, interior=points.interior & ~outside, outside=outside)
 
 
-def sweeps_of(kind):
+def bonds_of(kind):
     if "periodic" in kind:
         points, _ = periodic((7, 8)) if "lattice" in kind else periodic_cloud(7)
-        return Sweeps(points, HORIZON), points
+        return Bonds(points, HORIZON), points
     points = lattice(2, HORIZON) if "lattice" in kind else cloud(2, HORIZON)
     if "cut" in kind:
         points = body(points)
-        return Sweeps(points, HORIZON), points
-    return Sweeps(points, HORIZON), points
+        return Bonds(points, HORIZON), points
+    return Bonds(points, HORIZON), points
 
 
 KINDS = ("lattice", "periodic lattice", "cloud", "periodic cloud", "cut lattice", "cut cloud")
@@ -50,14 +51,14 @@ class Problem:
     """A scalar of L u as a function of everything."""
 
     def __init__(self, name, kind, samples=2):
-        self.sweeps, points = sweeps_of(kind)
+        self.bonds, points = bonds_of(kind)
         self.u = noise(points, samples)
         self.seed = noise(points, samples, seed=4)[:, points.interior]
         values = {"u": self.u, "lam": LAM, "mu": MU, **KERNELS[name]}
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
 
     def scalar(self, *leaves):
-        Lu = lps_force(self.sweeps, *leaves)
+        Lu = lps_force(self.bonds, *leaves)
         return (torch.from_numpy(self.seed) * Lu).sum() + (Lu**2).sum() / 100
 
     def gathered(self):
@@ -72,7 +73,7 @@ class Problem:
             for leaf, dtype in zip(self.leaves.values(), types)
         ]
         with wp.Tape() as tape:
-            Lu = self.sweeps.force(*arrays, gradient=True)
+            Lu = evaluate(self.bonds, *arrays, gradient=True).Lu
         g = wp.array(self.seed + Lu.numpy() / 50, dtype=wp.vec2d, device="cpu")
         tape.backward(grads={Lu: g})
         return {part: array.grad.numpy() for part, array in zip(self.leaves, arrays)}
@@ -117,14 +118,14 @@ def test_is_the_difference_quotient(name, kind):
 
 
 @pytest.mark.parametrize("kind", ["lattice", "cloud"])
-def test_of_bond_based_sweeps(kind):
+def test_of_bond_based_forces(kind):
     points = lattice(3, HORIZON) if kind == "lattice" else cloud(3, HORIZON)
-    sweeps = Sweeps(points, HORIZON, bond_based=True)
+    bonds = Bonds(points, HORIZON, bond_based=True)
     u = noise(points)
     leaves = [u, 0.7, 0.7, 1.3, [1.0, 0.5, -0.2]]
     given = [torch.tensor(leaf, dtype=torch.float64, requires_grad=True) for leaf in leaves]
-    Lu = lps_force(sweeps, *given)
-    whole = lps_force(Sweeps(points, HORIZON), *given)
+    Lu = lps_force(bonds, *given)
+    whole = lps_force(Bonds(points, HORIZON), *given)
     torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
     found = torch.autograd.grad((Lu**3).sum(), given)
     expected = torch.autograd.grad((whole**3).sum(), given)
@@ -133,16 +134,16 @@ def test_of_bond_based_sweeps(kind):
     assert found[1] == 0
     assert error(found[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
     with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
-        lps_force(sweeps, given[0], 0.1, 0.7, 1.3, [1.0])
+        lps_force(bonds, given[0], 0.1, 0.7, 1.3, [1.0])
 
 
-def test_bond_based_sweeps_need_half_the_collar():
+def test_bond_based_forces_need_half_the_collar():
     points = lattice(3, HORIZON / 2)
     with pytest.raises(InputError, match="out to twice the horizon"):
-        Sweeps(points, HORIZON)
-    Sweeps(points, HORIZON, bond_based=True)
+        Bonds(points, HORIZON)
+    Bonds(points, HORIZON, bond_based=True)
     with pytest.raises(InputError, match="interior nodes need complete families: "):
-        Sweeps(lattice(3, 1.0), HORIZON, bond_based=True)
+        Bonds(lattice(3, 1.0), HORIZON, bond_based=True)
 
 
 @pytest.mark.parametrize("kind", ["periodic lattice", "periodic cloud"])
@@ -171,15 +172,15 @@ def test_single_precision_is_double_precision_rounded():
     points, _ = periodic_cloud(7)
     found = {}
     for precision in ("float64", "float32"):
-        sweeps = Sweeps(points, HORIZON, precision=precision)
+        bonds = Bonds(points, HORIZON, precision=precision)
         dtype = getattr(torch, precision)
         values = (noise(points), LAM, MU, 1.6, [1.0, 0.4, -0.3])
         given = [torch.tensor(v, dtype=dtype, requires_grad=True) for v in values]
-        Lu = lps_force(sweeps, *given)
+        Lu = lps_force(bonds, *given)
         found[precision] = [Lu.detach(), *torch.autograd.grad(Lu.sum() + (Lu**2).sum(), given)]
     for one, other in zip(*found.values()):
         assert error(other.double().numpy(), one.numpy()) < 2e-4
     with pytest.raises(InputError, match="u: expected float32 of shape"):
-        lps_force(sweeps, torch.from_numpy(noise(points)), LAM, MU, 1.6, [1.0])
+        lps_force(bonds, torch.from_numpy(noise(points)), LAM, MU, 1.6, [1.0])
     with pytest.raises(InputError, match="precision: expected one of"):
-        Sweeps(points, HORIZON, precision="float16")
+        Bonds(points, HORIZON, precision="float16")

@@ -10,8 +10,8 @@ from tests.support.problems import GRADIENT, KERNELS, LAM, MU, difference, latti
 from tests.support.problems import kernel as model_of
 from tests.support.problems import periodic as periodic_lattice
 from warp_peri import LPSOperator
+from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.sweeps import Sweeps
 
 HORIZON = 2.5
 
@@ -21,7 +21,7 @@ class Problem:
 
     def __init__(self, name, *, periodic=False):
         points, _ = periodic_lattice((6, 6)) if periodic else (lattice(2, HORIZON), None)
-        self.sweeps = Sweeps(points, HORIZON)
+        self.bonds = Bonds(points, HORIZON)
         random = np.random.default_rng(5)
         self.u = noise(points, 2)
         self.seed = torch.from_numpy(random.normal(size=(2, points.interior.sum(), 2)))
@@ -29,7 +29,7 @@ class Problem:
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in kernel.items()}
 
     def scalar(self, u, *parameters):
-        Lu = lps_force(self.sweeps, u.reshape(self.u.shape), *parameters)
+        Lu = lps_force(self.bonds, u.reshape(self.u.shape), *parameters)
         return (self.seed * Lu).sum() + (Lu**2).sum() / 100
 
     def value(self, part, leaf):

@@ -7,19 +7,19 @@ import pytest
 import torch
 
 from tools import benchmark, rivals
-from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator.bonds import Bonds
 
 
 @pytest.mark.parametrize("kind", ["lattice", "scattered"])
 def test_rivals_agree(kind):
     points, box = benchmark.problem(kind, 12)
-    sweeps = Sweeps(points, benchmark.HORIZON)
+    bonds = Bonds(points, benchmark.HORIZON)
     fields = np.random.default_rng(0).normal(size=(2, len(points.x), 2))
-    t = rivals.tables(sweeps, points.x, np.array(box), *fields, **benchmark.MODEL)
+    t = rivals.tables(bonds, points.x, np.array(box), *fields, **benchmark.MODEL)
     forward, both = (
         dict(zip(("first", "torch"), pair))
         for pair in zip(
-            benchmark.ours(sweeps, fields, torch.float64), rivals.torch_scatter(t, torch.float64)
+            benchmark.ours(bonds, fields, torch.float64), rivals.torch_scatter(t, torch.float64)
         )
     )
     forward["csr"] = rivals.scipy_csr(t)

@@ -9,9 +9,9 @@ from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, manufact
 from warp_peri import InputError, LPSOperator, solve
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
+from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.stencil import Torus
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.statics.preconditioners import dst, odd_dst
 
 HORIZON = 3.0
@@ -21,11 +21,11 @@ MODEL = kernel("two functions", HORIZON)
 
 def gradients(device):
     """Derivatives of a scalar of L u to u and D of both influence functions."""
-    sweeps = Sweeps(lattice(5, HORIZON), HORIZON, device=device)
+    bonds = Bonds(lattice(5, HORIZON), HORIZON, device=device)
     u = noise(lattice(5, HORIZON))
     leaves = [torch.tensor(v, device=device) for v in (u, MODEL.D, MODEL.dilatation)]
     u, D, Dd = (leaf.requires_grad_() for leaf in leaves)
-    Lu = lps_force(sweeps, u, MODEL.lam, MODEL.mu, MODEL.alpha, D, Dd)
+    Lu = lps_force(bonds, u, MODEL.lam, MODEL.mu, MODEL.alpha, D, Dd)
     weight = torch.cos(torch.arange(Lu.numel(), dtype=Lu.dtype, device=device)).reshape(Lu.shape)
     return [part.cpu().numpy() for part in torch.autograd.grad(Lu, (u, D, Dd), weight)]
 

@@ -8,7 +8,7 @@ import pytest
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
 from warp_peri import LPSOperator
-from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator import launches
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
 
@@ -17,15 +17,15 @@ HORIZON = 3.0
 
 @pytest.fixture
 def launched(monkeypatch):
-    """Names of the kernels that sweeps launch, in order."""
+    """Names of the kernels that are launched, in order."""
     names = []
-    launch = Sweeps._launch
+    launch = launches._launch
 
     def note(tape, kernel, *rest):
         names.append(kernel.key)
         launch(tape, kernel, *rest)
 
-    monkeypatch.setattr(Sweeps, "_launch", staticmethod(note))
+    monkeypatch.setattr(launches, "_launch", note)
     return names
 
 
@@ -42,7 +42,7 @@ def test_influence_is_not_computed_again_while_only_u_changes(points, launched):
     np.testing.assert_array_equal(again, fresh)
 
 
-def test_another_model_on_the_same_sweeps_is_computed(launched):
+def test_another_model_on_the_same_bonds_is_computed(launched):
     points = lattice(4, HORIZON)
     one, other = kernel("positive", HORIZON), kernel("sign-changing", HORIZON)
     operator = LPSOperator(one, points)

@@ -15,8 +15,8 @@ import torch
 import warp as wp
 from scipy.linalg import eigh
 
+from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import assemble
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -118,13 +118,13 @@ class DenseMargins:
 
 def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
     """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
-    sweeps = Sweeps(points, horizon)
+    bonds = Bonds(points, horizon)
     unknown = np.repeat(points.interior, 2)
-    ones = wp.full(len(points.x), 1.0, dtype=wp.float64, device=sweeps.row.device)
+    ones = wp.full(len(points.x), 1.0, dtype=wp.float64, device=bonds.device)
     gammas, phis = [], []
-    for unit in np.eye(len(sweeps.families.classes.r)):
-        table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=sweeps.row.device)
-        parts = assemble(sweeps, points, (table, ones, table, ones))
+    for unit in np.eye(len(bonds.families.classes.r)):
+        table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=bonds.device)
+        parts = assemble(bonds, (table, ones, table, ones))
         gammas.append(parts.gamma[:, unknown].toarray())
         phis.append(parts.phi[points.interior][:, unknown].toarray())
     return np.array(gammas), np.array(phis)

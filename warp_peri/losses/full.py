@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
+from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.samples import Samples
 
 
@@ -45,13 +45,13 @@ class FullLoss:
     """
 
     def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
-        self.sweeps = Sweeps(points, horizon)
+        self.bonds = Bonds(points, horizon)
         self.u = torch.tensor(points.u)  # a copy: the set may be read-only
         self.b = torch.tensor(points.loads[:, points.interior])
         self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.sweeps, self.u, *parameters) - self.b
+        residual = lps_force(self.bonds, self.u, *parameters) - self.b
         return (residual**2).sum(dim=(1, 2))
 
     def loss(self, *parameters: Any) -> torch.Tensor:

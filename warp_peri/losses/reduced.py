@@ -17,7 +17,7 @@ import warp as wp
 from warp_peri.kernels.lps import features as kernels
 from warp_peri.launch import DEVICE
 from warp_peri.models.influence import bernstein_basis
-from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator.bonds import Bonds
 from warp_peri.points.families import BondClasses
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
@@ -79,7 +79,7 @@ class Features:
         points: the lattice.
         horizon: δ [Å].
         quadrature_degree: of the polynomials that the weights are exact for.
-        device: where the sweeps run, as for Sweeps.
+        device: where the sweeps run, as for Bonds.
 
     Raises InputError for a set that does not carry the horizon.
     """
@@ -92,8 +92,8 @@ class Features:
         quadrature_degree: int = DEGREE,
         device: str = DEVICE,
     ) -> None:
-        self.sweeps = Sweeps(points, horizon, quadrature_degree=quadrature_degree, device=device)
-        self.classes = self.sweeps.families.classes
+        self.bonds = Bonds(points, horizon, quadrature_degree=quadrature_degree, device=device)
+        self.classes = self.bonds.families.classes
         number = len(self.classes.r)
         self.pairs = class_pairs(number)
         column = np.empty((number, number), dtype=np.int32)
@@ -101,26 +101,26 @@ class Features:
             self.pairs.shape[1]
         )
         self.width = number + self.pairs.shape[1]
-        self._columns: wp.array[Any] = wp.array(column, dtype=wp.int32, device=self.sweeps.device)
+        self._columns: wp.array[Any] = wp.array(column, dtype=wp.int32, device=self.bonds.device)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Features of u [Å], shape [S, N, 2], on the interior nodes: shape [S, I, F, 2]."""
         samples, nodes, _ = u.shape
-        sweeps, device = self.sweeps, self.sweeps.device
+        bonds, device = self.bonds, self.bonds.device
         field: wp.array[Any] = wp.array(u, dtype=wp.vec2d, device=device)
         theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=device)
-        out = wp.zeros((samples, len(sweeps.rows), self.width), dtype=wp.vec2d, device=device)
+        out = wp.zeros((samples, len(bonds.rows), self.width), dtype=wp.vec2d, device=device)
         wp.launch(
             kernels.class_dilatation,
-            dim=(samples, len(sweeps.full)),
-            inputs=[sweeps.full, *sweeps.links, field],
+            dim=(samples, len(bonds.full)),
+            inputs=[bonds.full, bonds.arrays, field],
             outputs=[theta],
             device=device,
         )
         wp.launch(
             kernels.class_force,
-            dim=(samples, len(sweeps.rows)),
-            inputs=[sweeps.rows, *sweeps.links, self._columns, field, theta],
+            dim=(samples, len(bonds.rows)),
+            inputs=[bonds.rows, bonds.arrays, self._columns, field, theta],
             outputs=[out],
             device=device,
         )
@@ -143,7 +143,7 @@ def reduce(
         horizon: δ [Å].
         weight: of each sample in the loss, shape [S]; see sample_weights.
         quadrature_degree: of the polynomials that the weights are exact for.
-        device: where the sweeps run, as for Sweeps.
+        device: where the sweeps run, as for Bonds.
 
     Raises InputError for a set that does not carry the horizon.
     """

@@ -17,7 +17,8 @@ import warp as wp
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
 from warp_peri.launch import at_once, empty, launch, launch_slices
-from warp_peri.operator.sweeps import State, Sweeps
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import Evaluation, influence_inputs
 
 BLOCKS = 8
 """Parts in which the nodes are summed over."""
@@ -42,8 +43,8 @@ class Gradient:
 
 
 def gradient(
-    sweeps: Sweeps,
-    state: State,
+    bonds: Bonds,
+    evaluation: Evaluation,
     arrays: Sequence[wp.array[Any]],
     g: wp.array[Any],
     *,
@@ -53,45 +54,49 @@ def gradient(
     """Gradient of a scalar, given its derivative g to L u.
 
     Args:
-        sweeps: of a point set without broken bonds.
-        state: what sweeps.evaluate(*arrays) returned.
+        bonds: of a point set without broken bonds.
+        evaluation: what evaluate(bonds, *arrays) returned.
         arrays: u, λ, μ, α, D and, with two influence functions, D of the dilatation.
         g: shape [S, I] of vectors.
         displacement: whether to return the derivative to u.
         parameters: whether to return those to λ, μ, α, D.
     """
     u, lam, mu, alpha, *coefficients = arrays
-    kernels, links = adjoints(sweeps.scalar), sweeps.links
+    kernels, links = adjoints(bonds.scalar), bonds.arrays
     samples, nodes = u.shape
-    h = sweeps.zeros(samples, nodes, dtype=sweeps.vec)
-    rows = len(sweeps.rows)
-    launch_slices(
-        kernels.scaled, rows, (sweeps.rows, sweeps.lattice, state.m, g), (h,), samples=samples
-    )
-    hd = h
-    if state.md is not state.m:
-        hd = sweeps.zeros(samples, nodes, dtype=sweeps.vec)
-        launch_slices(
-            kernels.scaled, rows, (sweeps.rows, sweeps.lattice, state.md, g), (hd,), samples=samples
-        )
-    tau = sweeps.zeros(samples, nodes)
-    inputs: tuple[Any, ...]
-    if not sweeps.bond_based:
-        inputs = (sweeps.full, *links, sweeps.reverse, state.kd, state.md, lam, mu, hd)
-        launch_slices(kernels.dilatation_adjoint, len(sweeps.full), inputs, (tau,), samples=samples)
+    scaled = []
+    for m in (evaluation.m, evaluation.md)[: 1 + (evaluation.md is not evaluation.m)]:
+        scaled.append(bonds.zeros(samples, nodes, dtype=bonds.vec))
+        inputs: tuple[Any, ...] = (bonds.rows, links, m, g)
+        launch_slices(kernels.scaled, len(bonds.rows), inputs, (scaled[-1],), samples=samples)
+    h, hd = scaled[0], scaled[-1]
+    kw, kd = evaluation.kw, evaluation.kd
+    tau = bonds.zeros(samples, nodes)
+    if not bonds.bond_based:
+        inputs = (bonds.full, links, bonds.reverse, kd, evaluation.md, lam, mu, hd)
+        launch_slices(kernels.dilatation_adjoint, len(bonds.full), inputs, (tau,), samples=samples)
     u_bar = None
     if displacement:
-        u_bar = empty(samples, nodes, dtype=sweeps.vec, device=sweeps.device)
-        inputs = (*links, sweeps.reverse, state.kw, state.kd, mu, h, tau)
+        u_bar = empty(samples, nodes, dtype=bonds.vec, device=bonds.device)
+        inputs = (links, bonds.reverse, kw, kd, mu, h, tau)
         launch_slices(kernels.displacement_adjoint, nodes, inputs, (u_bar,), samples=samples)
     if not parameters:
         return Gradient(u_bar)
-    tables = _Tables(sweeps, state, alpha, coefficients, parts=sweeps.zeros(BLOCKS, 2))
-    fields = (lam, mu, u, state.theta, h, hd, tau)
-    at_once([tables.job(block, fields) for block in range(BLOCKS)])
+    law = _filled(kernels.Law, kw, evaluation.m, kd, evaluation.md, lam, mu)
+    fields = _filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
+    tables = _Tables(bonds, law, fields, alpha, coefficients)
+    at_once([tables.job(block) for block in range(BLOCKS)])
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
     by_D, by_alpha = tables.gradients()
     return Gradient(u_bar, -2 * bulk, 2 * bulk - 16 * shear, by_alpha, *by_D)
+
+
+def _filled(struct: Any, *values: wp.array[Any]) -> Any:
+    """An instance of a kernel's struct, its members in order."""
+    found = struct()
+    for name, value in zip(struct.vars, values):
+        setattr(found, name, value)
+    return found
 
 
 class _Tables:
@@ -99,32 +104,33 @@ class _Tables:
 
     def __init__(
         self,
-        sweeps: Sweeps,
-        state: State,
+        bonds: Bonds,
+        law: Any,
+        fields: Any,
         alpha: wp.array[Any],
         coefficients: Sequence[wp.array[Any]],
-        parts: wp.array[Any],
     ) -> None:
-        self.sweeps, self.state, self.parts = sweeps, state, parts
+        self.bonds, self.law, self.fields = bonds, law, fields
         self.alpha, self.coefficients = alpha, coefficients
-        nodes, row = sweeps.full.numpy(), sweeps.families.row
+        self.parts = bonds.zeros(BLOCKS, 2)
+        nodes, row = bonds.full.numpy(), bonds.families.row
         self.ends = [len(nodes) * n // BLOCKS for n in range(BLOCKS + 1)]
-        self.spans = [(0, len(sweeps.families.pattern))] * BLOCKS  # bonds of each block
-        if not sweeps.lattice:
+        self.spans = [(0, len(bonds.families.pattern))] * BLOCKS  # bonds of each block
+        if not bonds.lattice:
             at = [row[nodes[min(end, len(nodes) - 1)]] for end in self.ends]
             at[-1] = row[-1]
             self.spans = list(pairwise(at))
-        self.kernel = adjoints(sweeps.scalar).table_adjoint
-        self.kernel.module.load(wp.get_device(sweeps.device))
+        self.kernel = adjoints(bonds.scalar).table_adjoint
+        self.kernel.module.load(wp.get_device(bonds.device))
         self.backwards, self.sums = [], []
         for D in coefficients:
-            kernel = influence_kernels.influence_adjoint(len(D) - 1, sweeps.scalar)
-            kernel.module.load(wp.get_device(sweeps.device))
-            self.backwards.append((kernel, sweeps.influence_inputs(len(D) - 1), D))
-            self.sums.append(sweeps.zeros(BLOCKS, len(D) + 1))
-        self.by_pattern = [np.zeros((BLOCKS, len(sweeps.families.pattern))) for _ in coefficients]
+            kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)
+            kernel.module.load(wp.get_device(bonds.device))
+            self.backwards.append((kernel, influence_inputs(bonds, len(D) - 1), D))
+            self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
+        self.by_pattern = [np.zeros((BLOCKS, len(bonds.families.pattern))) for _ in coefficients]
 
-    def job(self, block: int, fields: Sequence[wp.array[Any]]) -> Callable[[], None]:
+    def job(self, block: int) -> Callable[[], None]:
         """One block: ∂/∂(K W) of its bonds; on scattered points onwards to α and D."""
         begin, end = self.ends[block : block + 2]
         first, last = (int(value) for value in self.spans[block])
@@ -132,14 +138,13 @@ class _Tables:
         def run() -> None:
             if begin == end:
                 return
-            sweeps, state = self.sweeps, self.state
-            bars = [sweeps.zeros(last - first) for _ in self.coefficients]
-            one = int(len(bars) == 1)
-            tables = (sweeps.r, state.kw, state.m, state.kd, state.md)
-            inputs = (block, first, sweeps.full, begin, end, *sweeps.links, *tables, *fields, one)
+            bonds = self.bonds
+            bars = [bonds.zeros(last - first) for _ in self.coefficients]
+            span, one = wp.vec3i(first, begin, end), int(len(bars) == 1)
+            inputs = (block, span, bonds.full, bonds.arrays, bonds.r, self.law, self.fields, one)
             launch(self.kernel, 1, inputs, (bars[0], bars[-1], self.parts))
             for n, bar in enumerate(bars):
-                if sweeps.lattice:
+                if bonds.lattice:
                     self.by_pattern[n][block] = bar.numpy()
                 else:
                     self._backward(n, block, first, last, bar)
@@ -152,12 +157,12 @@ class _Tables:
 
     def gradients(self) -> tuple[list[np.ndarray], float]:
         """∂/∂D of each influence function and ∂/∂α, after all blocks."""
-        sweeps, by_D, by_alpha = self.sweeps, [], 0.0
+        bonds, by_D, by_alpha = self.bonds, [], 0.0
         for n, sums in enumerate(self.sums):
-            if sweeps.lattice:
+            if bonds.lattice:
                 bars = self.by_pattern[n].sum(axis=0)
-                by_class = np.bincount(sweeps.families.classes.bond_class, bars)
-                self._backward(n, 0, 0, len(by_class), sweeps.floats(by_class))
+                by_class = np.bincount(bonds.families.classes.bond_class, bars)
+                self._backward(n, 0, 0, len(by_class), bonds.floats(by_class))
             total = sums.numpy().sum(axis=0, dtype=float)
             by_D.append(total[:-1])
             by_alpha += float(total[-1])

@@ -14,7 +14,8 @@ from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.operator.adjoint import gradient
-from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import check_volumes, evaluate
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
@@ -23,39 +24,39 @@ class _Force(torch.autograd.Function):
     """L u as a torch function; its gradient gathers over bonds, or is Warp's tape run backwards."""
 
     @staticmethod
-    def forward(ctx: Any, sweeps: Sweeps, *inputs: torch.Tensor) -> torch.Tensor:
-        ctx.sweeps = sweeps
+    def forward(ctx: Any, bonds: Bonds, *inputs: torch.Tensor) -> torch.Tensor:
+        ctx.bonds = bonds
         # The gathering adjoint knows no broken bonds, and its few blocks are no work for a GPU,
         # where the tape's atomic sums are right.
-        ctx.gathers = len(sweeps.cut) == 0 and sweeps.device == DEVICE
+        ctx.gathers = len(bonds.cut) == 0 and bonds.device == DEVICE
         ctx.save_for_backward(*inputs)  # the arrays share their memory
         taped = any(ctx.needs_input_grad) and not ctx.gathers
-        types = [sweeps.vec] + (len(inputs) - 1) * [sweeps.scalar]
+        types = [bonds.vec] + (len(inputs) - 1) * [bonds.scalar]
         ctx.arrays = [
             wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=taped)
             for tensor, dtype in zip(inputs, types)
         ]
         if taped:
             with wp.Tape() as ctx.tape:
-                ctx.state = sweeps.evaluate(*ctx.arrays, gradient=True)
+                ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
         else:
-            ctx.state = sweeps.evaluate(*ctx.arrays)
-        Lu: torch.Tensor = wp.to_torch(ctx.state.Lu, requires_grad=False)
+            ctx.evaluation = evaluate(bonds, *ctx.arrays)
+        Lu: torch.Tensor = wp.to_torch(ctx.evaluation.Lu, requires_grad=False)
         return Lu
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         inputs = ctx.saved_tensors  # an error where one was changed in place since
-        seed = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.sweeps.vec)
+        seed = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.bonds.vec)
         if not ctx.gathers:
             ctx.tape.zero()  # a second backward pass through the same graph starts afresh
-            ctx.tape.backward(grads={ctx.state.Lu: seed})
+            ctx.tape.backward(grads={ctx.evaluation.Lu: seed})
             return None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
         wanted = ctx.needs_input_grad[1:]
         found = gradient(
-            ctx.sweeps,
-            ctx.state,
+            ctx.bonds,
+            ctx.evaluation,
             ctx.arrays,
             seed,  # type: ignore[arg-type]  # Warp declares a wider return type
             displacement=wanted[0],
@@ -86,7 +87,7 @@ class LPSOperator:
         quadrature_degree: of the polynomials that the weights are exact for.
         allow_uncertified: warn instead of raising when the model holds no certificate for this
             spacing.
-        device: where the kernels run, as for Sweeps.
+        device: where the kernels run, as for Bonds.
 
     A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough.
 
@@ -108,14 +109,14 @@ class LPSOperator:
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
         self.model = model
-        self.sweeps = Sweeps(
+        self.bonds = Bonds(
             points,
             model.horizon,
             bond_based=model.lam == model.mu,
             quadrature_degree=quadrature_degree,
             device=device,
         )
-        self.sweeps.check_volumes(model)
+        check_volumes(self.bonds, model)
 
     @overload
     def __call__(self, u: np.ndarray) -> np.ndarray: ...
@@ -126,14 +127,14 @@ class LPSOperator:
         if isinstance(u, torch.Tensor):
             tensor = u
         else:
-            tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.sweeps.device)
+            tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
         numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-        Lu = lps_force(self.sweeps, tensor, *numbers)
+        Lu = lps_force(self.bonds, tensor, *numbers)
         return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
 
 
 def lps_force(
-    sweeps: Sweeps,
+    bonds: Bonds,
     u: torch.Tensor,
     lam: float | torch.Tensor,
     mu: float | torch.Tensor,
@@ -144,23 +145,23 @@ def lps_force(
     """L u [TPa/Å] on the interior nodes, shape [..., I, 2], differentiable in every argument.
 
     Args:
-        sweeps: the sweeps of a point set with N nodes.
-        u: displacement [Å], shape [N, 2] or [S, N, 2], in the precision of the sweeps.
-        lam, mu: Lamé parameters [TPa], equal for bond-based sweeps.
+        bonds: of a point set with N nodes.
+        u: displacement [Å], shape [N, 2] or [S, N, 2], in the precision of the bonds.
+        lam, mu: Lamé parameters [TPa], equal for bond-based ones.
         alpha: exponent α < 3.
         D: Bernstein coefficients, shape [M + 1].
         D_dilatation: those of the dilatation's own influence function, of any degree; None when it
             shares that of D.
 
-    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based sweeps, whose
+    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based ones, whose
     derivative to λ is zero: (42) is a function of μ.
     """
-    nodes, dtype = sweeps.nodes, getattr(torch, sweeps.scalar.__name__)
-    if u.device != torch.device(sweeps.device):
-        raise InputError(f"u: expected a tensor on {sweeps.device}, got one on {u.device}")
+    nodes, dtype = bonds.nodes, getattr(torch, bonds.scalar.__name__)
+    if u.device != torch.device(bonds.device):
+        raise InputError(f"u: expected a tensor on {bonds.device}, got one on {u.device}")
     if u.dtype != dtype or u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
         raise InputError(
-            f"u: expected {sweeps.scalar.__name__} of shape [S, {nodes}, 2] or [{nodes}, 2], "
+            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, 2] or [{nodes}, 2], "
             f"got {u.dtype} of shape {list(u.shape)}"
         )
     numbers = [
@@ -168,10 +169,10 @@ def lps_force(
         for value in (lam, mu, alpha, D, D_dilatation)
         if value is not None
     ]
-    if sweeps.bond_based and not torch.equal(*numbers[:2]):
+    if bonds.bond_based and not torch.equal(*numbers[:2]):
         raise InputError(f"lambda, mu: expected equal values (bond-based), got {lam}, {mu}")
-    Lu = _force(sweeps, u.reshape(-1, nodes, 2), *numbers)
+    Lu = _force(bonds, u.reshape(-1, nodes, 2), *numbers)
     return Lu.reshape(*u.shape[:-2], -1, 2)
 
 
-__all__ = ["DEVICE", "LPSOperator", "Sweeps", "lps_force"]
+__all__ = ["Bonds", "DEVICE", "LPSOperator", "lps_force"]

@@ -13,7 +13,8 @@ import warp as wp
 from warp_peri.kernels.lps.matrix import bond_entries, surface_entries
 from warp_peri.launch import floats, launch, zeros
 from warp_peri.models.lps import Model
-from warp_peri.operator.sweeps import Sweeps
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import check_volumes, influence, surface_shape
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
@@ -48,38 +49,36 @@ def matrices(
 
     Raises InputError for a point set that does not carry the horizon.
     """
-    sweeps = Sweeps(
+    bonds = Bonds(
         points,
         model.horizon,
         bond_based=model.lam == model.mu,
         quadrature_degree=quadrature_degree,
     )
-    sweeps.check_volumes(model)
+    check_volumes(bonds, model)
     alpha = floats(np.array([model.alpha]))
     tables = [
-        table
-        for D in (model.D, model.dilatation)
-        for table in sweeps.influence(alpha, floats(D), gradient=False)
+        table for D in (model.D, model.dilatation) for table in influence(bonds, alpha, floats(D))
     ]
-    return assemble(sweeps, points, tables)
+    return assemble(bonds, tables)
 
 
-def assemble(sweeps: Sweeps, points: PointsLike, tables: Sequence[wp.array[Any]]) -> Matrices:
+def assemble(bonds: Bonds, tables: Sequence[wp.array[Any]]) -> Matrices:
     """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
-    edges = len(sweeps.families.neighbour)
+    edges = len(bonds.families.neighbour)
     gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)
-    kernel_inputs = (sweeps.full, *sweeps.links, *tables)
-    launch(bond_entries, len(sweeps.full), kernel_inputs, (gamma, psi))
+    kernel_inputs = (bonds.full, bonds.arrays, *tables)
+    launch(bond_entries, len(bonds.full), kernel_inputs, (gamma, psi))
     phi = zeros(edges, dtype=wp.vec2d)
     wp.copy(phi, psi)
-    if len(sweeps.cut):
-        shape = sweeps.shape(tables[2])
-        surface = (sweeps.cut, *sweeps.links, tables[2], shape)
-        launch(surface_entries, len(sweeps.cut), surface, (phi,))
-    nodes = len(points.x)
-    intact = np.flatnonzero(sweeps.families.neighbour >= 0)
-    at = np.repeat(np.arange(nodes), np.diff(sweeps.families.row))[intact]
-    to = sweeps.families.neighbour[intact]
+    if len(bonds.cut):
+        shape = surface_shape(bonds, tables[2])
+        surface = (bonds.cut, bonds.arrays, tables[2], shape)
+        launch(surface_entries, len(bonds.cut), surface, (phi,))
+    nodes = bonds.nodes
+    intact = np.flatnonzero(bonds.families.neighbour >= 0)
+    at = np.repeat(np.arange(nodes), np.diff(bonds.families.row))[intact]
+    to = bonds.families.neighbour[intact]
     a = np.arange(2)
 
     def blocks(
@@ -104,5 +103,5 @@ def assemble(sweeps: Sweeps, points: PointsLike, tables: Sequence[wp.array[Any]]
     size = (2 * nodes, nodes)
     Q = blocks(value, vector, other, size) + blocks(value, vector, one, size)
 
-    interior = np.repeat(points.interior, 2)
+    interior = (2 * bonds.families.rows[:, None] + a).ravel()
     return Matrices(G[interior], P, Q[interior])

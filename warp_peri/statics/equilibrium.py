@@ -22,10 +22,11 @@ from torch.autograd.function import once_differentiable
 
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.stencil import stencil
-from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.samples import PointsLike
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, Record
 from warp_peri.statics.domain import Domain, domain
@@ -75,12 +76,12 @@ class _OnLattice(torch.autograd.Function):
 
 
 class _ByLU(torch.autograd.Function):
-    """The same on any points: the parameters go through the gradient of the sweeps."""
+    """The same on any points: the parameters go through the gradient of L u."""
 
     @staticmethod
     def forward(
         ctx: Any,
-        sweeps: Sweeps,
+        bonds: Bonds,
         points: PointsLike,
         b: torch.Tensor,
         u: torch.Tensor,
@@ -88,8 +89,8 @@ class _ByLU(torch.autograd.Function):
     ) -> torch.Tensor:
         alpha = floats(parameters[2].detach().numpy())
         coefficients = [floats(D.detach().numpy()) for D in parameters[3:]]
-        tables = [sweeps.influence(alpha, D, gradient=False) for D in coefficients]
-        matrices = assemble(sweeps, points, [*tables[0], *tables[-1]])
+        tables = [influence(bonds, alpha, D) for D in coefficients]
+        matrices = assemble(bonds, [*tables[0], *tables[-1]])
         L = matrices.operator(float(parameters[0]), float(parameters[1]))
         unknown = np.repeat(points.interior, 2)
         stiffness, ctx.collar = sp.csc_array(L[:, unknown]), L[:, ~unknown]
@@ -110,7 +111,7 @@ class _ByLU(torch.autograd.Function):
             raise InputError("the operator on these nodes is singular to working precision")
         found = flat.copy()
         found[:, unknown] = solution.T
-        ctx.sweeps, ctx.unknown = sweeps, unknown
+        ctx.bonds, ctx.unknown = bonds, unknown
         result = torch.from_numpy(found.reshape(u.shape))
         ctx.save_for_backward(result, *parameters)
         return result
@@ -129,7 +130,7 @@ class _ByLU(torch.autograd.Function):
         if any(ctx.needs_input_grad[4:]):
             with torch.enable_grad():
                 leaves = [value.detach().requires_grad_() for value in parameters]
-                force = lps_force(ctx.sweeps, found, *leaves)
+                force = lps_force(ctx.bonds, found, *leaves)
                 pull = torch.from_numpy(-w.reshape(shape[0], -1, 2).copy())
                 found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
         fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
@@ -186,8 +187,8 @@ def equilibrium(
     b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
     bond_based = bool(numbers[0] == numbers[1])
     if method == "lu":
-        sweeps = Sweeps(points, horizon, bond_based=bond_based)
-        found = _by_lu(sweeps, points, b.cpu(), u.cpu(), *numbers)
+        bonds = Bonds(points, horizon, bond_based=bond_based)
+        found = _by_lu(bonds, points, b.cpu(), u.cpu(), *numbers)
         return found.reshape(shape).to(b.device)
     if method not in PRECONDITIONERS:
         raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")

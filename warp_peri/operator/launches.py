@@ -1,0 +1,166 @@
+"""The launches of L u on given bonds: influence → weighted volume → dilatation → force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from scipy.special import comb
+
+from warp_peri.errors import InputError
+from warp_peri.kernels.lps import force as lps
+from warp_peri.kernels.lps import influence as influence_kernels
+from warp_peri.launch import launch, launch_slices
+from warp_peri.models.influence import CANCELLED
+from warp_peri.models.lps import Model
+from warp_peri.operator.bonds import Bonds
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """L u and what led to it, in the precision of the bonds.
+
+    Attributes:
+        kw, m: K W of each bond class [C] and weighted volume of each node [N], or of all nodes of a
+            lattice [1], deviatoric.
+        kd, md: those of the dilatation; the same arrays with one influence function.
+        theta: dilatation of each sample and node, shape [S, N].
+        Lu: L u on the interior nodes, shape [S, I] of vectors.
+    """
+
+    kw: wp.array[Any]
+    m: wp.array[Any]
+    kd: wp.array[Any]
+    md: wp.array[Any]
+    theta: wp.array[Any]
+    Lu: wp.array[Any]
+
+
+def influence_inputs(bonds: Bonds, degree: int) -> tuple[Any, ...]:
+    """What the influence kernels of a degree read before α and D."""
+    binomial = bonds.floats(comb(degree, np.arange(degree + 1)))
+    return (bonds.scalar(bonds.horizon), binomial, bonds.r, bonds.weight)
+
+
+def influence(
+    bonds: Bonds, alpha: wp.array[Any], D: wp.array[Any], *, gradient: bool = False
+) -> tuple[wp.array[Any], wp.array[Any]]:
+    """K W of each class, shape [C], and weighted volumes m; kept while only u changes.
+
+    m has shape [N], 0 where not needed; on a lattice shape [1], the same for all nodes.
+    """
+    degree = len(D) - 1
+    key = (alpha.numpy().tobytes(), D.numpy().tobytes())
+    if not gradient and key in bonds.kept:
+        return bonds.kept[key]
+    kw = bonds.zeros(len(bonds.r), gradient=gradient)
+    m = bonds.zeros(1 if bonds.lattice else bonds.nodes, gradient=gradient)
+    table = (*influence_inputs(bonds, degree), alpha, D)
+    kernel = influence_kernels.influence(degree, bonds.scalar)
+    _launch(gradient, kernel, len(bonds.r), table, kw)
+    count = 1 if bonds.lattice else len(bonds.full)
+    kernel = lps.sweeps(bonds.scalar).weighted_volume
+    _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)
+    if not gradient:
+        if len(bonds.kept) > 1:  # those of the last model: at most two functions
+            bonds.kept.clear()
+        bonds.kept[key] = kw, m
+    return kw, m
+
+
+def check_volumes(bonds: Bonds, model: Model) -> None:
+    """Refuse an influence function whose weighted volume vanishes: the operator divides by it.
+
+    Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
+    """
+    families = bonds.families
+    alpha = bonds.floats(np.array([model.alpha]))
+    for D in {
+        model.D.tobytes(): model.D,
+        model.dilatation.tobytes(): model.dilatation,
+    }.values():
+        kw = influence(bonds, alpha, bonds.floats(D))[0].numpy()
+        terms = kw * families.r**2
+        if families.lattice is not None:
+            terms = (families.lattice.count * terms)[None]
+            m, size = terms.sum(axis=1), np.abs(terms).sum(axis=1)
+        else:
+            m = np.add.reduceat(terms, families.row[:-1])[bonds.full.numpy()]
+            size = np.add.reduceat(np.abs(terms), families.row[:-1])[bonds.full.numpy()]
+        bad = np.count_nonzero(~(np.abs(m) > CANCELLED * size))
+        if bad:
+            where = "every node" if bonds.lattice else f"{bad} nodes"
+            raise InputError(
+                f"influence function: its weighted volume m (theory.md, 5) is zero at {where}: "
+                f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
+            )
+
+
+def surface_shape(bonds: Bonds, kd: wp.array[Any], *, gradient: bool = False) -> wp.array[Any]:
+    """S of the nodes with broken bonds, (40), shape [N]."""
+    shape = bonds.zeros(bonds.nodes, dtype=bonds.mat, gradient=gradient)
+    kernel = lps.sweeps(bonds.scalar).surface_shape
+    _launch(gradient, kernel, len(bonds.cut), (bonds.cut, bonds.arrays, kd), shape)
+    return shape
+
+
+def evaluate(
+    bonds: Bonds,
+    u: wp.array[Any],
+    lam: wp.array[Any],
+    mu: wp.array[Any],
+    alpha: wp.array[Any],
+    D: wp.array[Any],
+    D_dilatation: wp.array[Any] | None = None,
+    *,
+    gradient: bool = False,
+) -> Evaluation:
+    """L u [TPa/Å] and all that led to it; with `gradient` for the active tape, in one thread.
+
+    Args:
+        bonds: of a point set with N nodes.
+        u: displacement [Å], shape [S, N] of vectors.
+        lam, mu: Lamé parameters [TPa], shape [1] each, equal for bond-based bonds.
+        alpha: exponent, shape [1].
+        D: Bernstein coefficients, shape [M + 1].
+        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
+            shares that of D.
+        gradient: whether to record derivatives.
+    """
+    samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar), bonds.arrays
+    inputs: tuple[Any, ...]
+    kw, m = influence(bonds, alpha, D, gradient=gradient)
+    kd, md = kw, m
+    Lu = bonds.zeros(samples, len(bonds.rows), dtype=bonds.vec, gradient=gradient)
+    if bonds.bond_based:
+        inputs = (bonds.rows, arrays, kw, m, mu, u)
+        _launch(gradient, kernels.bond_force, len(bonds.rows), inputs, Lu, samples)
+        return Evaluation(kw, m, kd, md, bonds.zeros(samples, bonds.nodes), Lu)
+    if D_dilatation is not None:
+        kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
+    theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
+    inputs = (bonds.whole, arrays, kd, md, u)
+    _launch(gradient, kernels.dilatation, len(bonds.whole), inputs, theta, samples)
+    if len(bonds.cut):
+        shape = surface_shape(bonds, kd, gradient=gradient)
+        inputs = (bonds.cut, arrays, kd, shape, u)
+        _launch(gradient, kernels.surface_dilatation, len(bonds.cut), inputs, theta, samples)
+    inputs = (bonds.rows, arrays, kw, m, kd, md, lam, mu, u, theta)
+    _launch(gradient, kernels.force, len(bonds.rows), inputs, Lu, samples)
+    return Evaluation(kw, m, kd, md, theta, Lu)
+
+
+def _launch(
+    tape: bool,
+    kernel: Any,
+    count: int,
+    inputs: tuple[Any, ...],
+    output: wp.array[Any],
+    samples: int = 0,
+) -> None:
+    if tape:
+        launch(kernel, (samples, count) if samples else count, (0, *inputs), (output,))
+    else:
+        launch_slices(kernel, count, inputs, (output,), samples=samples)
