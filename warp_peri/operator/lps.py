@@ -14,6 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.operator.adjoint import gradient
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -107,6 +108,7 @@ class LPSOperator:
         device: str = DEVICE,
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+        points = on_nominal_lattice(model, points)
         self.model = model
         self.sweeps = Sweeps(
             points,

@@ -13,6 +13,7 @@ import warp as wp
 from warp_peri.kernels.lps.matrix import bond_entries, surface_entries
 from warp_peri.launch import floats, launch, zeros
 from warp_peri.models.lps import Model
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.operator.sweeps import Sweeps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -48,6 +49,7 @@ def matrices(
 
     Raises InputError for a point set that does not carry the horizon.
     """
+    points = on_nominal_lattice(model, points)
     sweeps = Sweeps(
         points,
         model.horizon,

@@ -93,6 +93,7 @@ def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -
         raise InputError(
             f"spacing: expected that of the points, {points.spacing:g} Å, got {spacing:g}"
         )
+    spacing = model.nominal_spacing(spacing)
     classes = bond_classes(spacing, model.horizon)
     v, z, kappa = stiffnesses(model, classes)
     zeta = 1.0  # any level; the search is for the smallest ratio
