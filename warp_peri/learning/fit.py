@@ -370,7 +370,7 @@ def fit(
     certified = tuple(
         one.spacing
         for one in certificates
-        if one.holds and (conditions != "paper" or bool(one.schwarz))
+        if one.holds and (conditions != "paper" or bool(one.paper))
     )
     provenance = {}
     if final.shape is not None:
