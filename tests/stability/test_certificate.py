@@ -51,6 +51,23 @@ def test_a_violation_in_the_dilatation_alone_is_reported():
     assert not certificate.holds
 
 
+def test_what_holds_is_what_is_stated():
+    """Γ is indefinite and D(k) is not: with or without a training domain the proof is the same."""
+    D, own = [0.98, -0.23, -0.81, 0.8, 0.34, -0.34], [-0.85, -0.59, 0.25, -0.25, 0.18, 0.02]
+    model = Model(lam=20.0, mu=0.5, alpha=1.0, D=D, D_dilatation=own, horizon=4.0)
+    points = lattice(11, 4.0)
+    bare, dense = certify(model, spacing=1.0), certify(model, spacing=1.0, points=points)
+    assert dense.gamma_min < -0.1
+    assert dense.statement == bare.statement
+    assert "exactly one solution" in dense.statement
+    assert bare.holds
+    assert dense.holds
+    assert dense.paper is False
+    assert bare.paper is None
+    L = matrices(model, points).operator(model.lam, model.mu)[:, np.repeat(points.interior, 2)]
+    assert np.linalg.eigvalsh(L.toarray())[0] > 0
+
+
 @pytest.mark.parametrize("horizon", [2.0, 2.5, 3.0])
 @pytest.mark.parametrize("name", KERNELS)
 def test_minimum_and_bound_against_a_fine_grid(name, horizon):

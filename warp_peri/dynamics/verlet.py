@@ -64,7 +64,7 @@ def critical_time_step(
     """
     _positive("density", density)
     model.check_spacing(spacing, allow_uncertified=allow_uncertified)
-    classes = bond_classes(spacing, model.horizon)
+    classes = bond_classes(model.nominal_spacing(spacing), model.horizon)
     stiffest = largest_bound(classes, *stiffnesses(model, classes))
     return float(2 * np.sqrt(INERTIA * density / stiffest))
 

@@ -207,7 +207,7 @@ def _certified(
     certified = tuple(
         one.spacing
         for one, asked in zip(certificates, data.conditions)
-        if one.holds and (asked.kind != "paper" or bool(one.schwarz))
+        if one.holds and (asked.kind != "paper" or bool(one.paper))
     )
     provenance = {}
     if final.shape is not None:

@@ -20,6 +20,8 @@ from warp_peri.points.quadrature import DEGREE, SINGULARITY
 FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 _NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
+SPACING_TOLERANCE = 1e-6
+"""A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
 LARGEST_FILE = 2**24
 """Bytes of a model file that are read at most."""
 _OPTIONAL = {"trained_strain", "sha256"}
@@ -139,9 +141,19 @@ class Model:
         K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
         return K
 
+    def nominal_spacing(self, spacing: float) -> float:
+        """The certified spacing [Å] that a lattice within SPACING_TOLERANCE of it is taken as.
+
+        Between bond lengths K may swing by orders of magnitude, so that what is proven of one
+        spacing says nothing of the next millionth. Any other spacing is returned as it is.
+        """
+        known = min(self.certified_on, key=lambda one: abs(one - spacing), default=0.0)
+        near = 0 < known and abs(spacing - known) <= SPACING_TOLERANCE * known
+        return known if near else spacing
+
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
-        if np.isclose(spacing, self.certified_on, rtol=1e-6).any():
+        if spacing > 0 and self.nominal_spacing(spacing) in self.certified_on:
             return
         known = ", ".join(f"{value:g} Å" for value in self.certified_on) or "no spacing"
         here = f"{spacing:g} Å" if spacing else "scattered points"

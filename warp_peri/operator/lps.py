@@ -16,6 +16,7 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.adjoint import gradient
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import check_volumes, evaluate
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
@@ -108,6 +109,7 @@ class LPSOperator:
         device: str = DEVICE,
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+        points = on_nominal_lattice(model, points)
         self.model = model
         self.bonds = Bonds(
             points,

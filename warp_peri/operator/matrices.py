@@ -15,6 +15,7 @@ from warp_peri.launch import floats, launch, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import check_volumes, influence, surface_shape
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
@@ -49,6 +50,7 @@ def matrices(
 
     Raises InputError for a point set that does not carry the horizon.
     """
+    points = on_nominal_lattice(model, points)
     bonds = Bonds(
         points,
         model.horizon,

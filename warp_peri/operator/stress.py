@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike
 
@@ -45,6 +46,7 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     Raises InputError for a u of another shape, or a point set that does not carry the horizon.
     """
     u = np.asarray(u, dtype=float)
+    points = on_nominal_lattice(model, points)
     nodes = len(points.x)
     if (
         u.ndim not in (2, 3)

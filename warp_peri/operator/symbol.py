@@ -97,7 +97,8 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndar
     Raises InputError for an influence function whose weighted volume is zero.
     """
     tables = []
-    for K in (model.influence(classes.r), model.influence_dilatation(classes.r)):
+    r = classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing)
+    for K in (model.influence(r), model.influence_dilatation(r)):
         kw = K * classes.weight
         terms = classes.count * kw * classes.r**2
         if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():

@@ -8,6 +8,7 @@ every bond is its own class.
 from __future__ import annotations
 
 import bisect
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -23,7 +24,8 @@ from warp_peri.points.quadrature import DEGREE, quadrature_weights
 from warp_peri.points.samples import PointsLike
 
 HORIZON_TOLERANCE = 1e-6
-"""The ball is closed: a bond belongs to the family when r ≤ δ (1 + this)."""
+"""The ball is closed: a bond belongs to the family when r ≤ δ (1 + this); on a lattice, whose
+spacing has a tolerance of its own, 1 + twice this."""
 
 LATTICE_TOLERANCE = 1e-6
 """Largest distance of a node from its lattice position, in spacings."""
@@ -143,12 +145,12 @@ def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
             f"horizon: expected at most {LARGEST_REACH} spacings ({LARGEST_REACH * spacing:g} Å), "
             f"got {horizon}"
         )
-    reach = int(np.floor(horizon / spacing * (1 + HORIZON_TOLERANCE)))
+    longest = squared_reach(horizon / spacing)
+    reach = math.isqrt(longest)
     a, b = np.meshgrid(*2 * [np.arange(-reach, reach + 1)], indexing="ij")
     steps = np.stack([a.ravel(), b.ravel()], axis=1)
-    length = np.hypot(*steps.T)
-    inside = (length > 0) & (length * spacing <= horizon * (1 + HORIZON_TOLERANCE))
-    steps = steps[inside]
+    square = (steps**2).sum(axis=1)
+    steps = steps[(square > 0) & (square <= longest)]
     orbit = np.sort(np.abs(steps), axis=1)[:, ::-1]
     order = np.lexsort((orbit[:, 0], (orbit**2).sum(1)))
     steps, orbit = steps[order], orbit[order]
@@ -235,6 +237,11 @@ def families_of(
     ends = np.where(neighbour < 0, -1 - neighbour, neighbour) if outside is not None else neighbour
     weight = scattered.weights(x, np.flatnonzero(needed), row, ends, box, horizon, degree)
     return Families(row, neighbour, reverse, r, weight, *nodes)
+
+
+def squared_reach(ratio: float) -> int:
+    """Largest a² + b² of the bonds (a, b) of a lattice whose horizon is `ratio` spacings."""
+    return math.floor((ratio * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
 
 
 def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
@@ -337,7 +344,7 @@ def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> 
     present, asked = np.pad(present, 2 * reach), np.pad(asked, 2 * reach)
 
     def fits(horizon: float) -> bool:
-        ball = length <= horizon * (1 + HORIZON_TOLERANCE)
+        ball = length**2 < squared_reach(horizon) + 0.5
         needed = binary_dilation(binary_dilation(asked, ball), ball)
         return not (needed & ~present).any()
 

@@ -50,8 +50,11 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether D(k) ≥ c s(k) is proven with c > 0 and, where it was computed, Γ > 0."""
-        return self.symbol_bound > 0 and (self.gamma_min is None or self.gamma_min > 0)
+        """Whether the statement is proven: D(k) ≥ c s(k) with c > 0.
+
+        Γ > 0 is not asked for: D(k) may be positive where Γ(k) is not, with λ above μ.
+        """
+        return self.symbol_bound > 0
 
     @property
     def statement(self) -> str:
@@ -64,6 +67,14 @@ class Certificate:
             f"exactly one solution, and the operator's smallest eigenvalue is at least "
             f"{self.symbol_bound:.6g} TPa times that of the 5-point Laplacian on the same nodes."
         )
+
+    @property
+    def paper(self) -> bool | None:
+        """Whether (i) and (iii) of (4.6) of You et al. (2021) hold, which conditions="paper" adds.
+
+        Γ > 0 and Γ − 2ΦᵗΦ ≥ 0 on the training domain; None where that was not given.
+        """
+        return None if self.gamma_min is None else self.gamma_min > 0 and bool(self.schwarz)
 
     @property
     def schwarz(self) -> bool | None:
@@ -93,6 +104,7 @@ def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -
         raise InputError(
             f"spacing: expected that of the points, {points.spacing:g} Å, got {spacing:g}"
         )
+    spacing = model.nominal_spacing(spacing)
     classes = bond_classes(spacing, model.horizon)
     v, z, kappa = stiffnesses(model, classes)
     zeta = 1.0  # any level; the search is for the smallest ratio

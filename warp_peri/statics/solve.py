@@ -12,12 +12,13 @@ from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE, known_device
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.samples import PointsLike
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
 from warp_peri.statics.domain import domain
@@ -74,6 +75,7 @@ def solve(
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
     model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+    points = on_nominal_lattice(model, points)
     b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
     if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
         raise InputError(
@@ -83,7 +85,7 @@ def solve(
     fixed, free = ~points.interior, points.interior
     if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
         raise InputError("b, u_collar: expected finite values")
-    plain = nodes_of(points).is_plain_lattice
+    plain = points.is_plain_lattice
     if method == "auto":
         method = choose_method(points, plain=plain)
     if method in PRECONDITIONERS:
@@ -214,6 +216,7 @@ def solve_periodic(
     singular at a wave vector of the sheet.
     """
     model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+    spacing = model.nominal_spacing(spacing)
     b = np.asarray(b, dtype=float)
     if b.ndim < 3 or b.shape[-1] != 2 or not np.isfinite(b).all():
         raise InputError(

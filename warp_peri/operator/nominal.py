@@ -1,0 +1,25 @@
+"""Lattices within the tolerance of a certified spacing, taken as the certified lattice."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from warp_peri.models.lps import Model
+from warp_peri.points.points import Points
+from warp_peri.points.samples import PointsLike, nodes_of
+
+
+def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
+    """The nodes, scaled to the certified spacing that theirs is taken as.
+
+    What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
+    the certified lattice the operator is the one of the proof. Any other lattice, and scattered
+    points, are returned as they are.
+    """
+    nodes = nodes_of(points)
+    spacing = model.nominal_spacing(nodes.spacing)
+    if spacing == nodes.spacing:
+        return nodes
+    scale = spacing / nodes.spacing
+    box = None if nodes.box is None else (scale * nodes.box[0], scale * nodes.box[1])
+    return dataclasses.replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
