@@ -113,6 +113,10 @@ def test_an_indefinite_operator_is_named_by_every_method():
     for method in ("lu", "sine", "multigrid", "fft", "cg"):
         with pytest.raises(InputError, match="nodes is indefinite"):
             solve(model, points, noise(points), noise(points), method=method)
+        fields = (torch.from_numpy(noise(points)) for _ in range(2))
+        given = dict(zip(("lam", "mu", "alpha", "D"), numbers(model)))
+        with pytest.raises(InputError, match="nodes is indefinite"):
+            equilibrium(points, *fields, horizon=HORIZON, method=method, **given)
 
 
 def test_a_direction_without_energy_is_named(monkeypatch):

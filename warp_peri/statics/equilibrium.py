@@ -27,7 +27,8 @@ from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.stencil import stencil
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.statics.definite import refuse_indefinite
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, Record
 from warp_peri.statics.domain import Domain, domain
 
@@ -109,6 +110,7 @@ class _ByLU(torch.autograd.Function):
         left = np.linalg.norm(stiffness @ solution - right, axis=0)
         if not (left <= TOLERANCE * np.linalg.norm(right, axis=0)).all():
             raise InputError("the operator on these nodes is singular to working precision")
+        refuse_indefinite(nodes_of(points), bonds.horizon, parameters, stiffness)
         found = flat.copy()
         found[:, unknown] = solution.T
         ctx.bonds, ctx.unknown = bonds, unknown
@@ -174,7 +176,7 @@ def equilibrium(
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
     Raises InputError for what families_of refuses, another method, and an operator that is singular
-    or indefinite.
+    or, on a lattice without broken bonds, indefinite.
     """
     numbers = [
         torch.as_tensor(value, dtype=torch.float64).reshape(-1).cpu()

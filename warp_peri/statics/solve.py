@@ -13,15 +13,13 @@ from warp_peri.launch import DEVICE, known_device
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.nominal import on_nominal_lattice
-from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
-from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.statics.definite import refuse_indefinite
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
-from warp_peri.statics.domain import domain
 from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
 from warp_peri.statics.range import warn_beyond
 
@@ -94,7 +92,7 @@ def solve(
                 f"method: {method} is for lattices without a box and without broken bonds, with "
                 "quadrature of the usual degree; try lu or gmres"
             )
-        numbers = {name: getattr(model, name) for name in ("horizon", "lam", "mu", "alpha", "D")}
+        given = {name: getattr(model, name) for name in ("horizon", "lam", "mu", "alpha", "D")}
         fields = (
             torch.from_numpy(np.ascontiguousarray(field)).to(known_device(device))
             for field in (b, u)
@@ -104,7 +102,7 @@ def solve(
                 equilibrium(
                     points,
                     *fields,
-                    **numbers,
+                    **given,
                     D_dilatation=model.dilatation,
                     method=method,
                     tolerance=tolerance,
@@ -140,13 +138,11 @@ def solve(
             "the operator on these nodes is singular to working precision: "
             f"the residual of the solve is {wrong.max():.1e} TPa/Å"
         )
-    if plain and not _definite_by_symbol(model, points, quadrature_degree):
-        smallest = smallest_eigenvalue(stiffness)
-        if not smallest > 0:
-            raise InputError(
-                f"the operator on these {nodes} nodes is indefinite: its smallest eigenvalue is "
-                f"{smallest:.1e} TPa/Å², so that its equilibria are not stable"
-            )
+    numbers = [
+        torch.tensor(value, dtype=torch.float64)
+        for value in (model.lam, model.mu, model.alpha, model.D, model.dilatation)
+    ]
+    refuse_indefinite(points, model.horizon, numbers, stiffness, degree=quadrature_degree)
     u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
     warn_beyond(model, points, u)
     return u
@@ -163,17 +159,6 @@ def choose_method(points: PointsLike, *, plain: bool) -> str:
         Points(points.x[points.interior], np.ones(nodes, bool), points.spacing)
     )
     return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
-
-
-def _definite_by_symbol(model: Model, points: PointsLike, degree: int) -> bool:
-    """Whether the symbol proves L_II positive definite."""
-    bond_based = model.lam == model.mu
-    nodes = domain(
-        points, model.horizon, bond_based=bond_based, degree=degree, device=torch.device("cpu")
-    )
-    numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-    A = stencil(nodes.classes, *(torch.tensor(n, dtype=torch.float64) for n in numbers))
-    return smallest_ratio(nodes.torus.symbol(A), nodes.torus) > 0
 
 
 def _lu(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
