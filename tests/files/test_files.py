@@ -2,11 +2,13 @@
 
 import json
 import os
+import socket
 import stat
 
 import numpy as np
 import pytest
 
+from warp_peri.errors import InputError
 from warp_peri.files.whole import whole_file, write_json, write_text
 
 
@@ -56,4 +58,47 @@ def test_json_takes_numpy_and_refuses_what_is_no_number(tmp_path):
         with pytest.raises(ValueError, match="JSON compliant"):
             write_json(path, {"a": bad})
     assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_and_what_it_points_at_is_written(tmp_path):
+    target, link, broken = tmp_path / "target.txt", tmp_path / "link.txt", tmp_path / "broken.txt"
+    target.write_text("old")
+    link.symlink_to(target)
+    broken.symlink_to(tmp_path / "new" / "far.txt")
+    write_text(link, "new")
+    write_text(broken, "far")
+    assert link.is_symlink()
+    assert broken.is_symlink()
+    assert target.read_text() == "new"
+    assert (tmp_path / "new" / "far.txt").read_text() == "far"
+
+
+def made(kind, path):
+    """Something that is no regular file."""
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(path.name)
+    elif kind == "link to a device":
+        path.symlink_to(os.devnull)
+    else:
+        path.symlink_to(path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe", "socket", "link to a device", "circle"])
+def test_what_is_no_regular_file_is_left_alone(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)  # names of sockets are short
+    path = made(kind, tmp_path / "a")
+    before = os.lstat(path)
+    null = os.stat(os.devnull)
+    with pytest.raises(InputError, match=r"a: (expected a file or a new name, got|cannot be)"):
+        write_text(path, "text")
+    assert os.lstat(path) == before
+    assert stat.S_ISCHR(null.st_mode)
+    assert os.stat(os.devnull).st_ino == null.st_ino
     assert list(tmp_path.iterdir()) == [path]

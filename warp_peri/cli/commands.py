@@ -18,7 +18,7 @@ import warp_peri
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
-from warp_peri.files.whole import locked, write_json
+from warp_peri.files.whole import destination, locked, write_json
 from warp_peri.models.lps import Model, load_model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
@@ -38,7 +38,7 @@ TYPED_BOX = 1e-3
 
 
 def check_output(given: argparse.Namespace) -> None:
-    """Refuse, before anything is done, to write over what is read, or a folder over a file.
+    """Refuse, before anything is done, to write over what is read or what is no file.
 
     Raises InputError saying which it is.
     """
@@ -54,6 +54,8 @@ def check_output(given: argparse.Namespace) -> None:
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, found = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {found}")
+    if not folder:
+        destination(given.out)
 
 
 def run_coarse_grain(given: argparse.Namespace) -> Result:

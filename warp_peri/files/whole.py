@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,14 +20,42 @@ PART = ".part-"
 """What the names of half-written files hold, between the name to be and something random."""
 
 
+def destination(path: str | os.PathLike[str]) -> Path:
+    """Where a file of this name is written: links are followed, to what they point at.
+
+    Raises InputError for what is there and is no regular file: a folder, a device, a pipe.
+    """
+    followed = Path(os.path.realpath(path))
+    try:
+        mode = os.stat(followed).st_mode
+    except FileNotFoundError:
+        return followed
+    except OSError as error:  # a file for a folder on the way, links in a circle
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: expected a file or a new name, got {_KINDS[stat.S_IFMT(mode)]}")
+    return followed
+
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+}
+
+
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error.
 
     The folder is created if it is missing. A reader therefore sees the old file, the new file or
-    none, never half of one.
+    none, never half of one. A link stays, and what it points at is replaced.
+
+    Raises InputError for a path that is no regular file; nothing is touched then.
     """
-    path = Path(path)
+    path = destination(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(
         prefix=f".{path.name}{PART}", suffix=path.suffix, dir=path.parent
