@@ -30,6 +30,7 @@ from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
+from warp_peri.models.solid import Solid
 from warp_peri.operator.adjoint import BLOCKS
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence_inputs
@@ -67,12 +68,12 @@ def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable
 
     def forward() -> np.ndarray:
         bonds.forget()  # the rivals compute K every time
-        return lps_force(bonds, u, lam, mu, alpha, D).numpy()
+        return lps_force(bonds, u, Solid(lam, mu, alpha, D)).numpy()
 
     def both() -> list[np.ndarray]:
         bonds.forget()
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
-        Lu = lps_force(bonds, leaves[0], lam, mu, leaves[2], leaves[1])
+        Lu = lps_force(bonds, leaves[0], Solid(lam, mu, leaves[2], leaves[1]))
         return [found.numpy() for found in torch.autograd.grad(Lu, leaves, g)]
 
     return forward, both

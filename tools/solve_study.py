@@ -20,6 +20,7 @@ from tools import rivals
 from warp_peri import Model, load_model, set_threads
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
+from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.stencil import Torus, stencil
@@ -81,12 +82,6 @@ def loads(nodes: Domain) -> dict[str, torch.Tensor]:
     return {"smooth": smooth * nodes.mask, "point": point * nodes.mask, "noise": noise * nodes.mask}
 
 
-def numbers(model: Model) -> list[torch.Tensor]:
-    """λ, μ, α, D and D of the dilatation."""
-    values = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-    return [torch.tensor(value, dtype=torch.float64) for value in values]
-
-
 def measure(model: Model, shape: str, side: int, method: str, material: str) -> Row:
     """The worst of three loads."""
     spacing = model.certified_on[0]
@@ -95,7 +90,7 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
     nodes = domain(points, model.horizon, device=torch.device("cpu"))
     layout = time.perf_counter() - start
     start = time.perf_counter()
-    system = Dirichlet(nodes, stencil(nodes.classes, *numbers(model)), method)
+    system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
     setup = time.perf_counter() - start
     found = []
     for load in loads(nodes).values():
@@ -142,15 +137,13 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     forward, _ = rivals.numba_parallel(tables, np.float64, fastmath=False)
     torus = Torus((side, side), torch.device("cpu"))
     scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
-    symbol = torus.symbol(stencil(bonds.families.classes, *numbers(scaled)))
+    symbol = torus.symbol(stencil(bonds.families.classes, scaled.solid))
     field = torch.from_numpy(np.ascontiguousarray(u.T.reshape(2, side, side)))
-    D = torch.from_numpy(model.D)
+    solid = Solid(model.lam, model.mu, model.alpha, model.D)
     candidates = {
         "stencil by FFT": lambda: torus.product(symbol, field).reshape(2, -1).T.numpy(),
         "Numba, two sweeps": lambda: forward(),
-        "warp_peri, two sweeps": lambda: lps_force(
-            bonds, torch.from_numpy(u), model.lam, model.mu, model.alpha, D
-        ).numpy(),
+        "warp_peri, two sweeps": lambda: lps_force(bonds, torch.from_numpy(u), solid).numpy(),
     }
     times: dict[str, list[float]] = {name: [] for name in candidates}
     expected = candidates["warp_peri, two sweeps"]().copy()
@@ -170,14 +163,16 @@ def adjoint_ratio(model: Model, side: int) -> float:
     nodes = domain(points, model.horizon, device=torch.device("cpu"))
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
     inside = torch.from_numpy(points.interior)[:, None]
-    law = [value.reshape(-1).requires_grad_() for value in numbers(model)]
+    law = model.solid.map(
+        lambda value: torch.tensor(value, dtype=torch.float64).reshape(-1).requires_grad_()
+    )
     b = (noise * inside).requires_grad_()
     ratios = []
     for _ in range(3):
         start = time.perf_counter()
         u = on_domain(nodes, b, noise * ~inside, law, "sine", TOLERANCE)
         middle = time.perf_counter()
-        torch.autograd.grad((u * u).sum(), [b, *law], allow_unused=True)
+        torch.autograd.grad((u * u).sum(), [b, *law.values()], allow_unused=True)
         ratios.append((time.perf_counter() - middle) / (middle - start))
     return float(np.median(ratios))
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
     from warp_peri.models.lps import Model, load_model
     from warp_peri.models.shapes import InfluenceFunction
+    from warp_peri.models.solid import Solid
     from warp_peri.operator.lps import LPSOperator
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.dataset_file import load_dataset, save_dataset
@@ -55,6 +56,7 @@ __all__ = [
     "Points",
     "Samples",
     "Scene",
+    "Solid",
     "Solvability",
     "Sweep",
     "TwoStage",
@@ -92,6 +94,7 @@ _NAMES = {
     "learning.uncertainty": ("Uncertainty", "fit_uncertainty"),
     "models.lps": ("Model", "load_model"),
     "models.shapes": ("InfluenceFunction",),
+    "models.solid": ("Solid",),
     "operator.lps": ("LPSOperator",),
     "points.dataset": ("Dataset",),
     "points.dataset_file": ("load_dataset", "save_dataset"),

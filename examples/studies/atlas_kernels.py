@@ -6,9 +6,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-import scipy.sparse as sp
 from scipy.optimize import least_squares
-from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
 import warp_peri
@@ -25,6 +23,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
 from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.statics.direct import MatrixProblem
 
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 DEGREES = (0, 1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
@@ -174,12 +173,11 @@ unsafe kernels, solved without asking, err by {100 * min(errors.values()):.2g} t
 def displacement_error(model: Model, points: Samples) -> float:
     """E_u of what LU gives without asking; `solve` refuses where the operator is indefinite."""
     L = matrices(model, points).operator(model.lam, model.mu)
-    unknown = np.repeat(points.interior, 2)
-    u, b = points.u[:, points.interior], points.loads[:, points.interior]
-    outer = points.u[:, ~points.interior].reshape(len(u), -1)
-    right = b.reshape(len(u), -1).T - L[:, ~unknown] @ outer.T
-    found = splu(sp.csc_array(L[:, unknown])).solve(right).T.reshape(u.shape)
-    wrong = np.linalg.norm(found - u, axis=(1, 2)) / np.linalg.norm(u, axis=(1, 2))
+    found = MatrixProblem(L, points.interior).solve(points.loads, points.u)
+    u = points.u[:, points.interior]
+    wrong = np.linalg.norm(found[:, points.interior] - u, axis=(1, 2)) / np.linalg.norm(
+        u, axis=(1, 2)
+    )
     return float(wrong.mean())
 
 

@@ -20,6 +20,7 @@ from warp_peri.launch import ints
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
 from warp_peri.models.lps import Model
+from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
@@ -323,7 +324,7 @@ def single_precision() -> Entry:
     shifts = np.logspace(-2, 6, 17)
     strain = 1e-3
     u = strain * np.stack([np.sin(points.x[:, 0] / 3), np.cos(points.x[:, 1] / 4)], axis=1)
-    numbers = (-0.2, MU, 1.0, [1.0])
+    solid = Solid(-0.2, MU, 1.0, [1.0])
     errors: dict[str, list[float]] = {}
     rough = {}
     for precision, dtype in (("float32", torch.float32), ("float64", torch.float64)):
@@ -332,10 +333,10 @@ def single_precision() -> Entry:
         def force(
             field: np.ndarray, bonds: Bonds = bonds, dtype: torch.dtype = dtype
         ) -> np.ndarray:
-            return lps_force(bonds, torch.from_numpy(field).to(dtype), *numbers).double().numpy()
+            return lps_force(bonds, torch.from_numpy(field).to(dtype), solid).double().numpy()
 
         errors[precision] = []
-        exact = lps_force(Bonds(points, horizon), torch.from_numpy(u), *numbers).numpy()
+        exact = lps_force(Bonds(points, horizon), torch.from_numpy(u), solid).numpy()
         for shift in shifts:
             found = force(u + shift)
             errors[precision].append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))

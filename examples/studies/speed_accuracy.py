@@ -109,9 +109,7 @@ def by_cg(method: str) -> Callable[[Model, Samples], Solver]:
 
     def prepare(model: Model, points: Samples) -> Solver:
         nodes = domain(points, model.horizon, device=torch.device("cpu"))
-        values = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-        numbers = [torch.tensor(value, dtype=torch.float64) for value in values]
-        system = Dirichlet(nodes, stencil(nodes.classes, *numbers), method)
+        system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
 
         def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
             load, field = torch.from_numpy(b[points.interior]), torch.from_numpy(u)

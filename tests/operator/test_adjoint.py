@@ -10,7 +10,7 @@ import warp as wp
 
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
-from warp_peri import InputError, set_threads
+from warp_peri import InputError, Solid, set_threads
 from warp_peri.launch import threads
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import evaluate
@@ -58,7 +58,7 @@ class Problem:
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
 
     def scalar(self, *leaves):
-        Lu = lps_force(self.bonds, *leaves)
+        Lu = lps_force(self.bonds, leaves[0], Solid(*leaves[1:]))
         return (torch.from_numpy(self.seed) * Lu).sum() + (Lu**2).sum() / 100
 
     def gathered(self):
@@ -124,8 +124,8 @@ def test_of_bond_based_forces(kind):
     u = noise(points)
     leaves = [u, 0.7, 0.7, 1.3, [1.0, 0.5, -0.2]]
     given = [torch.tensor(leaf, dtype=torch.float64, requires_grad=True) for leaf in leaves]
-    Lu = lps_force(bonds, *given)
-    whole = lps_force(Bonds(points, HORIZON), *given)
+    Lu = lps_force(bonds, given[0], Solid(*given[1:]))
+    whole = lps_force(Bonds(points, HORIZON), given[0], Solid(*given[1:]))
     torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
     found = torch.autograd.grad((Lu**3).sum(), given)
     expected = torch.autograd.grad((whole**3).sum(), given)
@@ -134,7 +134,7 @@ def test_of_bond_based_forces(kind):
     assert found[1] == 0
     assert error(found[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
     with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
-        lps_force(bonds, given[0], 0.1, 0.7, 1.3, [1.0])
+        lps_force(bonds, given[0], Solid(0.1, 0.7, 1.3, [1.0]))
 
 
 def test_bond_based_forces_need_half_the_collar():
@@ -176,11 +176,11 @@ def test_single_precision_is_double_precision_rounded():
         dtype = getattr(torch, precision)
         values = (noise(points), LAM, MU, 1.6, [1.0, 0.4, -0.3])
         given = [torch.tensor(v, dtype=dtype, requires_grad=True) for v in values]
-        Lu = lps_force(bonds, *given)
+        Lu = lps_force(bonds, given[0], Solid(*given[1:]))
         found[precision] = [Lu.detach(), *torch.autograd.grad(Lu.sum() + (Lu**2).sum(), given)]
     for one, other in zip(*found.values()):
         assert error(other.double().numpy(), one.numpy()) < 2e-4
     with pytest.raises(InputError, match="u: expected float32 of shape"):
-        lps_force(bonds, torch.from_numpy(noise(points)), LAM, MU, 1.6, [1.0])
+        lps_force(bonds, torch.from_numpy(noise(points)), Solid(LAM, MU, 1.6, [1.0]))
     with pytest.raises(InputError, match="precision: expected one of"):
         Bonds(points, HORIZON, precision="float16")

@@ -9,7 +9,7 @@ import torch
 from tests.support.problems import GRADIENT, KERNELS, LAM, MU, difference, lattice, noise
 from tests.support.problems import kernel as model_of
 from tests.support.problems import periodic as periodic_lattice
-from warp_peri import LPSOperator
+from warp_peri import LPSOperator, Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 
@@ -29,7 +29,7 @@ class Problem:
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in kernel.items()}
 
     def scalar(self, u, *parameters):
-        Lu = lps_force(self.bonds, u.reshape(self.u.shape), *parameters)
+        Lu = lps_force(self.bonds, u.reshape(self.u.shape), Solid(*parameters))
         return (self.seed * Lu).sum() + (Lu**2).sum() / 100
 
     def value(self, part, leaf):

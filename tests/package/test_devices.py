@@ -6,7 +6,7 @@ import torch
 import warp as wp
 
 from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, manufactured, noise
-from warp_peri import InputError, LPSOperator, solve
+from warp_peri import InputError, LPSOperator, Solid, solve
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
 from warp_peri.operator.bonds import Bonds
@@ -25,7 +25,7 @@ def gradients(device):
     u = noise(lattice(5, HORIZON))
     leaves = [torch.tensor(v, device=device) for v in (u, MODEL.D, MODEL.dilatation)]
     u, D, Dd = (leaf.requires_grad_() for leaf in leaves)
-    Lu = lps_force(bonds, u, MODEL.lam, MODEL.mu, MODEL.alpha, D, Dd)
+    Lu = lps_force(bonds, u, Solid(MODEL.lam, MODEL.mu, MODEL.alpha, D, Dd))
     weight = torch.cos(torch.arange(Lu.numel(), dtype=Lu.dtype, device=device)).reshape(Lu.shape)
     return [part.cpu().numpy() for part in torch.autograd.grad(Lu, (u, D, Dd), weight)]
 

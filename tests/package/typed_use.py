@@ -93,13 +93,10 @@ def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     mu = torch.tensor(model.mu, dtype=torch.float64, requires_grad=True)
     same = warp_peri.equilibrium(
         test,
-        torch.tensor(test.b),
+        torch.tensor(test.loads),
         torch.tensor(test.u),
+        warp_peri.Solid(model.lam, mu, model.alpha, model.D),
         horizon=model.horizon,
-        lam=model.lam,
-        mu=mu,
-        alpha=model.alpha,
-        D=model.D,
         method="lu",
     )
     torch.autograd.grad(assert_type(same, torch.Tensor).sum(), mu)

@@ -10,7 +10,7 @@ import torch
 from tests.support.clouds import cloud
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
 from tools.solve_study import TABLE
-from warp_peri import InputError, LPSOperator, Model, equilibrium, load_model, solve
+from warp_peri import InputError, LPSOperator, Model, Solid, equilibrium, load_model, solve
 from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
@@ -20,13 +20,6 @@ from warp_peri.statics.solve import choose_method
 
 HORIZON = 3.0
 CPU = torch.device("cpu")
-
-
-def numbers(model):
-    return [
-        torch.tensor(value, dtype=torch.float64)
-        for value in (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-    ]
 
 
 def notched(n=40):
@@ -62,7 +55,7 @@ def test_preconditioners_are_symmetric_and_positive(kind):
     model = kernel("sign-changing", HORIZON)
     mask = np.ones((21, 26), bool) if kind is sine else notched(48)
     nodes = domain(lattice(mask, HORIZON), HORIZON, device=CPU)
-    precondition = kind(nodes, stencil(nodes.classes, *numbers(model)))
+    precondition = kind(nodes, stencil(nodes.classes, model.solid))
     r, q = torch.randn(2, 2, *mask.shape, dtype=torch.float64) * nodes.mask
     a, b = float((precondition(r) * q).sum()), float((precondition(q) * r).sum())
     scale = float((precondition(r) * r).sum())
@@ -87,7 +80,7 @@ def test_iterations_do_not_grow_with_the_domain(name):
         for n in (64, 192):
             points = lattice(mask(n), model.horizon, spacing=model.certified_on[0])
             nodes = domain(points, model.horizon, device=CPU)
-            system = Dirichlet(nodes, stencil(nodes.classes, *numbers(model)), method)
+            system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
             random = torch.Generator().manual_seed(0)
             b = torch.randn(2, *nodes.mask.shape, dtype=torch.float64, generator=random)
             iterations.append(system.solve(b * nodes.mask, 1e-8)[1].iterations)
@@ -108,15 +101,14 @@ def test_an_indefinite_operator_is_named_by_every_method():
     model = Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
     points = lattice(8, HORIZON)
     nodes = domain(points, HORIZON, device=CPU)
-    A = stencil(nodes.classes, *numbers(model))
+    A = stencil(nodes.classes, model.solid)
     assert smallest_ratio(nodes.torus.symbol(A), nodes.torus) < 0
     for method in ("lu", "sine", "multigrid", "fft", "cg"):
         with pytest.raises(InputError, match="nodes is indefinite"):
             solve(model, points, noise(points), noise(points), method=method)
         fields = (torch.from_numpy(noise(points)) for _ in range(2))
-        given = dict(zip(("lam", "mu", "alpha", "D"), numbers(model)))
         with pytest.raises(InputError, match="nodes is indefinite"):
-            equilibrium(points, *fields, horizon=HORIZON, method=method, **given)
+            equilibrium(points, *fields, model.solid, horizon=HORIZON, method=method)
 
 
 def test_a_direction_without_energy_is_named(monkeypatch):
@@ -175,12 +167,8 @@ def test_the_implicit_gradient_is_that_of_differences(method, bond_based):
             points,
             b,
             u,
+            Solid(mu if bond_based else lam, mu, alpha, D, Dd),
             horizon=HORIZON,
-            lam=mu if bond_based else lam,
-            mu=mu,
-            alpha=alpha,
-            D=D,
-            D_dilatation=Dd,
             method=name,
             tolerance=1e-12,
         )

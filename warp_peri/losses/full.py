@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
+from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.points.samples import Samples
@@ -51,7 +52,7 @@ class FullLoss:
         self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, *parameters) - self.b
+        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
         return (residual**2).sum(dim=(1, 2))
 
     def loss(self, *parameters: Any) -> torch.Tensor:

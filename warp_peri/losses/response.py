@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.linalg import lu_factor, lu_solve
 
 from warp_peri.errors import InputError
 from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, with_rows
@@ -22,6 +20,7 @@ from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.statics.direct import MatrixProblem
 
 WAVE_VECTOR = "wave_vector"
 """Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
@@ -135,24 +134,20 @@ class CollarResponse:
         self.weight = 1 / (size**2 * len(size))
 
     def about(self, model: Model) -> ReducedLoss:
-        points, unknown = self.points, np.repeat(self.points.interior, 2)
+        points = self.points
         L = matrices(model, points).operator(model.lam, model.mu)
-        factors = lu_factor(L[:, unknown].toarray())
-        collar = sp.csr_array(L[:, ~unknown])
+        problem = MatrixProblem(L, points.interior)
         inside, width = points.interior, self.features.width + 1
         R = np.zeros((width, width))
         for first in range(0, len(points), SAMPLES_AT_ONCE):
             some = slice(first, first + SAMPLES_AT_ONCE)
-            field, load = points.u[some].copy(), points.loads[some][:, inside]
-            load = load.reshape(len(field), -1)
-            outer = field[:, ~inside].reshape(len(field), -1)
-            answer = lu_solve(factors, load.T - collar @ outer.T).T
-            wrong = answer - field[:, inside].reshape(answer.shape)
-            field[:, inside] = answer.reshape(len(field), -1, 2)
-            forces = self.features(field).transpose(0, 1, 3, 2).reshape(*answer.shape, -1)
+            field = problem.solve(points.loads[some], points.u[some])
+            wrong = (field - points.u[some])[:, inside].reshape(len(field), -1)
+            load = points.loads[some][:, inside].reshape(wrong.shape)
+            forces = self.features(field).transpose(0, 1, 3, 2).reshape(*wrong.shape, -1)
             sides = np.concatenate([-forces, load[..., None]], axis=2)
-            flat = sides.transpose(1, 0, 2).reshape(answer.shape[1], -1)
-            rows = lu_solve(factors, flat).reshape(answer.shape[1], len(field), width)
+            flat = sides.transpose(1, 0, 2).reshape(wrong.shape[1], -1)
+            rows = problem.factors.solve(flat).reshape(wrong.shape[1], len(field), width)
             rows[..., -1] += wrong.T
             rows *= np.sqrt(self.weight[some])[:, None]
             R = with_rows(R, rows.reshape(-1, width))

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.files.whole import plain, write_json
 from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
+from warp_peri.models.solid import Solid
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 
 FORMAT, VERSION = "warp_peri.model", 1
@@ -111,6 +112,16 @@ class Model:
     def degree(self) -> int:
         """M."""
         return len(self.D) - 1
+
+    @property
+    def solid(self) -> Solid:
+        """λ, μ, α, D and D of the dilatation as one value."""
+        return Solid(self.lam, self.mu, self.alpha, self.D, self.dilatation)
+
+    @property
+    def bond_based(self) -> bool:
+        """Whether λ = μ: no dilatation enters (theory.md, 42), and a collar of δ is enough."""
+        return self.solid.bond_based
 
     @property
     def E(self) -> float:

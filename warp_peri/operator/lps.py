@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, overload
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch.autograd.function import once_differentiable
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
+from warp_peri.models.solid import Solid
 from warp_peri.operator.adjoint import gradient
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import check_volumes, evaluate
@@ -114,7 +115,7 @@ class LPSOperator:
         self.bonds = Bonds(
             points,
             model.horizon,
-            bond_based=model.lam == model.mu,
+            bond_based=model.bond_based,
             quadrature_degree=quadrature_degree,
             device=device,
         )
@@ -125,37 +126,24 @@ class LPSOperator:
     @overload
     def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
     def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
-        model = self.model
         if isinstance(u, torch.Tensor):
             tensor = u
         else:
             tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
-        numbers = (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-        Lu = lps_force(self.bonds, tensor, *numbers)
+        Lu = lps_force(self.bonds, tensor, self.model.solid)
         return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
 
 
-def lps_force(
-    bonds: Bonds,
-    u: torch.Tensor,
-    lam: float | torch.Tensor,
-    mu: float | torch.Tensor,
-    alpha: float | torch.Tensor,
-    D: Sequence[float] | np.ndarray | torch.Tensor,
-    D_dilatation: Sequence[float] | np.ndarray | torch.Tensor | None = None,
-) -> torch.Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, 2], differentiable in every argument.
+def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
+    """L u [TPa/Å] on the interior nodes, shape [..., I, 2], differentiable in u and in every value
+    of the solid.
 
     Args:
         bonds: of a point set with N nodes.
         u: displacement [Å], shape [N, 2] or [S, N, 2], in the precision of the bonds.
-        lam, mu: Lamé parameters [TPa], equal for bond-based ones.
-        alpha: exponent α < 3.
-        D: Bernstein coefficients, shape [M + 1].
-        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
-            shares that of D.
+        solid: numbers, arrays or tensors; λ = μ for bonds that are bond-based.
 
-    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based ones, whose
+    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based bonds, whose
     derivative to λ is zero: (42) is a function of μ.
     """
     nodes, dtype = bonds.nodes, getattr(torch, bonds.scalar.__name__)
@@ -167,12 +155,12 @@ def lps_force(
             f"got {u.dtype} of shape {list(u.shape)}"
         )
     numbers = [
-        torch.as_tensor(value, dtype=dtype, device=u.device).reshape(-1)
-        for value in (lam, mu, alpha, D, D_dilatation)
-        if value is not None
+        torch.as_tensor(value, dtype=dtype, device=u.device).reshape(-1) for value in solid.values()
     ]
     if bonds.bond_based and not torch.equal(*numbers[:2]):
-        raise InputError(f"lambda, mu: expected equal values (bond-based), got {lam}, {mu}")
+        raise InputError(
+            f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
+        )
     Lu = _force(bonds, u.reshape(-1, nodes, 2), *numbers)
     return Lu.reshape(*u.shape[:-2], -1, 2)
 

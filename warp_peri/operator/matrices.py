@@ -54,7 +54,7 @@ def matrices(
     bonds = Bonds(
         points,
         model.horizon,
-        bond_based=model.lam == model.mu,
+        bond_based=model.bond_based,
         quadrature_degree=quadrature_degree,
     )
     check_volumes(bonds, model)

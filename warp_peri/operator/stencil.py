@@ -15,32 +15,28 @@ import torch
 
 from warp_peri.launch import threads
 from warp_peri.models.influence import bernstein_basis
+from warp_peri.models.solid import Solid
 from warp_peri.points.families import BondClasses
 
 Symbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """D11, D22 and D12 at the wave vectors of a torus, as its transforms order them."""
 
 
-def stencil(
-    classes: BondClasses,
-    lam: torch.Tensor,
-    mu: torch.Tensor,
-    alpha: torch.Tensor,
-    D: torch.Tensor,
-    D_dilatation: torch.Tensor,
-) -> torch.Tensor:
+def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     """A(n) [TPa/Å²] along the lattice's own axes, shape [2, 2, 2R + 1, 2R + 1], n = 0 central.
 
-    Differentiable in all tensors (float64 numbers, and Bernstein coefficients, shape [M + 1]). R is
-    the reach of a family in steps, or twice it with a dilatation; λ = μ has none (theory.md, 42).
+    Differentiable in the values of the solid that are float64 tensors. R is the reach of a family
+    in steps, or twice it with a dilatation; λ = μ has none (theory.md, 42).
     """
+    solid = solid.map(lambda value: torch.as_tensor(value, dtype=torch.float64))
+    lam, mu, alpha = (value.reshape(()) for value in (solid.lam, solid.mu, solid.alpha))
     xi, r = torch.from_numpy(classes.xi), torch.from_numpy(classes.r)
     weight, count = torch.from_numpy(classes.weight), torch.from_numpy(classes.count).to(r.dtype)
     reach = int(np.abs(classes.steps).max())
     size = 2 * reach + 1
     place = torch.from_numpy((classes.steps + reach) @ (size, 1))
     normalised = []
-    for coefficients in (D, D_dilatation):
+    for coefficients in (solid.D, solid.dilatation):
         basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(coefficients) - 1))
         kw = weight * r**-alpha * (basis @ coefficients)
         normalised.append((kw / (count @ (kw * r**2)))[classes.bond_class])
@@ -49,12 +45,13 @@ def stencil(
     gamma = torch.zeros(2, 2, size**2, dtype=r.dtype).index_add(2, place, bonds)
     middle = torch.tensor([size**2 // 2])
     gamma = gamma.index_add(2, middle, -bonds.sum(dim=2, keepdim=True)).reshape(2, 2, size, size)
-    if bool(lam == mu):
+    if solid.bond_based:
         return gamma
     phi = torch.zeros(2, size**2, dtype=r.dtype).index_add(1, place, 2 * p * xi.T)
     phi = phi.reshape(2, 1, size, size)
     bulk = torch.nn.functional.conv2d(phi, phi.flip(2, 3), padding=2 * reach)
-    return torch.nn.functional.pad(gamma, 4 * [reach]) - (lam - mu) * bulk
+    whole: torch.Tensor = torch.nn.functional.pad(gamma, 4 * [reach]) - (lam - mu) * bulk
+    return whole
 
 
 def long_wave(A: torch.Tensor, spacing: float) -> tuple[float, float, float]:

@@ -70,8 +70,7 @@ def solvability(
 
 
 def _negative_weights(model: Model, points: PointsLike, degree: int) -> float:
-    bond_based = model.lam == model.mu
-    families = families_of(points, model.horizon, bond_based=bond_based, degree=degree)
+    families = families_of(points, model.horizon, bond_based=model.bond_based, degree=degree)
     if families.lattice is not None:
         weight = families.weight[families.lattice.bond_class]
     else:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import scipy.sparse as sp
 import torch
 
 from warp_peri.errors import InputError
+from warp_peri.models.solid import Solid
 from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
@@ -19,7 +18,7 @@ from warp_peri.statics.domain import domain
 def refuse_indefinite(
     points: Points,
     horizon: float,
-    numbers: Sequence[torch.Tensor],
+    solid: Solid,
     stiffness: sp.csc_array,
     *,
     degree: int = DEGREE,
@@ -32,17 +31,17 @@ def refuse_indefinite(
     Args:
         points: the nodes.
         horizon: δ [Å].
-        numbers: λ, μ, α, D and D of the dilatation, if it has its own.
+        solid: of the operator.
         stiffness: L_II [TPa/Å²].
         degree: of the quadrature.
     """
     if not points.is_plain_lattice:
         return
-    lam, mu, alpha = (number.detach().reshape(()) for number in numbers[:3])
-    D, own = numbers[3].detach(), numbers[-1].detach()
-    cpu, bond_based = torch.device("cpu"), bool(lam == mu)
-    nodes = domain(points, horizon, bond_based=bond_based, degree=degree, device=cpu)
-    A = stencil(nodes.classes, lam, mu, alpha, D, own)
+    nodes = domain(
+        points, horizon, bond_based=solid.bond_based, degree=degree, device=torch.device("cpu")
+    )
+    with torch.no_grad():
+        A = stencil(nodes.classes, solid)
     if smallest_ratio(nodes.torus.symbol(A), nodes.torus) > 0:
         return
     smallest = smallest_eigenvalue(stiffness)

@@ -14,14 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 import torch
-from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
 from torch.autograd.function import once_differentiable
 
-from warp_peri.errors import InputError
-from warp_peri.launch import floats
+from warp_peri.errors import InputError, renamed
+from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
@@ -29,6 +26,7 @@ from warp_peri.operator.matrices import assemble
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.definite import refuse_indefinite
+from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, Record
 from warp_peri.statics.domain import Domain, domain
 
@@ -88,33 +86,15 @@ class _ByLU(torch.autograd.Function):
         u: torch.Tensor,
         *parameters: torch.Tensor,
     ) -> torch.Tensor:
-        alpha = floats(parameters[2].detach().numpy())
-        coefficients = [floats(D.detach().numpy()) for D in parameters[3:]]
-        tables = [influence(bonds, alpha, D) for D in coefficients]
-        matrices = assemble(bonds, [*tables[0], *tables[-1]])
-        L = matrices.operator(float(parameters[0]), float(parameters[1]))
-        unknown = np.repeat(points.interior, 2)
-        stiffness, ctx.collar = sp.csc_array(L[:, unknown]), L[:, ~unknown]
-        flat = u.detach().numpy().reshape(len(u), -1)
-        right = (
-            b.detach().numpy().reshape(len(b), -1)[:, unknown].T - ctx.collar @ flat[:, ~unknown].T
-        )
-        try:
-            ctx.factors = splu(stiffness)
-        except RuntimeError as error:
-            raise InputError(
-                f"the operator on these {len(points.x[points.interior])} nodes is singular: the "
-                f"model is not well posed here ({error})"
-            ) from None
-        solution = ctx.factors.solve(right)
-        left = np.linalg.norm(stiffness @ solution - right, axis=0)
-        if not (left <= TOLERANCE * np.linalg.norm(right, axis=0)).all():
-            raise InputError("the operator on these nodes is singular to working precision")
-        refuse_indefinite(nodes_of(points), bonds.horizon, parameters, stiffness)
-        found = flat.copy()
-        found[:, unknown] = solution.T
-        ctx.bonds, ctx.unknown = bonds, unknown
-        result = torch.from_numpy(found.reshape(u.shape))
+        solid = Solid(*(value.detach().numpy() for value in parameters))
+        alpha, D, own = (bonds.floats(v) for v in (solid.alpha, solid.D, solid.dilatation))
+        tables = [*influence(bonds, alpha, D), *influence(bonds, alpha, own)]
+        L = assemble(bonds, tables).operator(float(solid.lam[0]), float(solid.mu[0]))
+        problem = MatrixProblem(L, points.interior)
+        found = problem.solve(b.detach().numpy(), u.detach().numpy())
+        refuse_indefinite(nodes_of(points), bonds.horizon, solid, problem.stiffness)
+        ctx.bonds, ctx.problem = bonds, problem
+        result = torch.from_numpy(found)
         ctx.save_for_backward(result, *parameters)
         return result
 
@@ -123,16 +103,17 @@ class _ByLU(torch.autograd.Function):
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         found, *parameters = ctx.saved_tensors
         flat = upstream[0].numpy().reshape(len(found), -1)
-        w = ctx.factors.solve(np.ascontiguousarray(flat[:, ctx.unknown].T), "T").T
+        problem, unknown = ctx.problem, ctx.problem.unknown
+        w = problem.factors.solve(np.ascontiguousarray(flat[:, unknown].T), "T").T
         by_b, by_u = np.zeros_like(flat), np.zeros_like(flat)
-        by_b[:, ctx.unknown] = w
-        by_u[:, ~ctx.unknown] = flat[:, ~ctx.unknown] - (ctx.collar.T @ w.T).T
+        by_b[:, unknown] = w
+        by_u[:, ~unknown] = flat[:, ~unknown] - (problem.collar.T @ w.T).T
         shape = found.shape
         found_by: Sequence[torch.Tensor | None] = [None] * len(parameters)
         if any(ctx.needs_input_grad[4:]):
             with torch.enable_grad():
                 leaves = [value.detach().requires_grad_() for value in parameters]
-                force = lps_force(ctx.bonds, found, *leaves)
+                force = lps_force(ctx.bonds, found, Solid(*leaves))
                 pull = torch.from_numpy(-w.reshape(shape[0], -1, 2).copy())
                 found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
         fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
@@ -143,17 +124,14 @@ _on_lattice: Callable[..., torch.Tensor] = _OnLattice.apply
 _by_lu: Callable[..., torch.Tensor] = _ByLU.apply
 
 
+@renamed(**dict.fromkeys(("lam", "mu", "alpha", "D", "D_dilatation"), "part of a Solid(…)"))
 def equilibrium(
     points: PointsLike,
     b: torch.Tensor,
     u_collar: torch.Tensor,
+    solid: Solid,
     *,
     horizon: float,
-    lam: float | torch.Tensor,
-    mu: float | torch.Tensor,
-    alpha: float | torch.Tensor,
-    D: ArrayLike | torch.Tensor,
-    D_dilatation: ArrayLike | torch.Tensor | None = None,
     method: str,
     tolerance: float = TOLERANCE,
     records: list[Record] | None = None,
@@ -165,9 +143,9 @@ def equilibrium(
         b: body force density [TPa/Å], shape [S, N, 2] or [N, 2]; only interior values count. The
             iterative methods run on its device, "lu" on the processor.
         u_collar: displacement [Å], same shape; only collar values count.
+        solid: numbers, arrays or tensors. Where λ and μ are equal the problem is bond-based, and
+            its derivatives to them are those of (42).
         horizon: δ [Å].
-        lam, mu, alpha, D, D_dilatation: as for lps_force. Where lam and mu are equal numbers the
-            problem is bond-based, and its derivatives to them are those of (42).
         method: "lu", or on lattices "sine" (rectangles), "multigrid", "fft", "cg".
         tolerance: of iterative solves, true residual over right-hand side.
         records: takes one Record for each sample of an iterative solve.
@@ -178,40 +156,34 @@ def equilibrium(
     Raises InputError for what families_of refuses, another method, and an operator that is singular
     or, on a lattice without broken bonds, indefinite.
     """
-    numbers = [
-        torch.as_tensor(value, dtype=torch.float64).reshape(-1).cpu()
-        for value in (lam, mu, alpha, D, D_dilatation)
-        if value is not None
-    ]
+    solid = solid.map(lambda v: torch.as_tensor(v, dtype=torch.float64).reshape(-1).cpu())
     shape = b.shape
     b, u = (field.double().reshape(-1, len(points.x), 2) for field in (b, u_collar))
     inside = torch.from_numpy(points.interior)[:, None].to(b.device)
     b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
-    bond_based = bool(numbers[0] == numbers[1])
     if method == "lu":
-        bonds = Bonds(points, horizon, bond_based=bond_based)
-        found = _by_lu(bonds, points, b.cpu(), u.cpu(), *numbers)
+        bonds = Bonds(points, horizon, bond_based=solid.bond_based)
+        found = _by_lu(bonds, points, b.cpu(), u.cpu(), *solid.values())
         return found.reshape(shape).to(b.device)
     if method not in PRECONDITIONERS:
         raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")
     if points.spacing == 0:
         raise InputError(f"method: {method} is for lattices, got scattered points; try lu")
-    nodes = domain(points, horizon, bond_based=bond_based, device=b.device)
-    return on_domain(nodes, b, u, numbers, method, tolerance, records).reshape(shape)
+    nodes = domain(points, horizon, bond_based=solid.bond_based, device=b.device)
+    return on_domain(nodes, b, u, solid, method, tolerance, records).reshape(shape)
 
 
 def on_domain(
     nodes: Domain,
     b: torch.Tensor,
     u: torch.Tensor,
-    numbers: Sequence[torch.Tensor],
+    solid: Solid,
     method: str,
     tolerance: float,
     records: list[Record] | None = None,
 ) -> torch.Tensor:
-    """The same on a lattice laid out before; b is zero on the collar, u on the interior."""
-    lam, mu, alpha, D = numbers[:4]
-    A = stencil(nodes.classes, lam[0], mu[0], alpha[0], D, numbers[-1])
+    """Equilibrium on a lattice laid out before; b is zero on the collar, u on the interior."""
+    A = stencil(nodes.classes, solid)
     system = Dirichlet(nodes, A.detach(), method)
     A = A.to(b.device)
     return _on_lattice(system, tolerance, [] if records is None else records, A, b, u)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import LinearOperator, gmres, spilu, splu
+from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE, known_device
@@ -19,12 +18,12 @@ from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 from warp_peri.statics.definite import refuse_indefinite
+from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
 from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
 from warp_peri.statics.range import warn_beyond
 
-RESIDUAL = 1e-9
-"""Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+DIRECT_METHODS = ("lu", "gmres")
 DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are solved for directly, on lattices and on other point sets."""
 SINGULAR = 1e-13
@@ -69,83 +68,61 @@ def solve(
     operator that is singular to working precision or, on a lattice without broken bonds,
     indefinite.
     """
-    known = ("auto", *METHODS, *PRECONDITIONERS)
+    known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
     model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
-    points = on_nominal_lattice(model, points)
-    b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
-    if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (len(points.x), 2):
-        raise InputError(
-            f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
-            f"[{len(points.x)}, 2], got {list(b.shape)} and {list(u.shape)}"
-        )
-    fixed, free = ~points.interior, points.interior
-    if not (np.isfinite(b[..., free, :]).all() and np.isfinite(u[..., fixed, :]).all()):
-        raise InputError("b, u_collar: expected finite values")
-    plain = points.is_plain_lattice
+    nodes = on_nominal_lattice(model, points)
+    load, u = _checked(nodes, b, u_collar)
     if method == "auto":
-        method = choose_method(points, plain=plain)
+        method = choose_method(nodes, plain=nodes.is_plain_lattice)
+    shape, solid = u.shape, model.solid
+    load, u = load.reshape(-1, len(nodes.x), 2), u.reshape(-1, len(nodes.x), 2)
     if method in PRECONDITIONERS:
-        if not plain or quadrature_degree != DEGREE:
+        if not nodes.is_plain_lattice or quadrature_degree != DEGREE:
             raise InputError(
                 f"method: {method} is for lattices without a box and without broken bonds, with "
                 "quadrature of the usual degree; try lu or gmres"
             )
-        given = {name: getattr(model, name) for name in ("horizon", "lam", "mu", "alpha", "D")}
-        fields = (
-            torch.from_numpy(np.ascontiguousarray(field)).to(known_device(device))
-            for field in (b, u)
-        )
+        there = known_device(device)
         with torch.no_grad():
-            found = (
-                equilibrium(
-                    points,
-                    *fields,
-                    **given,
-                    D_dilatation=model.dilatation,
-                    method=method,
-                    tolerance=tolerance,
-                    records=records,
-                )
-                .cpu()
-                .numpy()
+            found = equilibrium(
+                nodes,
+                torch.from_numpy(load).to(there),
+                torch.from_numpy(u).to(there),
+                solid,
+                horizon=model.horizon,
+                method=method,
+                tolerance=tolerance,
+                records=records,
             )
-        u[..., free, :] = found[..., free, :]
-        warn_beyond(model, points, u)
-        return u
-    parts = matrices(model, points, quadrature_degree=quadrature_degree)
-    L = parts.operator(model.lam, model.mu)
-    unknown = np.repeat(free, 2)
-    stiffness = sp.csc_array(L[:, unknown])
-    nodes = np.count_nonzero(free)
-    flat = (-1, 2 * nodes)
-    collar = u[..., fixed, :].reshape(flat[0] if u.ndim == 3 else 1, 2 * np.count_nonzero(fixed))
-    right = b[..., free, :].reshape(flat).T - L[:, ~unknown] @ collar.T
-    try:
-        solution = METHODS[method](stiffness, right)
-    except RuntimeError as error:
+        answer = found.cpu().numpy()
+    else:
+        parts = matrices(model, nodes, quadrature_degree=quadrature_degree)
+        problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
+        answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
+        refuse_indefinite(nodes, model.horizon, solid, problem.stiffness, degree=quadrature_degree)
+    u[:, nodes.interior] = answer[:, nodes.interior]
+    warn_beyond(model, nodes, u)
+    return u.reshape(shape)
+
+
+def _checked(
+    points: Points, b: ArrayLike | None, u_collar: ArrayLike
+) -> tuple[np.ndarray, np.ndarray]:
+    """Load and displacement as arrays, the second a copy; InputError where they do not fit."""
+    if b is None:
+        raise InputError("b: expected loads, got None")
+    load, u = np.ascontiguousarray(b, dtype=float), np.array(u_collar, dtype=float, order="C")
+    if load.shape != u.shape or load.ndim not in (2, 3) or load.shape[-2:] != (len(points.x), 2):
         raise InputError(
-            f"the operator on these {len(right) // 2} nodes is singular: the model is "
-            f"not well posed here ({error})"
-        ) from None
-    wrong = np.linalg.norm(stiffness @ solution - right, axis=0)
-    # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
-    rounding = np.finfo(float).eps * abs(L).sum(axis=1).max()
-    wrong = np.maximum(wrong, rounding * np.linalg.norm(solution, axis=0))
-    if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
-        raise InputError(
-            "the operator on these nodes is singular to working precision: "
-            f"the residual of the solve is {wrong.max():.1e} TPa/Å"
+            f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
+            f"[{len(points.x)}, 2], got {list(load.shape)} and {list(u.shape)}"
         )
-    numbers = [
-        torch.tensor(value, dtype=torch.float64)
-        for value in (model.lam, model.mu, model.alpha, model.D, model.dilatation)
-    ]
-    refuse_indefinite(points, model.horizon, numbers, stiffness, degree=quadrature_degree)
-    u[..., free, :] = solution.T.reshape(*u.shape[:-2], nodes, 2)
-    warn_beyond(model, points, u)
-    return u
+    free = points.interior
+    if not (np.isfinite(load[..., free, :]).all() and np.isfinite(u[..., ~free, :]).all()):
+        raise InputError("b, u_collar: expected finite values")
+    return load, u
 
 
 def choose_method(points: PointsLike, *, plain: bool) -> str:
@@ -161,26 +138,21 @@ def choose_method(points: PointsLike, *, plain: bool) -> str:
     return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
 
 
-def _lu(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
-    found: np.ndarray = splu(stiffness).solve(right)
-    return found
-
-
-def _gmres(stiffness: sp.csc_array, right: np.ndarray) -> np.ndarray:
-    rough = spilu(stiffness, drop_tol=1e-4, fill_factor=10)
-    preconditioner = LinearOperator(stiffness.shape, rough.solve)
-    columns = []
+def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The solution by GMRES with an incomplete factorisation, where a whole one is too large."""
+    rough = spilu(problem.stiffness, drop_tol=1e-4, fill_factor=10)
+    preconditioner = LinearOperator(problem.stiffness.shape, rough.solve)
+    right, columns = problem.right(b, u), []
     for column in right.T:
         found, failed = gmres(
-            stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
+            problem.stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
         )
         if failed:
             raise InputError("GMRES did not converge on these nodes; try the method lu")
         columns.append(found)
-    return np.stack(columns, axis=1)
-
-
-METHODS = {"lu": _lu, "gmres": _gmres}
+    solution = np.stack(columns, axis=1)
+    problem.check(solution, right)
+    return problem.filled(u, solution)
 
 
 def solve_periodic(

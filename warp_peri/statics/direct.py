@@ -1,0 +1,83 @@
+"""A Dirichlet problem as matrices: one factorisation for any loads, collars and adjoints."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from warp_peri.errors import InputError
+
+RESIDUAL = 1e-9
+"""Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+
+
+class MatrixProblem:
+    """L u = b on the unknown nodes, u given on the collar (theory.md, 29).
+
+    Args:
+        L: the operator on the interior nodes [TPa/Å²], shape [2 I, 2 N].
+        interior: unknown nodes, shape [N] bool.
+    """
+
+    def __init__(self, L: sp.csr_array, interior: np.ndarray) -> None:
+        self.unknown = np.repeat(interior, 2)
+        self.stiffness = sp.csc_array(L[:, self.unknown])
+        self.collar = sp.csr_array(L[:, ~self.unknown])
+        # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
+        self.rounding = np.finfo(float).eps * abs(L).sum(axis=1).max()
+
+    @property
+    def nodes(self) -> int:
+        """Number of unknown nodes I."""
+        return int(self.stiffness.shape[0]) // 2
+
+    def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """b − L u of the collar [TPa/Å], one column a sample: shape [2 I, S].
+
+        Args:
+            b: load, shape [S, N, 2].
+            u: displacement, same shape; that of the collar counts.
+        """
+        load, held = (field.reshape(len(field), len(self.unknown)) for field in (b, u))
+        return np.asarray(load[:, self.unknown].T - self.collar @ held[:, ~self.unknown].T)
+
+    @cached_property
+    def factors(self) -> Any:
+        """L_II factorised; InputError where it is singular."""
+        try:
+            return splu(self.stiffness)
+        except RuntimeError as error:
+            raise InputError(
+                f"the operator on these {self.nodes} nodes is singular: the model is "
+                f"not well posed here ({error})"
+            ) from None
+
+    def check(self, solution: np.ndarray, right: np.ndarray) -> None:
+        """Raise InputError unless every column of the solution has a small residual."""
+        wrong = np.linalg.norm(self.stiffness @ solution - right, axis=0)
+        wrong = np.maximum(wrong, self.rounding * np.linalg.norm(solution, axis=0))
+        if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
+            raise InputError(
+                "the operator on these nodes is singular to working precision: "
+                f"the residual of the solve is {wrong.max():.1e} TPa/Å"
+            )
+
+    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Displacement [Å], shape [S, N, 2]: u on the collar, the solution elsewhere.
+
+        Raises InputError for an operator that is singular, or nearly.
+        """
+        right = self.right(b, u)
+        solution = self.factors.solve(right)
+        self.check(solution, right)
+        return self.filled(u, solution)
+
+    def filled(self, u: np.ndarray, solution: np.ndarray) -> np.ndarray:
+        """u with the columns of a solution on its unknown nodes."""
+        flat = u.reshape(len(u), len(self.unknown)).copy()
+        flat[:, self.unknown] = solution.T
+        return flat.reshape(u.shape)
