@@ -1,6 +1,8 @@
 """LAMMPS dumps, read frame by frame: what users call warp_peri.dumps."""
 
 from warp_peri.sources.dumps import (
+    Atoms,
+    Average,
     Frame,
     check_box,
     coarse_grain_dumps,
@@ -11,6 +13,8 @@ from warp_peri.sources.dumps import (
 )
 
 __all__ = [
+    "Atoms",
+    "Average",
     "Frame",
     "check_box",
     "coarse_grain_dumps",

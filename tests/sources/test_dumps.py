@@ -10,6 +10,7 @@ from tests.support.problems import lattice
 from warp_peri import InputError
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.sources.dumps import (
+    Atoms,
     coarse_grain_dumps,
     dump_displacement,
     dump_masses,
@@ -96,7 +97,7 @@ def test_samples_on_nodes(tmp_path):
     force = random.normal(size=(2, 30, 2))
     options = {"node_area": 9.0, "thickness": 3.35}
     found = coarse_grain_dumps(
-        loads, omega, points, reference=REFERENCE, force=force, unloaded=[rest], box=BOX, **options
+        loads, omega, points, Atoms(REFERENCE, box=BOX), force=force, unloaded=[rest], **options
     )
     means = [
         np.mean([moved(s)[1] for s in steps], axis=0)
@@ -108,7 +109,7 @@ def test_samples_on_nodes(tmp_path):
     assert list(found.arrays["load_id"]) == ["a.dump", "b.dump"]
     with pytest.raises(InputError, match="0, 1 or 2 dumps"):
         coarse_grain_dumps(
-            loads, omega, points, reference=REFERENCE, force=force, unloaded=3 * [rest], **options
+            loads, omega, points, Atoms(REFERENCE), force=force, unloaded=3 * [rest], **options
         )
 
 
@@ -188,15 +189,19 @@ def test_dumps_of_one_call_have_one_set_of_ids(tmp_path):
     other.write_text(OTHER_IDS)
     points = lattice(2, 1.0, 3.0)
     omega = smoothing_matrix(REFERENCE, points.x, radius=4.0, box=BOX, spacing=3.0)
-    options = {"reference": REFERENCE, "box": BOX, "node_area": 9.0, "thickness": 3.35}
+    options = {"node_area": 9.0, "thickness": 3.35}
+    with pytest.raises(InputError, match="coarse_grain_dumps: skip is now part of average"):
+        coarse_grain_dumps([path], omega, points, Atoms(REFERENCE), force=[], skip=1, **options)
     for dumps, more in (
         ([path, other], {}),
         ([path], {"unloaded": [other]}),
-        ([other], {"ids": np.arange(1, 31)}),
+        ([other], {}),
     ):
+        ids = np.arange(1, 31) if dumps == [other] else None
+        atoms = Atoms(REFERENCE, ids=ids, box=BOX)
         force = np.ones((len(dumps), 30, 2))
         with pytest.raises(InputError, match=r"other.dump: expected the ids of the reference"):
-            coarse_grain_dumps(dumps, omega, points, force=force, **options, **more)
+            coarse_grain_dumps(dumps, omega, points, atoms, force=force, **options, **more)
 
 
 def test_a_box_is_the_header_s(tmp_path):

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.nominal import on_nominal_lattice
-from warp_peri.points.families import families_of
+from warp_peri.points.families import Families, families_of
+from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike
 
 
@@ -48,23 +49,11 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     u = np.asarray(u, dtype=float)
     points = on_nominal_lattice(model, points)
     nodes = len(points.x)
-    if (
-        u.ndim not in (2, 3)
-        or u.size == 0
-        or u.shape[-2:] != (nodes, 2)
-        or not np.isfinite(u).all()
-    ):
+    shaped = u.ndim in (2, 3) and u.size > 0 and u.shape[-2:] == (nodes, 2)
+    if not (shaped and np.isfinite(u).all()):
         raise InputError(f"u: expected finite values of shape [S, {nodes}, 2], got {list(u.shape)}")
     families = families_of(points, model.horizon)
-    owner = np.repeat(np.arange(nodes), np.diff(families.row))
-    kept = points.interior[owner]
-    owner, far = owner[kept], families.neighbour[kept]
-    if families.lattice is not None:
-        number = (np.arange(len(kept)) - families.row[:-1].repeat(np.diff(families.row)))[kept]
-        xi = families.pattern[number]
-        kind: np.ndarray | slice = families.lattice.bond_class[number]
-    else:
-        xi, kind = points.x[far] - points.x[owner], kept
+    owner, far, xi, kind = _bonds(points, families)
     r, W = families.r[kind], families.weight[kind]
     place = np.cumsum(points.interior)[owner] - 1
     size = int(points.interior.sum())
@@ -81,8 +70,8 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     shape = total(Kd[:, None, None] * outer)
     moments = total(outer)
     parts = []
-    for one in u.reshape(-1, nodes, 2):
-        eta = one[far] - one[owner]
+    for field in u.reshape(-1, nodes, 2):
+        eta = field[far] - field[owner]
         along = (xi * eta).sum(axis=1)
         theta = 2 / md * total(Kd * along)
         dilatational = ((model.lam - model.mu) * 2 / md * theta)[:, None, None] * shape
@@ -94,3 +83,16 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
         energy += 4 * model.mu / m * total(K * along**2 / r**2)
         parts.append((dilatational + deviatoric, strain, theta, energy))
     return NodeFields(*(np.stack(part) for part in zip(*parts)))
+
+
+def _bonds(
+    points: Points, families: Families
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Node, far node, vector ξ [Å] and class of every bond of the interior nodes."""
+    owner = np.repeat(np.arange(len(points.x)), np.diff(families.row))
+    kept = points.interior[owner]
+    owner, far = owner[kept], families.neighbour[kept]
+    if families.lattice is None:
+        return owner, far, points.x[far] - points.x[owner], np.flatnonzero(kept)
+    number = (np.arange(len(kept)) - families.row[:-1].repeat(np.diff(families.row)))[kept]
+    return owner, far, families.pattern[number], families.lattice.bond_class[number]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -183,29 +184,12 @@ def families_of(
     below the spacing, a family without exact weights, and interior nodes that lack the collar;
     nodes are named by number.
     """
-    x, interior, box, outside = points.x, points.interior, points.box, points.outside
-    grid = None
+    x, interior, outside = points.x, points.interior, points.outside
     if points.spacing > 0:
-        classes = bond_classes(points.spacing, horizon, degree=degree)
-        places = np.prod(np.ptp(x, axis=0) / points.spacing + 1)
-        if places > max(SMALL_TABLE, EMPTY_SHARE * len(x)):
-            raise InputError(
-                f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
-            )
-        grid, axes, table, lacking = _lattice_table(points, classes)
-        bonds = len(classes.steps)
-        row = np.arange(len(x) + 1, dtype=np.int64) * bonds
-        neighbour = table.reshape(-1)
+        build = _lattice_families(points, horizon, degree)
     else:
-        row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), box)
-        scattered.check_points(x, row, neighbour, r)
-        reverse = scattered.reverse_bonds(row, neighbour)
-        lacking = np.zeros(len(x), bool)
-        if box is None:
-            lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
-    if row[-1] >= 2**31:
-        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
-    row = row.astype(np.int32)
+        build = _scattered_families(points, horizon, degree)
+    row, neighbour, lacking = build.row, build.neighbour, build.lacking
     has_broken = np.zeros(len(x), bool)
     if outside is not None:
         has_broken = _any_neighbour(row, neighbour, outside) & ~outside
@@ -213,30 +197,86 @@ def families_of(
     needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
     if (lacking & needed).any():
         short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
-        short &= interior
-        fits = ""
-        if grid is not None and not bond_based:
-            fits = f"; {_largest_horizon(grid, interior, points.spacing)}"
+        fits = "" if bond_based else build.fits(interior)
         raise InputError(
-            f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short)} of "
+            f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short & interior)} of "
             f"{np.count_nonzero(interior)} have not at horizon {horizon:g} Å{fits} "
-            f"(nodes {scattered.listed(np.flatnonzero(short))})"
+            f"(nodes {scattered.listed(np.flatnonzero(short & interior))})"
         )
     nodes = (
         np.flatnonzero(interior),
         np.flatnonzero(needed & ~has_broken),
         np.flatnonzero(needed & has_broken),
     )
-    if grid is not None:
+    return build.finish(needed, nodes)
+
+
+@dataclass(frozen=True)
+class _Build:
+    """Families before it is known which nodes need them.
+
+    `lacking` are the nodes without a whole family, `fits` says which horizon the collar of an
+    interior would carry, and `finish` makes the families once it is known which nodes need weights.
+    """
+
+    row: np.ndarray
+    neighbour: np.ndarray
+    lacking: np.ndarray
+    fits: Callable[[np.ndarray], str]
+    finish: Callable[[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]], Families]
+
+
+def _lattice_families(points: PointsLike, horizon: float, degree: int) -> _Build:
+    """On a lattice: one pattern of bonds for all nodes."""
+    classes = bond_classes(points.spacing, horizon, degree=degree)
+    places = np.prod(np.ptp(points.x, axis=0) / points.spacing + 1)
+    if places > max(SMALL_TABLE, EMPTY_SHARE * len(points.x)):
+        raise InputError(
+            f"points: {len(points.x)} nodes spread over {places:.1e} lattice places; expected one "
+            "body"
+        )
+    grid, axes, table, lacking = _lattice_table(points, classes)
+    row = _numbered(np.arange(len(points.x) + 1, dtype=np.int64) * len(classes.steps))
+    neighbour = table.reshape(-1)
+
+    def finish(_: np.ndarray, nodes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Families:
         order = np.lexsort(classes.steps.T)
         opposite = np.empty(len(order), dtype=np.int32)
         opposite[order] = order[::-1]
         pattern = classes.xi @ axes.T
         tables = (classes.r, classes.weight, *nodes, pattern, classes)
         return Families(row, neighbour, opposite, *tables)
-    ends = np.where(neighbour < 0, -1 - neighbour, neighbour) if outside is not None else neighbour
-    weight = scattered.weights(x, np.flatnonzero(needed), row, ends, box, horizon, degree)
-    return Families(row, neighbour, reverse, r, weight, *nodes)
+
+    def fits(interior: np.ndarray) -> str:
+        return f"; {_largest_horizon(grid, interior, points.spacing)}"
+
+    return _Build(row, neighbour, lacking, fits, finish)
+
+
+def _scattered_families(points: PointsLike, horizon: float, degree: int) -> _Build:
+    """On scattered points: bonds, and weights of their own for each family."""
+    x, box = points.x, points.box
+    row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), box)
+    scattered.check_points(x, row, neighbour, r)
+    reverse = scattered.reverse_bonds(row, neighbour)
+    lacking = np.zeros(len(x), bool)
+    if box is None:
+        lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
+    row = _numbered(row)
+
+    def finish(needed: np.ndarray, nodes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Families:
+        ends = np.where(neighbour < 0, -1 - neighbour, neighbour)
+        weight = scattered.weights(x, np.flatnonzero(needed), row, ends, box, horizon, degree)
+        return Families(row, neighbour, reverse, r, weight, *nodes)
+
+    return _Build(row, neighbour, lacking, lambda interior: "", finish)
+
+
+def _numbered(row: np.ndarray) -> np.ndarray:
+    """First bonds of the nodes as int32."""
+    if row[-1] >= 2**31:
+        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
+    return row.astype(np.int32)
 
 
 def squared_reach(ratio: float) -> int:

@@ -51,6 +51,37 @@ def smoothing_matrix(
     shape.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
+    _check_smoothing(nodes, radius, shape, box, spacing, density=density)
+    images, owner = _images(atoms, nodes, radius, box)
+    if len(images) == 0:
+        return sp.csr_array((len(nodes), len(atoms)))
+    tau = _tau(nodes, images, radius, shape)
+    if spacing is not None:
+        total = _tau(_reached(nodes[0], images, radius, spacing), images, radius, shape).sum(axis=0)
+    elif density:
+        volume = np.pi * radius**3 / 3 if shape == "cone" else np.pi * radius**4 / 2
+        total = np.full(len(images), volume)
+    else:
+        total = np.asarray(tau.sum(axis=0))
+        if box is not None:
+            total = np.bincount(owner, total, len(atoms))[owner]
+    scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
+    to_owner = sp.csr_array(
+        (np.ones(len(owner)), (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms))
+    )
+    return sp.csr_array(tau @ sp.diags_array(scale) @ to_owner)
+
+
+def _check_smoothing(
+    nodes: np.ndarray,
+    radius: float,
+    shape: str,
+    box: tuple[float, float] | None,
+    spacing: float | None,
+    *,
+    density: bool,
+) -> None:
+    """Raise InputError for what smoothing_matrix cannot use."""
     if shape not in SHAPES:
         raise InputError(f"shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
     if not 0 < radius < np.inf:
@@ -71,29 +102,14 @@ def smoothing_matrix(
         if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
             raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
 
-    images, owner = _images(atoms, nodes, radius, box)
-    if len(images) == 0:
-        return sp.csr_array((len(nodes), len(atoms)))
-    tau = _tau(nodes, images, radius, shape)
-    if spacing is not None:
-        # All lattice nodes that any image can reach, on the lattice of the given nodes.
-        low = np.floor((images.min(0) - radius - nodes[0]) / spacing).astype(int)
-        high = np.ceil((images.max(0) + radius - nodes[0]) / spacing).astype(int)
-        p, q = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij")
-        lattice = nodes[0] + spacing * np.stack([p.ravel(), q.ravel()], axis=1)
-        total = _tau(lattice, images, radius, shape).sum(axis=0)
-    elif density:
-        volume = np.pi * radius**3 / 3 if shape == "cone" else np.pi * radius**4 / 2
-        total = np.full(len(images), volume)
-    else:
-        total = np.asarray(tau.sum(axis=0))
-        if box is not None:
-            total = np.bincount(owner, total, len(atoms))[owner]
-    scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-    to_owner = sp.csr_array(
-        (np.ones(len(owner)), (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms))
-    )
-    return sp.csr_array(tau @ sp.diags_array(scale) @ to_owner)
+
+def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
+    """All nodes that any image can reach on the lattice through a node, shape [L, 2]."""
+    low = np.floor((images.min(0) - radius - origin) / spacing).astype(int)
+    high = np.ceil((images.max(0) + radius - origin) / spacing).astype(int)
+    p, q = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij")
+    lattice: np.ndarray = origin + spacing * np.stack([p.ravel(), q.ravel()], axis=1)
+    return lattice
 
 
 def coarse_grain(

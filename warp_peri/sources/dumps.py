@@ -16,7 +16,7 @@ from ase.io.lammpsrun import read_lammps_dump_text
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, renamed
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.sources.coarse_graining import coarse_grain
 
@@ -186,21 +186,51 @@ def check_box(
         )
 
 
+@dataclass(frozen=True)
+class Atoms:
+    """The atoms that dumps are of.
+
+    Attributes:
+        reference: positions without load [Å], shape [A, 2], by id.
+        mass: of each, in any unit, shape [A], or one for all.
+        ids: rising, shape [A]; None takes those of the first dump.
+        box: their periods [Å], for dumps of wrapped positions; None for a free body.
+    """
+
+    reference: ArrayLike
+    mass: ArrayLike = 1.0
+    ids: ArrayLike | None = None
+    box: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Average:
+    """How the frames of a dump are reduced to one, as in dump_displacement.
+
+    Attributes:
+        skip: frames left out at the begin.
+        iota: ι of the smoothing in time; None takes the plain average.
+    """
+
+    skip: int = 0
+    iota: float | None = None
+
+
+@renamed(
+    **dict.fromkeys(("reference", "mass", "ids", "box"), "part of Atoms(…)"),
+    **dict.fromkeys(("skip", "iota"), "part of average=Average(skip, iota)"),
+)
 def coarse_grain_dumps(
     dumps: Sequence[str | os.PathLike[str]],
     omega: sp.csr_array,
     points: PointsLike,
+    atoms: Atoms,
     *,
-    reference: ArrayLike,
     force: ArrayLike,
     node_area: float,
     thickness: float,
-    mass: ArrayLike = 1.0,
     unloaded: Sequence[str | os.PathLike[str]] = (),
-    ids: ArrayLike | None = None,
-    box: tuple[float, float] | None = None,
-    skip: int = 0,
-    iota: float | None = None,
+    average: Average = Average(),
     progress: bool = False,
 ) -> Samples:
     """Samples on nodes from the dump of each load.
@@ -209,13 +239,12 @@ def coarse_grain_dumps(
         dumps: one for each load.
         omega: smoothing functions of the nodes and atoms (see smoothing_matrix), shape [N, A].
         points: the nodes.
-        reference: positions without load [Å], shape [A, 2], by id.
+        atoms: that the dumps are of.
         force: external forces on the atoms of each load [eV/Å], shape [S, A, 2].
-        node_area, thickness, mass: as for coarse_grain.
+        node_area, thickness: as for coarse_grain.
         unloaded: a dump without load for each load, whose displacement is subtracted: runs of one
             Langevin seed share most of their noise. One alone serves every load; none is fine.
-        ids: of the atoms of the reference, rising, shape [A]; None takes those of the first dump.
-        box, skip, iota: as for dump_displacement.
+        average: of the frames of each dump.
         progress: show a progress bar over the dumps.
 
     Raises InputError as its parts do, and for forces or unloaded dumps that do not fit, or whose
@@ -226,11 +255,14 @@ def coarse_grain_dumps(
     force = np.asarray(force, dtype=float)
     if len(force) != len(dumps):
         raise InputError(f"force: expected one field for each of {len(dumps)} dumps")
+    ids = atoms.ids
     if ids is None and len(dumps):
         ids = next(dump_frames(dumps[0])).ids
 
     def displacement(path: str | os.PathLike[str]) -> np.ndarray:
-        return dump_displacement(path, reference, ids=ids, box=box, skip=skip, iota=iota)
+        return dump_displacement(
+            path, atoms.reference, ids=ids, box=atoms.box, skip=average.skip, iota=average.iota
+        )
 
     bar = tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress)
     found = [displacement(path) for path in bar]
@@ -243,7 +275,7 @@ def coarse_grain_dumps(
         omega,
         displacement=np.stack(fields),
         force=force,
-        mass=mass,
+        mass=atoms.mass,
         node_area=node_area,
         thickness=thickness,
     )
