@@ -1,6 +1,7 @@
 """Bands around a fit hold the truth as often as they say."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, fit
 from warp_peri.learning.fit import Fit, Settings
 from warp_peri.learning.loss_choice import LossChoice
+from warp_peri.learning.optimum import constrained_optimum
 from warp_peri.learning.output_error import as_model, output_optimum
 from warp_peri.learning.parameters import Parameters
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
+from warp_peri.losses.full import sample_weights
+from warp_peri.losses.reduced import reduce
 from warp_peri.losses.response import WaveResponse
 from warp_peri.operator.symbol import moduli, stiffnesses
 from warp_peri.points.families import bond_classes
@@ -162,3 +166,31 @@ def test_what_it_cannot_do_is_refused():
             dataclasses.replace(data, arrays={}),
             noise,
         )
+
+
+def by_residual(data, zeta=0.01):
+    """The fit by the residual alone, without the stages and proofs around it."""
+    (weight,) = sample_weights([data], normalise=True)
+    asked = [LatticeConditions(CLASSES, Conditions(zeta=zeta))]
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    start = Parameters(true.lam, true.mu, true.alpha, true.D)
+    found = constrained_optimum([reduce(data, HORIZON, weight)], start, asked)
+    settings = Settings(asked, normalise=True, two_functions=False, moduli=None)
+    model = as_model(found.parameters, HORIZON)
+    return Fit(model, [], [], [], {}, LossChoice("residual", ""), settings)
+
+
+def test_bands_that_noise_pulls_off_the_truth_are_warned_about():
+    """Noise biases the residual: the truth is many deviations off, as the warning says."""
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    clean = waves(true, cells=4, highest=3)
+    data = noisy(clean, 5e-4, seed=0)
+    found = by_residual(data)
+    with pytest.warns(UserWarning, match="noise pulls a fit by 'residual'") as caught:
+        bands = fit_uncertainty(found, data, fluctuation(clean, 12, 5e-4, seed=1))
+    said = float(re.search("by ([0-9.e+]+) standard", str(caught[0].message))[1])
+    off = np.abs(constants(found.model) - constants(true)) / bands.deviation(constants)
+    assert off[:3].min() > 2  # λ, μ, E: no band of 90 % holds them
+    assert off.max() / 3 < said
+    quiet = noisy(clean, 1e-7, seed=0)
+    fit_uncertainty(by_residual(quiet), quiet, fluctuation(clean, 12, 1e-7, seed=1))

@@ -7,6 +7,7 @@ covariance of the gradient, and their independence from one seed to the next add
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,7 @@ from warp_peri.losses.reduced import Features, ReducedLoss, reduce
 from warp_peri.losses.response import WAVE_VECTOR, WaveResponse, products
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import symbol
+from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import ZoneSearch
 
@@ -34,6 +36,8 @@ SAME = 1e-3
 """Conditions at neighbouring wave vectors whose gradients differ by less than this are one."""
 SMALLER = (1.0, 0.25, 0.05, 0.01, 1e-3, 1e-5)
 """Parts of a standard deviation that are tried, one after the other."""
+PULLED = 0.3
+"""Bias in standard deviations that is warned about; a 90 % band then covers 87 %."""
 DETERMINED = 1e-9
 """Directions in which the data bend the loss less than this of the most do not count."""
 
@@ -73,7 +77,9 @@ def fit_uncertainty(
     """What noise makes of a fit.
 
     Samples of one `seed` (an array of the set) carry the same noise; without it each carries its
-    own. Bands hold noise alone, no error of the model.
+    own. Bands hold noise alone, no error of the model. Those of the output-error loss are
+    calibrated, those of "corrected" are rough (docs/noise.md). Noise pulls the "residual" loss to
+    one side, by more than its bands are wide unless there is next to none: a warning says how far.
 
     Args:
         found: the fit, by any loss except "output" on loads that are not single waves.
@@ -116,6 +122,9 @@ def fit_uncertainty(
     follow = free @ (right[: len(size)][kept].T / (2 * size[kept] ** 2))
     follow = follow @ right[: len(size)][kept] @ free.T  # −dy by gradient
     axes, deviation, _ = np.linalg.svd(follow @ np.concatenate(pushes, axis=1))
+    if found.loss.name == "residual":
+        pull = sum(_pull(model, *each) for each in zip(sets, fields, weights, slopes))
+        _warn_of_bias(axes.T @ (follow @ pull), deviation)
 
     def beside(step: np.ndarray) -> tuple[Model, Model, float]:
         for off in SMALLER:
@@ -131,6 +140,28 @@ def fit_uncertainty(
 
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
     return Uncertainty([beside(step) for step in steps])
+
+
+def _pull(
+    model: Model, points: Samples, noise: Samples, weight: np.ndarray, slope: np.ndarray
+) -> np.ndarray:
+    """Mean gradient of what noise adds to the residual loss, ‖R_e c‖² of (36)."""
+    R = noise_loss(noise, points, model.horizon, weight)
+    c = products(model, bond_classes(points.spacing, model.horizon))
+    gradient: np.ndarray = 2 * (R @ slope).T @ (R @ c)
+    return gradient
+
+
+def _warn_of_bias(bias: np.ndarray, deviation: np.ndarray) -> None:
+    """Warn when noise pulls a fit by what its bands do not hold, in standard deviations."""
+    known = deviation > 1e-12 * deviation[0]
+    off = np.abs(bias[: len(deviation)][known]) / deviation[known]
+    if off.max(initial=0.0) > PULLED:
+        warnings.warn(
+            f"loss: noise pulls a fit by 'residual' to one side, here by {off.max():.2g} standard "
+            "deviations: its bands do not hold the truth; fit with loss='corrected' or 'output'",
+            stacklevel=3,
+        )
 
 
 def _linearised(
