@@ -18,7 +18,7 @@ from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.solid import Solid
 from warp_peri.points.families import BondClasses
 
-Symbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+TorusSymbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """D11, D22 and D12 at the wave vectors of a torus, as its transforms order them."""
 
 
@@ -90,7 +90,7 @@ class Torus:
         found = scipy.fft.irfft2(wave.numpy(), s=self.shape, workers=threads(), overwrite_x=True)
         return torch.from_numpy(found)
 
-    def symbol(self, A: torch.Tensor) -> Symbol:
+    def symbol(self, A: torch.Tensor) -> TorusSymbol:
         """The symbol of a stencil."""
         reach = A.shape[-1] // 2
         folded = torch.zeros(3, *self.shape, dtype=A.dtype, device=self.device)
@@ -99,7 +99,7 @@ class Torus:
         d11, d22, d12 = self.forward(folded.roll((-reach, -reach), dims=(1, 2))).real.contiguous()
         return d11, d22, d12
 
-    def product(self, D: Symbol, field: torch.Tensor) -> torch.Tensor:
+    def product(self, D: TorusSymbol, field: torch.Tensor) -> torch.Tensor:
         """Convolution of a field [2, n₁, n₂] with the stencil of a symbol, on the whole torus."""
         d11, d22, d12 = D
         one, two = self.forward(field)
@@ -115,7 +115,7 @@ class Torus:
         return found[:, :, : 2 * reach + 1, : 2 * reach + 1].contiguous()
 
 
-def smallest_ratio(D: Symbol, torus: Torus) -> float:
+def smallest_ratio(D: TorusSymbol, torus: Torus) -> float:
     """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the wave vectors of a torus but k = 0."""
     d11, d22, d12 = D
     one, two = (
