@@ -75,8 +75,8 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     shape = total(Kd[:, None, None] * outer)
     moments = total(outer)
     parts = []
-    for one in u.reshape(-1, nodes, 2):
-        eta = one[far] - one[owner]
+    for field in u.reshape(-1, nodes, 2):
+        eta = field[far] - field[owner]
         along = (xi * eta).sum(axis=1)
         theta = 2 / md * total(Kd * along)
         dilatational = ((model.lam - model.mu) * 2 / md * theta)[:, None, None] * shape
