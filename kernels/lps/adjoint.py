@@ -169,9 +169,9 @@ def _displacement_adjoint(of, reverse_class):
 
 
 def _by_bond(of, structs):
-    """What the bonds of one node add to ∂/∂(K W), and its share of ∂/∂λ, ∂/∂μ and ∂/∂m."""
-    BondArrays, scalar, vec = of.BondArrays, of.scalar, of.vec
-    bond_of, bond_class_of, int_at = of.bond_of, of.bond_class_of, of.int_at
+    """What the bonds of one node add to ∂/∂(K W), its share of ∂/∂λ and ∂/∂μ, and ∂/∂m, ∂/∂md."""
+    BondArrays, scalar, vec, int_at = of.BondArrays, of.scalar, of.vec, of.int_at
+    bond_of, bond_class_of, volume_of = of.bond_of, of.bond_class_of, of.volume_of
     scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
     add_at = add_to(scalar)
     Law, Fields = structs.Law, structs.Fields
@@ -219,15 +219,17 @@ def _by_bond(of, structs):
                     add_at(kw_bar, p - base, by_w)
                     add_at(kd_bar, p - base, by_d)
             volume += tau_i * theta_i
-        return shear, bulk, volume
+        v = volume_of(bonds, i)
+        m_bar = -factor * shear / law.m[v]
+        md_bar = -dilatational * bulk / law.md[v] - volume / scalar(2.0)
+        return shear, bulk, m_bar, md_bar
 
     return by_bond
 
 
 def _table_adjoint(of, structs):
-    BondArrays, scalar, volume_of, scalar_at = of.BondArrays, of.scalar, of.volume_of, of.scalar_at
-    add_at = add_to(scalar)
-    by_bond = _by_bond(of, structs)
+    BondArrays, scalar, scalar_at = of.BondArrays, of.scalar, of.scalar_at
+    add_at, by_bond = add_to(scalar), _by_bond(of, structs)
     Law, Fields = structs.Law, structs.Fields
 
     @wp.kernel(enable_backward=False)
@@ -250,20 +252,15 @@ def _table_adjoint(of, structs):
         one table both sums go to kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of, (47).
         """
         base = span[0]
-        factor = scalar(-16.0) * law.mu[0]
-        dilatational = scalar(-2.0) * (law.lam[0] - law.mu[0])
-        shears = scalar(0.0)
-        bulks = scalar(0.0)
-        volumes = scalar(0.0)
-        volumes_d = scalar(0.0)
+        shears, bulks = scalar(0.0), scalar(0.0)
+        volumes, volumes_d = scalar(0.0), scalar(0.0)
         for t in range(span[1], span[2]):
             i = nodes[t]
-            shear, bulk, volume = by_bond(bonds, law, fields, i, base, one_table, kw_bar, kd_bar)
+            shear, bulk, m_bar, md_bar = by_bond(
+                bonds, law, fields, i, base, one_table, kw_bar, kd_bar
+            )
             shears += shear
             bulks += bulk
-            v = volume_of(bonds, i)
-            m_bar = -factor * shear / law.m[v]
-            md_bar = -dilatational * bulk / law.md[v] - volume / scalar(2.0)
             if one_table == 1:
                 m_bar += md_bar
             if bonds.lattice == 1:  # one volume for all: its bonds are done once, below

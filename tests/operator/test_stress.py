@@ -1,9 +1,11 @@
 """Stress, strain and energy at the nodes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tests.support.clouds import cloud, plain
+from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, fitted_order, kernel, lattice, noise, periodic
 from warp_peri import InputError, LPSOperator
 from warp_peri.operator.stress import node_fields
@@ -92,3 +94,20 @@ def test_scattered_points_are_exact_on_affine_fields():
 def test_another_shape_is_refused():
     with pytest.raises(InputError, match="expected finite values of shape"):
         node_fields(kernel("1/r", HORIZON), lattice(3, HORIZON), np.zeros((4, 2)))
+
+
+def test_bonds_of_periodic_points_join_nearest_images():
+    points, box = periodic_cloud(9)
+    moved = replace(points, x=np.mod(points.x + np.array([3.3, 4.7]), box))  # cut elsewhere
+    model, u = kernel("positive", HORIZON), noise(points)
+    here, there = node_fields(model, points, u), node_fields(model, moved, u)
+    for part, expected in vars(here).items():
+        np.testing.assert_allclose(vars(there)[part], expected, rtol=0, atol=1e-9, err_msg=part)
+
+
+def test_a_body_with_broken_bonds_is_refused():
+    points = lattice(4, HORIZON)
+    outside = points.x[:, 0] > points.x[points.interior, 0].mean()
+    body = replace(points, interior=points.interior & ~outside, outside=outside)
+    with pytest.raises(InputError, match="outside: expected none"):
+        node_fields(kernel("positive", HORIZON), body, points.x)

@@ -16,7 +16,7 @@ from warp_peri.files.whole import whole_file
 
 
 @dataclass(frozen=True)
-class State:
+class Progress:
     """What stage 2 needs to go on: its tensors, the losses so far, penalty and iteration."""
 
     tensors: list[np.ndarray]
@@ -46,7 +46,7 @@ class Checkpoint:
         with whole_file(self.path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **content)
 
-    def load(self) -> State | None:
+    def load(self) -> Progress | None:
         """The state, or None when there is no file.
 
         Raises InputError for a file that cannot be read or belongs to another run.
@@ -56,7 +56,7 @@ class Checkpoint:
         try:
             content = read_arrays(self.path)
             key = str(content["key"])
-            state = State(
+            state = Progress(
                 [content[f"tensor{number}"] for number in range(len(content) - 4)],
                 content["losses"].tolist(),
                 float(content["penalty"]),

@@ -6,8 +6,9 @@ them, until none is violated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.optimize import minimize
@@ -124,6 +125,12 @@ class Problem:
             LatticeConditions(one.classes, Conditions(one.kind, HEADROOM * one.zeta))
             for one in conditions
         ]
+        self._shears = [  # C44 of unit v per class
+            np.array(
+                [long_wave_moduli(one.classes, unit, 0.0)[2] for unit in np.eye(len(one.classes.r))]
+            )
+            for one in grids
+        ]
 
     def settle(self, y: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
         """SLSQP, begun again where it stopped until that gains nothing.
@@ -152,102 +159,149 @@ class Problem:
         curvature, axes = np.linalg.eigh(bend.T @ bend)
         scaling = free @ axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
 
-        def at(t: np.ndarray) -> Point:
-            return self.coordinates.point(y0 + scaling @ t)
+        def reached(t: np.ndarray) -> tuple[np.ndarray, Point, np.ndarray]:
+            y = y0 + scaling @ t
+            point = self.coordinates.point(y)
+            return y, point, self.values(y, point)
 
-        def objective(t: np.ndarray) -> tuple[float, np.ndarray]:
-            e, slope = self.residual(y0 + scaling @ t)
-            return float(e @ e) / unit, 2 / unit * scaling.T @ (slope.T @ e)
+        at = _Last(reached)
+
+        def loss(t: np.ndarray) -> float:
+            e = at(t)[2]
+            return float(e @ e) / unit
+
+        def gradient(t: np.ndarray) -> np.ndarray:
+            y, point, e = at(t)
+            found: np.ndarray = 2 / unit * scaling.T @ (self.slopes(y, point).T @ e)
+            return found
 
         constraints = [
             {
                 "type": "ineq",
-                "fun": lambda t: self.margins(at(t), tables)[0],
-                "jac": lambda t: self.margins(at(t), tables)[1] @ scaling,
+                "fun": lambda t: self.margins(at(t)[1], tables),
+                "jac": lambda t: self.margin_slopes(at(t)[1], tables) @ scaling,
             }
         ]
         if self.moduli is not None:
             constraints.append(
                 {
                     "type": "eq",
-                    "fun": lambda t: self.departure(at(t))[0],
-                    "jac": lambda t: self.departure(at(t))[1] @ scaling,
+                    "fun": lambda t: self.departure(at(t)[1]),
+                    "jac": lambda t: self.departure_slopes(at(t)[1]) @ scaling,
                 }
             )
         result = minimize(
-            objective,
+            loss,
             np.zeros(scaling.shape[1]),
-            jac=True,
+            jac=gradient,
             method="SLSQP",
             constraints=constraints,
             options={"maxiter": 500, "ftol": LOSS_TOLERANCE},
         )
         y = y0 + scaling @ result.x
-        e, _ = self.residual(y)
+        e = self.values(y, self.coordinates.point(y))
         rows = sum(len(grid.R) for grid in self.grids)
         return y, float(e[:rows] @ e[:rows])
 
     def residual(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R (v, κ z⊗z, 1) of all grids, then the roughness, and the derivative to y."""
         point = self.coordinates.point(y)
-        parts, slopes = [], []
-        for grid, (products, slope) in zip(self.grids, self.products(point)):
-            parts.append(grid.R @ products)
-            slopes.append(grid.R @ slope)
-        rough, slope = self.coordinates.roughness(y, point)
-        parts.append(SMOOTHNESS * rough)
-        slopes.append(SMOOTHNESS * slope)
-        return np.concatenate(parts), np.concatenate(slopes)
+        return self.values(y, point), self.slopes(y, point)
 
-    def products(self, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
-        """(v, κ z⊗z, 1) of each grid, shape [F + 1], and the derivative to y, [F + 1, Y]."""
+    def values(self, y: np.ndarray, point: Point) -> np.ndarray:
+        """The residual at y, whose point is given."""
+        parts = [grid.R @ products for grid, products in zip(self.grids, self.products(point))]
+        parts.append(SMOOTHNESS * self.coordinates.roughness(y, point)[0])
+        return np.concatenate(parts)
+
+    def slopes(self, y: np.ndarray, point: Point) -> np.ndarray:
+        """The derivative of the residual to y."""
+        parts = [grid.R @ slope for grid, slope in zip(self.grids, self.product_slopes(point))]
+        parts.append(SMOOTHNESS * self.coordinates.roughness(y, point)[1])
+        return np.concatenate(parts)
+
+    def products(self, point: Point) -> list[np.ndarray]:
+        """(v, κ z⊗z, 1) of each grid, shape [F + 1]."""
         out = []
-        kappa = point.kappa
-        for grid, v, z, dv, dz in zip(self.grids, point.v, point.z, point.dv, point.dz):
+        for grid, v, z in zip(self.grids, point.v, point.z):
             i, j = grid.pairs
-            products = np.concatenate([v, kappa * z[i] * z[j], [1.0]])
-            slope = np.zeros((len(products), dv.shape[1]))
-            slope[: len(v)] = dv
-            slope[len(v) : -1] = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
-            slope[len(v) : -1, 0] += z[i] * z[j]  # y₀ is κ
-            out.append((products, slope))
+            out.append(np.concatenate([v, point.kappa * z[i] * z[j], [1.0]]))
         return out
 
-    def margins(self, point: Point, tables: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
-        """What must not be negative, and its derivative to y."""
+    def product_slopes(self, point: Point) -> list[np.ndarray]:
+        """Their derivatives to y, [F + 1, Y]."""
+        out = []
+        for grid, z, dv, dz in zip(self.grids, point.z, point.dv, point.dz):
+            i, j = grid.pairs
+            slope = np.zeros((len(dv) + len(i) + 1, dv.shape[1]))
+            slope[: len(dv)] = dv
+            slope[len(dv) : -1] = point.kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
+            slope[len(dv) : -1, 0] += z[i] * z[j]  # y₀ is κ
+            out.append(slope)
+        return out
+
+    def margins(self, point: Point, tables: Sequence[Symbol]) -> np.ndarray:
+        """What must not be negative."""
+        kappa, mu = point.kappa, point.mu
+        # μ and λ + μ = 2μ + κμ²
+        values = [np.array([mu, 2 * mu + kappa * mu**2]) - self.asked[0].zeta]
+        for one, table, v, z in zip(self.asked, tables, point.v, point.z):
+            values.append(one.margins(table, v, z, kappa).ravel())
+        values.append(point.limits)
+        return np.concatenate(values)
+
+    def margin_slopes(self, point: Point, tables: Sequence[Symbol]) -> np.ndarray:
+        """The derivative of the margins to y."""
         kappa, mu, dmu = point.kappa, point.mu, point.dmu
         dkappa = np.zeros_like(dmu)
         dkappa[0] = 1.0
-        # μ and λ + μ = 2μ + κμ²
-        bulk = 2 * mu + kappa * mu**2
-        level = self.asked[0].zeta
-        values = [np.array([mu - level, bulk - level])]
         slopes = [np.array([dmu, (2 + 2 * kappa * mu) * dmu + mu**2 * dkappa])]
         for one, table, v, z, dv, dz in zip(
             self.asked, tables, point.v, point.z, point.dv, point.dz
         ):
-            values.append(one.margins(table, v, z, kappa).ravel())
             by = one.gradients(table, v, z, kappa).reshape(-1, 1 + 2 * len(v))
             slopes.append(by @ np.concatenate([dkappa[None], dv, dz]))
-        values.append(point.limits)
         slopes.append(point.dlimits)
-        return np.concatenate(values), np.concatenate(slopes)
+        return np.concatenate(slopes)
 
     def farthest(self, y: np.ndarray) -> float:
         """Largest departure [TPa] from the moduli that are to be held; 0 where none are."""
         if self.moduli is None:
             return 0.0
-        return float(np.abs(self.departure(self.coordinates.point(y))[0]).max())
+        return float(np.abs(self.departure(self.coordinates.point(y))).max())
 
-    def departure(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """C44 − μ of every lattice, and μ and κ less what was asked for; derivative to y."""
-        values, slopes = [], []
+    def departure(self, point: Point) -> np.ndarray:
+        """C44 − μ of every lattice, and μ and κ less what was asked for."""
+        values = []
         if not isinstance(self.moduli, str) and self.moduli is not None:
             lam, mu = self.moduli
             values += [point.mu - mu, point.kappa - (lam - mu) / mu**2]
-            slopes += [point.dmu, np.eye(len(point.dmu))[0]]
-        for grid, v, dv in zip(self.grids, point.v, point.dv):
-            by_v = [long_wave_moduli(grid.classes, one, 0.0)[2] for one in np.eye(len(v))]
+        for by_v, v in zip(self._shears, point.v):
             values.append(np.dot(by_v, v) - point.mu)
+        return np.array(values)
+
+    def departure_slopes(self, point: Point) -> np.ndarray:
+        """The derivative of the departure to y."""
+        slopes = []
+        if not isinstance(self.moduli, str) and self.moduli is not None:
+            slopes += [point.dmu, np.eye(len(point.dmu))[0]]
+        for by_v, dv in zip(self._shears, point.dv):
             slopes.append(by_v @ dv - point.dmu)
-        return np.array(values), np.array(slopes)
+        return np.array(slopes)
+
+
+_Value = TypeVar("_Value")
+
+
+class _Last(Generic[_Value]):
+    """A function of an array that keeps its last value: SLSQP asks for value and slope in turn."""
+
+    def __init__(self, function: Callable[[np.ndarray], _Value]) -> None:
+        self.function = function
+        self.kept: tuple[bytes, _Value] | None = None
+
+    def __call__(self, t: np.ndarray) -> _Value:
+        key = t.tobytes()
+        if self.kept is None or self.kept[0] != key:
+            self.kept = key, self.function(t)
+        return self.kept[1]

@@ -88,18 +88,8 @@ def fit_uncertainty(
 
     Raises InputError for data that the fit cannot have learned from, or for a loss as above.
     """
-    sets = [points] if isinstance(points, Samples) else list(points)
-    fields = [noise] if isinstance(noise, Samples) else list(noise)
     model, settings = found.model, found.settings
-    if not len(sets) == len(fields) == len(settings.conditions):
-        raise InputError(
-            f"points, noise: expected {len(settings.conditions)} sets each, "
-            f"got {len(sets)} and {len(fields)}"
-        )
-    for one, of in zip(fields, sets):
-        check_noise(one, of)
-        if len(one) < 2:
-            raise InputError(f"noise: expected two fields at least, got {len(one)}")
+    sets, fields = _sets_and_noise(points, noise, len(settings.conditions))
     weights = sample_weights(sets, normalise=settings.normalise)
     losses = [_linearised(found.loss.name, model, *each) for each in zip(sets, fields, weights)]
     own = model.dilatation if settings.two_functions else None
@@ -110,14 +100,14 @@ def fit_uncertainty(
     problem = Problem(losses, settings.conditions, coordinates, settings.moduli)
     y = coordinates.start(at)
     pushes = []
-    slopes = [slope for _, slope in problem.products(coordinates.point(y))]
+    slopes = problem.product_slopes(coordinates.point(y))
     for one, of, weight, slope in zip(fields, sets, weights, slopes):
         if found.loss.name == "output":
             pushes.append(_response_pushes(model, of, one, slope))
         else:
             pushes.append(_residual_pushes(model, of, one, weight, slope, found.loss.name))
     free = _tangent(problem, y)
-    size, right = np.linalg.svd(problem.residual(y)[1] @ free)[1:]
+    size, right = np.linalg.svd(problem.slopes(y, coordinates.point(y)) @ free)[1:]
     kept = size > DETERMINED * size[0]
     follow = free @ (right[: len(size)][kept].T / (2 * size[kept] ** 2))
     follow = follow @ right[: len(size)][kept] @ free.T  # −dy by gradient
@@ -227,6 +217,23 @@ def _by_seed(points: Samples, each: np.ndarray) -> np.ndarray:
     return columns
 
 
+def _sets_and_noise(
+    points: Samples | Sequence[Samples], noise: Samples | Sequence[Samples], number: int
+) -> tuple[list[Samples], list[Samples]]:
+    """Training sets and their noise, as lists of the number that the fit knows."""
+    sets = [points] if isinstance(points, Samples) else list(points)
+    fields = [noise] if isinstance(noise, Samples) else list(noise)
+    if not len(sets) == len(fields) == number:
+        raise InputError(
+            f"points, noise: expected {number} sets each, got {len(sets)} and {len(fields)}"
+        )
+    for one, of in zip(fields, sets):
+        check_noise(one, of)
+        if len(one) < 2:
+            raise InputError(f"noise: expected two fields at least, got {len(one)}")
+    return sets, fields
+
+
 def _tangent(problem: Problem, y: np.ndarray) -> np.ndarray:
     """Directions that keep the active conditions where they are, shape [Y, T]."""
     point = problem.coordinates.point(y)
@@ -234,10 +241,10 @@ def _tangent(problem: Problem, y: np.ndarray) -> np.ndarray:
     for one, v, z in zip(problem.asked, point.v, point.z):
         _, worst = ZoneSearch(one).worst(v, z, point.kappa)
         tables.append(symbol(one.classes, worst))
-    margins, slopes = problem.margins(point, tables)
-    rows = slopes[margins < ACTIVE * problem.asked[0].zeta]
+    active = problem.margins(point, tables) < ACTIVE * problem.asked[0].zeta
+    rows = problem.margin_slopes(point, tables)[active]
     if problem.moduli is not None:
-        rows = np.concatenate([rows, problem.departure(point)[1]])
+        rows = np.concatenate([rows, problem.departure_slopes(point)])
     if len(rows) == 0:
         return np.eye(len(y))
     rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)

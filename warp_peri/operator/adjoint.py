@@ -93,10 +93,10 @@ def gradient(
 
 def _filled(struct: Any, *values: wp.array[Any]) -> Any:
     """An instance of a kernel's struct, its members in order."""
-    found = struct()
+    instance = struct()
     for name, value in zip(struct.vars, values):
-        setattr(found, name, value)
-    return found
+        setattr(instance, name, value)
+    return instance
 
 
 class _Tables:
@@ -117,9 +117,9 @@ class _Tables:
         self.ends = [len(nodes) * n // BLOCKS for n in range(BLOCKS + 1)]
         self.spans = [(0, len(bonds.families.pattern))] * BLOCKS  # bonds of each block
         if not bonds.lattice:
-            at = [row[nodes[min(end, len(nodes) - 1)]] for end in self.ends]
-            at[-1] = row[-1]
-            self.spans = list(pairwise(at))
+            bounds = [row[nodes[min(end, len(nodes) - 1)]] for end in self.ends]
+            bounds[-1] = row[-1]
+            self.spans = list(pairwise(bounds))
         self.kernel = adjoints(bonds.scalar).table_adjoint
         self.kernel.module.load(wp.get_device(bonds.device))
         self.backwards, self.sums = [], []
@@ -140,8 +140,9 @@ class _Tables:
                 return
             bonds = self.bonds
             bars = [bonds.zeros(last - first) for _ in self.coefficients]
-            span, one = wp.vec3i(first, begin, end), int(len(bars) == 1)
-            inputs = (block, span, bonds.full, bonds.arrays, bonds.r, self.law, self.fields, one)
+            span, one_table = wp.vec3i(first, begin, end), int(len(bars) == 1)
+            reads = (bonds.full, bonds.arrays, bonds.r, self.law, self.fields)
+            inputs = (block, span, *reads, one_table)
             launch(self.kernel, 1, inputs, (bars[0], bars[-1], self.parts))
             for n, bar in enumerate(bars):
                 if bonds.lattice:

@@ -56,7 +56,7 @@ class _Force(torch.autograd.Function):
             ctx.tape.backward(grads={ctx.evaluation.Lu: seed})
             return None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
         wanted = ctx.needs_input_grad[1:]
-        found = gradient(
+        by = gradient(
             ctx.bonds,
             ctx.evaluation,
             ctx.arrays,
@@ -64,8 +64,8 @@ class _Force(torch.autograd.Function):
             displacement=wanted[0],
             parameters=any(wanted[1:]),
         )
-        by_u = None if found.u is None else wp.to_torch(found.u, requires_grad=False)
-        parts = (found.lam, found.mu, found.alpha, found.D, found.D_dilatation)
+        by_u = None if by.u is None else wp.to_torch(by.u, requires_grad=False)
+        parts = (by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
         return (
             None,
             by_u,

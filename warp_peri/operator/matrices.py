@@ -79,8 +79,8 @@ def assemble(bonds: Bonds, tables: Sequence[wp.array[Any]]) -> Matrices:
         launch(surface_entries, len(bonds.cut), surface, (phi,))
     nodes = bonds.nodes
     intact = np.flatnonzero(bonds.families.neighbour >= 0)
-    at = np.repeat(np.arange(nodes), np.diff(bonds.families.row))[intact]
-    to = bonds.families.neighbour[intact]
+    owner = np.repeat(np.arange(nodes), np.diff(bonds.families.row))[intact]
+    far_end = bonds.families.neighbour[intact]
     a = np.arange(2)
 
     def blocks(
@@ -89,21 +89,21 @@ def assemble(bonds: Bonds, tables: Sequence[wp.array[Any]]) -> Matrices:
         return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
     value = gamma.numpy()[intact]
-    out_row = np.broadcast_to((2 * at[:, None] + a)[:, :, None], value.shape)
-    far = np.broadcast_to((2 * to[:, None] + a)[:, None, :], value.shape)
-    near = np.broadcast_to((2 * at[:, None] + a)[:, None, :], value.shape)
+    out_row = np.broadcast_to((2 * owner[:, None] + a)[:, :, None], value.shape)
+    far = np.broadcast_to((2 * far_end[:, None] + a)[:, None, :], value.shape)
+    near = np.broadcast_to((2 * owner[:, None] + a)[:, None, :], value.shape)
     size = (2 * nodes, 2 * nodes)
     G = blocks(value, out_row, near, size) - blocks(value, out_row, far, size)
 
     value = phi.numpy()[intact]
-    vector = 2 * at[:, None] + a
-    one = np.broadcast_to(at[:, None], value.shape)
+    vector = 2 * owner[:, None] + a
+    node = np.broadcast_to(owner[:, None], value.shape)
     size = (nodes, 2 * nodes)
-    P = blocks(value, one, 2 * to[:, None] + a, size) - blocks(value, one, vector, size)
+    P = blocks(value, node, 2 * far_end[:, None] + a, size) - blocks(value, node, vector, size)
     value = psi.numpy()[intact]
-    other = np.broadcast_to(to[:, None], value.shape)
+    other = np.broadcast_to(far_end[:, None], value.shape)
     size = (2 * nodes, nodes)
-    Q = blocks(value, vector, other, size) + blocks(value, vector, one, size)
+    Q = blocks(value, vector, other, size) + blocks(value, vector, node, size)
 
     interior = (2 * bonds.families.rows[:, None] + a).ravel()
     return Matrices(G[interior], P, Q[interior])

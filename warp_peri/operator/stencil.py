@@ -18,7 +18,7 @@ from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.solid import Solid
 from warp_peri.points.families import BondClasses
 
-Symbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+TorusSymbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """D11, D22 and D12 at the wave vectors of a torus, as its transforms order them."""
 
 
@@ -87,10 +87,10 @@ class Torus:
         if self.device.type != "cpu":
             field: torch.Tensor = torch.fft.irfft2(wave, s=self.shape)
             return field
-        found = scipy.fft.irfft2(wave.numpy(), s=self.shape, workers=threads(), overwrite_x=True)
-        return torch.from_numpy(found)
+        field = scipy.fft.irfft2(wave.numpy(), s=self.shape, workers=threads(), overwrite_x=True)
+        return torch.from_numpy(field)
 
-    def symbol(self, A: torch.Tensor) -> Symbol:
+    def symbol(self, A: torch.Tensor) -> TorusSymbol:
         """The symbol of a stencil."""
         reach = A.shape[-1] // 2
         folded = torch.zeros(3, *self.shape, dtype=A.dtype, device=self.device)
@@ -99,30 +99,30 @@ class Torus:
         d11, d22, d12 = self.forward(folded.roll((-reach, -reach), dims=(1, 2))).real.contiguous()
         return d11, d22, d12
 
-    def product(self, D: Symbol, field: torch.Tensor) -> torch.Tensor:
+    def product(self, D: TorusSymbol, field: torch.Tensor) -> torch.Tensor:
         """Convolution of a field [2, n₁, n₂] with the stencil of a symbol, on the whole torus."""
         d11, d22, d12 = D
-        one, two = self.forward(field)
-        wave = torch.stack([d11 * one, d22 * two])
-        wave[0] += d12 * two
-        wave[1] += d12 * one
+        first, second = self.forward(field)
+        wave = torch.stack([d11 * first, d22 * second])
+        wave[0] += d12 * second
+        wave[1] += d12 * first
         return self.backward(wave)
 
     def correlation(self, a: torch.Tensor, b: torch.Tensor, reach: int) -> torch.Tensor:
         """Σ_i a_i ⊗ b_{i+n} of fields [2, n₁, n₂] for |n₁|, |n₂| ≤ reach, laid out as a stencil."""
         pairs = self.forward(a).conj_physical()[:, None] * self.forward(b)
-        found = self.backward(pairs).roll((reach, reach), dims=(2, 3))
-        return found[:, :, : 2 * reach + 1, : 2 * reach + 1].contiguous()
+        stencil = self.backward(pairs).roll((reach, reach), dims=(2, 3))
+        return stencil[:, :, : 2 * reach + 1, : 2 * reach + 1].contiguous()
 
 
-def smallest_ratio(D: Symbol, torus: Torus) -> float:
+def smallest_ratio(D: TorusSymbol, torus: Torus) -> float:
     """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the wave vectors of a torus but k = 0."""
     d11, d22, d12 = D
-    one, two = (
+    along, across = (
         4 * torch.sin(torch.pi * torch.arange(n, device=torus.device, dtype=d11.dtype) / n) ** 2
         for n in torus.shape
     )
-    s = one[:, None] + two[: d11.shape[1]]
+    s = along[:, None] + across[: d11.shape[1]]
     smallest = (d11 + d22) / 2 - torch.hypot((d11 - d22) / 2, d12)
     smallest[0, 0] = torch.inf
     return float((smallest / s).min())

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.nominal import on_nominal_lattice
-from warp_peri.points.families import Families, families_of
+from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike
 
@@ -44,7 +44,8 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
         points: a lattice or scattered points; its u is not looked at.
         u: displacement [Å] on all nodes, shape [N, 2] or [S, N, 2].
 
-    Raises InputError for a u of another shape, or a point set that does not carry the horizon.
+    Raises InputError for a u of another shape, a point set that does not carry the horizon, or
+    nodes outside the body: the stress is that of complete families.
     """
     u = np.asarray(u, dtype=float)
     points = on_nominal_lattice(model, points)
@@ -52,9 +53,9 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     shaped = u.ndim in (2, 3) and u.size > 0 and u.shape[-2:] == (nodes, 2)
     if not (shaped and np.isfinite(u).all()):
         raise InputError(f"u: expected finite values of shape [S, {nodes}, 2], got {list(u.shape)}")
-    families = families_of(points, model.horizon)
-    owner, far, xi, kind = _bonds(points, families)
-    r, W = families.r[kind], families.weight[kind]
+    if points.outside is not None:
+        raise InputError("outside: expected none, for stress needs complete families")
+    owner, far, xi, r, W = _interior_bonds(points, model.horizon)
     place = np.cumsum(points.interior)[owner] - 1
     size = int(points.interior.sum())
 
@@ -85,14 +86,17 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     return NodeFields(*(np.stack(part) for part in zip(*parts)))
 
 
-def _bonds(
-    points: Points, families: Families
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Node, far node, vector ξ [Å] and class of every bond of the interior nodes."""
+def _interior_bonds(points: Points, horizon: float) -> tuple[np.ndarray, ...]:
+    """Node and neighbour of the bonds of interior nodes, their vectors ξ, lengths and weights."""
+    families = families_of(points, horizon)
     owner = np.repeat(np.arange(len(points.x)), np.diff(families.row))
     kept = points.interior[owner]
     owner, far = owner[kept], families.neighbour[kept]
-    if families.lattice is None:
-        return owner, far, points.x[far] - points.x[owner], np.flatnonzero(kept)
-    number = (np.arange(len(kept)) - families.row[:-1].repeat(np.diff(families.row)))[kept]
-    return owner, far, families.pattern[number], families.lattice.bond_class[number]
+    if families.lattice is not None:
+        number = (np.arange(len(kept)) - families.row[:-1].repeat(np.diff(families.row)))[kept]
+        kind = families.lattice.bond_class[number]
+        return owner, far, families.pattern[number], families.r[kind], families.weight[kind]
+    xi = points.x[far] - points.x[owner]
+    if points.box is not None:  # the nearest images
+        xi -= points.box * np.rint(xi / points.box)
+    return owner, far, xi, families.r[kept], families.weight[kept]

@@ -41,8 +41,8 @@ class Symbol:
         """Λmin D(k) / s(k) [TPa], shape [K]."""
         d11, d22, d12 = self.entries(v, z, kappa)
         smallest = (d11 + d22) / 2 - np.hypot((d11 - d22) / 2, d12)
-        found: np.ndarray = smallest / self.laplacian
-        return found
+        ratio: np.ndarray = smallest / self.laplacian
+        return ratio
 
     def ratio_gradient(
         self, v: np.ndarray, z: np.ndarray, kappa: float
