@@ -14,7 +14,12 @@ def fill(template: Path, **numbers: Any) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table."""
-    return "\n".join([_line(head), "|---" * len(head) + "|", *map(_line, rows)])
+    return "\n".join([_line(head), "|---" * len(head) + "|", rows_of(rows)])
+
+
+def rows_of(rows: Iterable[Sequence[str]]) -> str:
+    """The rows of a Markdown table, whose head is in a template."""
+    return "\n".join(map(_line, rows))
 
 
 def _line(cells: Sequence[str]) -> str:
