@@ -15,7 +15,7 @@ LAM, MU, RADIUS, H = 0.3, 0.7, 1.0, 1 / 24
 HORIZON = 3 * H
 
 # K = 1/r. A solve takes models that are certified on the lattice at hand; a fit certifies its own.
-model = warp_peri.Model(lam=LAM, mu=MU, alpha=1.0, D=[1.0], horizon=HORIZON)
+model = warp_peri.Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=HORIZON)
 if warp_peri.certify(model, spacing=H).holds:
     model = dataclasses.replace(model, certified_on=(H,))
 
@@ -38,7 +38,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     print(json.dumps(numbers, indent=None if parser.parse_args().json else 1))
-    plt.scatter(*(x + u)[body].T, c=np.linalg.norm(u - exact, axis=1)[body], s=9)
+    wrong = np.linalg.norm(u - exact, axis=1)
+    plt.scatter((x + u)[body, 0], (x + u)[body, 1], s=9, c=wrong[body])
     plt.colorbar(label="|u − elasticity|")
     plt.gca().set_aspect("equal")
     PICTURE.parent.mkdir(exist_ok=True)
