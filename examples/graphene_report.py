@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from examples.prose import fill, table
 from warp_peri import plots
 from warp_peri.files.whole import whole_file, write_text
 from warp_peri.learning.result import Fit
+from warp_peri.learning.run import Run
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.samples import Samples
@@ -45,6 +48,9 @@ PAPER_300K = {
 PAPER_CONSTANTS = {"lambda": -0.4796, "mu": 0.7978, "E": 0.91, "nu": -0.4297}
 SAME_OPTIMUM = 1e-5
 """Starts agree when what they reach differs by less, relative."""
+CERTIFICATE = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
+"""Figures of the certificate that are reported."""
+TEMPLATE = Path(__file__).with_suffix(".md")
 ROLES = {"train": "training", "val": "validation", "test": "disks"}
 
 
@@ -120,16 +126,27 @@ def deviations(sure: Uncertainty) -> dict[str, float]:
     }
 
 
-def metrics(
-    fit: Fit, tables: dict[str, dict[str, Any]], truth: dict[str, float] | None
-) -> dict[str, Any]:
-    """Contents of metrics.json, without the seconds; errors are fractions."""
+def draw(folder: Path, run: Run, sets: Mapping[str, Samples], spacing: float) -> None:
+    """Every figure of the main job."""
+    draw_fit(folder, run.fit, spacing, run.sure)
+    if "test" in sets:
+        for name, worst in (("disks.png", False), ("disk.png", True)):
+            draw_disks(folder / name, run.fit.model, sets["test"], run.tables["test"], worst=worst)
+    if "wave_number" in sets["train"].arrays:
+        draw_waves(folder / "waves.png", sets["train"], run.tables["train"])
+
+
+def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Contents of metrics.json, without the seconds; errors are fractions.
+
+    `provenance` is that of the data: their temperature, and the potential's own constants.
+    """
+    fit = run.fit
     model, figures = fit.model, fit.certificate.figures()
-    certificate = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
-    return {
-        "E_res": {role: table["E_res"] for role, table in tables.items()},
-        "E_u": {role: table["E_u"] for role, table in tables.items()},
-        "E_res_abs": {role: table["E_res_abs"] for role, table in tables.items()},
+    numbers = {
+        "E_res": run.mean("E_res"),
+        "E_u": run.mean("E_u"),
+        "E_res_abs": run.mean("E_res_abs"),
         "lambda": model.lam,
         "mu": model.mu,
         "E": model.E,
@@ -139,93 +156,111 @@ def metrics(
         "horizon": model.horizon,
         "degree": model.degree,
         "moduli": fit.moduli[0],
-        "truth": truth,
+        "truth": provenance.get("truth"),
         "stages": [
             {"name": stage.name, "E_res_train": stage.E_res_train, "seconds": stage.seconds}
             for stage in fit.history
         ],
         "starts": fit.starts,
         "loss": {"name": fit.loss.name, "reason": fit.loss.reason},
-        "certificate": {key: figures[key] for key in certificate},
+        "certificate": {key: figures[key] for key in CERTIFICATE},
         "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
+        "temperature": provenance.get("temperature", 0.0),
     }
+    if run.sure is not None:
+        numbers["deviation"] = deviations(run.sure)
+    return numbers
 
 
 def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
     """report.md: the errors beside the printed ones, constants, stages, certificate, times."""
-    temperature = numbers["temperature"]
-    roles = [role for role in ROLES if role in numbers["E_u"]]
-    columns = [("E_res", r) for r in roles if r != "test"] + [("E_u", r) for r in roles]
-    lines = [
-        f"# Graphene at {temperature:g} K",
-        "",
-        f"Made by `{command}`. Errors are means over samples of relative ℓ2 errors [%].",
-        "",
-        "| | " + " | ".join(f"{e} {ROLES[r]}" for e, r in columns) + " |",
-        "|---" * (len(columns) + 1) + "|",
-        f"| this run, δ = {numbers['horizon']:g} Å, M = {numbers['degree']} | "
-        + " | ".join(f"{100 * numbers[e][r]:.2f}" for e, r in columns)
-        + " |",
-    ]
-    for name, printed in (PAPER if temperature == 0 else PAPER_300K).items():
-        values = [printed[e].get(r) for e, r in columns]
-        cells = ("–" if value is None else f"{value:.2f}" for value in values)
-        lines.append(f"| {name} (as printed) | " + " | ".join(cells) + " |")
-    if "test" in roles:
-        lines += [
-            "",
-            f"Residual on the disks, absolute: {numbers['E_res_abs']['test']:.2e} TPa/Å "
-            f"(relative {100 * numbers['E_res']['test']:.0f} %: the load there is only what "
-            "the smoothing reaches in from the rim).",
-        ]
-    lines += ["", "## Constants [TPa]", "", "| | λ | μ | E | ν |", "|---|---|---|---|---|"]
-    keys = ("lambda", "mu", "E", "nu")
-    rows = {"learned": numbers, "the potential's own": numbers["truth"] or {}}
-    if "deviation" in numbers:
-        rows["standard deviation by noise"] = numbers["deviation"]
-    if temperature == 0:
-        rows["You et al. 2021, learned"] = PAPER_CONSTANTS
-    for name, row in rows.items():
-        cells = (f"{row[key]:.4f}" if key in row else "–" for key in keys)
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    moduli = ", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items())
-    lines += ["", f"Long-wave moduli of the discrete operator: {moduli}."]
-    if numbers["truth"]:
-        lam, mu = numbers["truth"]["lambda"], numbers["truth"]["mu"]
-        lines[-1] += f" The potential's: C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
-    lines += ["", f"Loss: {numbers['loss']['name']} ({numbers['loss']['reason']})."]
-    lines += ["", "## Stages", "", "| stage | E_res training [%] | seconds |", "|---|---|---|"]
-    for stage in numbers["stages"]:
-        error = 100 * stage["E_res_train"]
-        lines.append(f"| {stage['name']} | {error:.2f} | {stage['seconds']:.1f} |")
-    if starts := numbers["starts"]:
-        reached = ", ".join(f"{100 * value:.4f} % from {name}" for name, value in starts.items())
-        agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
-        verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
-        lines += ["", f"‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict})."]
     certificate = numbers["certificate"]
-    verdict = "holds" if numbers["certified"] else "DOES NOT HOLD"
-    lines += [
-        "",
-        f"## Certificate: {verdict}",
-        "",
-        numbers["statement"],
-        "",
-        f"- smallest D(k)/s(k) found over the Brillouin zone: {certificate['symbol_min']:.5f} TPa; "
-        f"proven: at least {certificate['symbol_bound']:.5f} TPa",
-        f"- Λmin(Γ) on the training domain: {_number(certificate['gamma_min'])} Å⁻²",
-        f"- Λmin(ΦΓ⁻¹Φᵗ), zeros aside: {_number(certificate['inf_sup_min'])} (not asked for)",
-        f"- Λmin(Γ − 2ΦᵗΦ): {_number(certificate['gamma_minus_2phi_min'])} Å⁻² "
-        "(asked for with `--conditions paper`)",
-        "",
-        "## Seconds",
-        "",
-        ", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
-        "",
-        "Figures: `influence.png`, `loss.png`, `disks.png`, `disk.png` (the worst), `waves.png`.",
+    text = fill(
+        TEMPLATE,
+        **numbers,
+        command=command,
+        error_table=error_table(numbers),
+        disks=disks_line(numbers),
+        constants=constants_table(numbers),
+        moduli_text=", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items()),
+        potential=potential_line(numbers["truth"]),
+        stage_table=stage_table(numbers["stages"]),
+        agreement=agreement_line(numbers["starts"]),
+        verdict="holds" if numbers["certified"] else "DOES NOT HOLD",
+        gamma=_number(certificate["gamma_min"]),
+        inf_sup=_number(certificate["inf_sup_min"]),
+        difference=_number(certificate["gamma_minus_2phi_min"]),
+        times=", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
+    )
+    write_text(path, text)
+
+
+def error_table(numbers: dict[str, Any]) -> str:
+    """Errors of the run beside those printed in the papers [%]."""
+    roles = [role for role in ROLES if role in numbers["E_u"]]
+    columns = [("E_res", role) for role in roles if role != "test"]
+    columns += [("E_u", role) for role in roles]
+    first = f"this run, δ = {numbers['horizon']:g} Å, M = {numbers['degree']}"
+    rows = [[first, *(f"{100 * numbers[error][role]:.2f}" for error, role in columns)]]
+    for name, printed in (PAPER if numbers["temperature"] == 0 else PAPER_300K).items():
+        values = [printed[error].get(role) for error, role in columns]
+        cells = ("–" if value is None else f"{value:.2f}" for value in values)
+        rows.append([f"{name} (as printed)", *cells])
+    return table(["", *(f"{error} {ROLES[role]}" for error, role in columns)], rows)
+
+
+def disks_line(numbers: dict[str, Any]) -> str:
+    """What the residual on the disks is worth, where there are disks."""
+    if "test" not in numbers["E_u"]:
+        return ""
+    return (
+        f"\nResidual on the disks, absolute: {numbers['E_res_abs']['test']:.2e} TPa/Å "
+        f"(relative {100 * numbers['E_res']['test']:.0f} %: the load there is only what "
+        "the smoothing reaches in from the rim).\n"
+    )
+
+
+def constants_table(numbers: dict[str, Any]) -> str:
+    """The learned constants beside the potential's own and the paper's [TPa]."""
+    sources = {"learned": numbers, "the potential's own": numbers["truth"] or {}}
+    if "deviation" in numbers:
+        sources["standard deviation by noise"] = numbers["deviation"]
+    if numbers["temperature"] == 0:
+        sources["You et al. 2021, learned"] = PAPER_CONSTANTS
+    keys = ("lambda", "mu", "E", "nu")
+    rows = [
+        [name, *(f"{source[key]:.4f}" if key in source else "–" for key in keys)]
+        for name, source in sources.items()
     ]
-    write_text(path, "\n".join(lines) + "\n")
+    return table(["", "λ", "μ", "E", "ν"], rows)
+
+
+def potential_line(truth: dict[str, float] | None) -> str:
+    """Long-wave moduli of the potential, where they are known."""
+    if not truth:
+        return ""
+    lam, mu = truth["lambda"], truth["mu"]
+    return f" The potential's: C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
+
+
+def stage_table(stages: list[dict[str, Any]]) -> str:
+    """What each stage of the fit reached, and how long it took."""
+    rows = [
+        [stage["name"], f"{100 * stage['E_res_train']:.2f}", f"{stage['seconds']:.1f}"]
+        for stage in stages
+    ]
+    return table(["stage", "E_res training [%]", "seconds"], rows)
+
+
+def agreement_line(starts: dict[str, float]) -> str:
+    """Whether the starts of stage 3 reached one optimum, where it was run."""
+    if not starts:
+        return ""
+    reached = ", ".join(f"{100 * value:.4f} % from {name}" for name, value in starts.items())
+    agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
+    verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
+    return f"\n‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict}).\n"
 
 
 def _number(value: float | None) -> str:

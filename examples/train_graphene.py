@@ -6,13 +6,9 @@ Writes model.json, metrics.json, report.md and figures to the output folder.
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import hashlib
 import shlex
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -23,10 +19,10 @@ from examples import graphene_report as report
 from examples.studies import sweep_report
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError
-from warp_peri.files.whole import locked, write_json
+from warp_peri.files.whole import locked
 from warp_peri.learning import methods
-from warp_peri.learning.fit import fit
 from warp_peri.learning.options import METHODS
+from warp_peri.learning.run import train
 from warp_peri.learning.sweep import sweep
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
@@ -38,60 +34,40 @@ OUT = ROOT / "runs" / "graphene_0K"
 
 def run(given: argparse.Namespace) -> dict[str, object]:
     """The whole main job; returns what metrics.json holds."""
-    seconds: dict[str, float] = {}
     begin = time.perf_counter()
-    with phase("data", seconds):
-        path = data_file(given)
-        data = warp_peri.load_dataset(path)
-        sets = sets_at(data, given.spacing)
-        noise = noise_at(data, given.spacing)
-    with phase("learning", seconds):
-        found = fit(
-            sets["train"],
-            given.horizon,
-            warp_peri.Bernstein(given.degree),
-            method=methods.named(given.method, seed=given.seed),
-            conditions=warp_peri.Conditions(given.conditions),
-            noise=noise,
-            progress=True,
-        )
-    print(f"loss: {found.loss.name} ({found.loss.reason})")
-    print_certificate(found)
-    with phase("prediction", seconds):
-        tables = {
-            role: warp_peri.evaluate(found.model, points, allow_uncertified=True)
-            for role, points in sets.items()
-        }
-    truth = data.provenance.get("truth")
-    numbers = report.metrics(found, tables, truth)
-    numbers["temperature"] = data.provenance.get("temperature", 0.0)
-    sure = None
-    if noise is not None:
-        sure = warp_peri.fit_uncertainty(found, sets["train"], noise)
-        numbers["deviation"] = report.deviations(sure)
-    errors = {key: numbers[key] for key in ("E_res", "E_u", "E_res_abs")}
+    path = data_file(given)
+    data = warp_peri.load_dataset(path)
+    sets = sets_at(data, given.spacing)
+    seconds = {"data": time.perf_counter() - begin}
+    trained = train(
+        sets["train"],
+        given.horizon,
+        warp_peri.Bernstein(given.degree),
+        sets,
+        noise=noise_at(data, given.spacing),
+        method=methods.named(given.method, seed=given.seed),
+        conditions=warp_peri.Conditions(given.conditions),
+        allow_uncertified=True,
+        progress=True,
+    )
+    for reason in trained.refused.values():
+        raise InputError(reason)
+    print(f"loss: {trained.fit.loss.name} ({trained.fit.loss.reason})")
+    print_certificate(trained.fit)
+    seconds |= trained.seconds
+    drawing = time.perf_counter()
+    report.draw(given.out, trained, sets, given.spacing)
+    seconds["figures"] = time.perf_counter() - drawing
+    numbers = report.metrics(trained, data.provenance)
+    seconds["all"] = time.perf_counter() - begin
+    numbers["seconds"] = seconds
     provenance = {
-        "data": path.name,
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "data_provenance": data.provenance,
         "seed": given.seed,
         "method": given.method,
         "conditions": given.conditions,
     }
-    model = dataclasses.replace(found.model, errors=errors, provenance=provenance)
-    with phase("figures", seconds):
-        report.draw_fit(given.out, found, given.spacing, sure)
-        if "test" in sets:
-            for name, worst in (("disks.png", False), ("disk.png", True)):
-                report.draw_disks(
-                    given.out / name, model, sets["test"], tables["test"], worst=worst
-                )
-        if "wave_number" in sets["train"].arrays:
-            report.draw_waves(given.out / "waves.png", sets["train"], tables["train"])
-    model.save(given.out / "model.json")
-    seconds["all"] = time.perf_counter() - begin
-    numbers["seconds"] = seconds
-    write_json(given.out / "metrics.json", numbers)
+    trained.save(given.out, numbers, data=path, provenance=provenance)
     report.write_report(given.out / "report.md", numbers, given.command)
     return numbers
 
@@ -198,16 +174,8 @@ def print_certificate(found: warp_peri.Fit) -> None:
         print(f"  {'not defined' if value is None else f'{value:.4e}':>11}  {unit}")
 
 
-@contextmanager
-def phase(name: str, seconds: dict[str, float]) -> Iterator[None]:
-    """Time one phase."""
-    begin = time.perf_counter()
-    yield
-    seconds[name] = time.perf_counter() - begin
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
+def parser() -> argparse.ArgumentParser:
+    """Options of the main job."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -245,7 +213,12 @@ def main(arguments: list[str] | None = None) -> int:
         help="folder for the results (default: runs/graphene_0K or what the temperature is, "
         "with _sweep for a sweep)",
     )
-    given = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
+    given = parser().parse_args(arguments)
     if given.out is None:
         name = f"graphene_{given.temperature:g}K" + ("_sweep" if given.sweep else "")
         given.out = OUT.with_name(name)

@@ -25,7 +25,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import rivals, solve_study
+from tools import numba_rival, rivals, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
@@ -185,7 +185,7 @@ def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision
     numba.set_num_threads(min(THREADS, os.cpu_count() or 1))
     for name, fast in (("Numba parallel", False), ("Numba parallel, fastmath", True)):
         dtype = getattr(np, precision)
-        forward[name], both[name] = rivals.numba_parallel(t, dtype, fastmath=fast)
+        forward[name], both[name] = numba_rival.numba_parallel(t, dtype, fastmath=fast)
 
 
 def memory(bonds: Bonds, size: int) -> int:

@@ -72,19 +72,8 @@ class LammpsSession:
         LammpsError when LAMMPS fails.
         """
         positions = np.asarray(positions, dtype=float)
-        if positions.ndim != 2 or positions.shape[1] != 2 or len(positions) == 0:
-            raise ValueError(f"positions: expected shape [A, 2], got {list(positions.shape)}")
-        if not np.isfinite(positions).all():
-            raise ValueError("positions: expected finite values")
-        if box is not None and not all(math.isfinite(side) and side > 0 for side in box):
-            raise ValueError(f"box: expected two lengths > 0, got {box}")
         file = potential_file() if potential is None else Path(potential)
-        if not file.is_file():
-            raise FileNotFoundError(f"interatomic potential not found: {file}")
-        _check_path("potential", file)
-        if not elements or not set(elements) <= set(ase.data.chemical_symbols[1:]):
-            raise ValueError(f"elements: expected chemical symbols, got {list(elements)}")
-
+        _check(positions, box, file, elements)
         low = positions.min(axis=0) if box is None else positions.mean(axis=0) - np.divide(box, 2)
         high = positions.max(axis=0) if box is None else low + box
         margin = 20.0 if box is None else 0.0
@@ -94,6 +83,13 @@ class LammpsSession:
         self._xyz = np.zeros((self.atoms, 3))
         self._xyz[:, :2] = positions
         cell = " ".join(f"{edge:.17g}" for edge in [*edges, -_HEIGHT / 2, _HEIGHT / 2])
+        boundary = "f f p" if box is None else "p p p"
+        self._create_atoms(cell, boundary, file, elements)
+
+    def _create_atoms(
+        self, cell: str, boundary: str, potential: Path, elements: Sequence[str]
+    ) -> None:
+        """Make the box, the atoms and their potential inside a new LAMMPS."""
         kinds = len(elements)
         ids, types = list(range(1, self.atoms + 1)), [1 + i % kinds for i in range(self.atoms)]
         masses = [ase.data.atomic_masses[ase.data.atomic_numbers[name]] for name in elements]
@@ -103,7 +99,7 @@ class LammpsSession:
                 "units metal",
                 "atom_style atomic",
                 "atom_modify map array sort 0 0",
-                "boundary p p p" if box is not None else "boundary f f p",
+                f"boundary {boundary}",
                 f"region cell block {cell}",
                 f"create_box {kinds} cell",
                 *(f"mass {kind} {float(mass)}" for kind, mass in enumerate(masses, start=1)),
@@ -114,7 +110,7 @@ class LammpsSession:
                 raise LammpsError(f"LAMMPS took {self._lammps.get_natoms()} of {self.atoms} atoms")
             for line in (
                 "pair_style tersoff",
-                f'pair_coeff * * "{file}" {" ".join(elements)}',
+                f'pair_coeff * * "{potential}" {" ".join(elements)}',
                 "neighbor 0.1 bin",
                 "thermo_modify lost error norm no",
             ):
@@ -167,22 +163,10 @@ class LammpsSession:
         Raises LammpsError when LAMMPS fails, e.g. because an atom was lost.
         """
         self.forces(positions)
-        kelvin = f"{temperature:.17g}"
-        fixes = {
-            "inner": "store/force",  # before the others, so that it sees the atoms' own forces
-            "push": "external pf/array 1",
-            "move": "nve",
-            "heat": f"langevin {kelvin} {kelvin} {damping:.17g} {seed} zero yes",
-            "plane": "setforce NULL NULL 0",
-        }
         with _lammps_words():
             self._lammps.command(f"timestep {timestep:.17g}")
-            self._lammps.command(
-                f"velocity all create {2 * temperature:.17g} {seed} mom yes rot no dist gaussian"
-            )
-            self._lammps.command("velocity all set NULL NULL 0")
-            for name, words in fixes.items():
-                self._lammps.command(f"fix {name} all {words}")
+        fixes = self._langevin(temperature, damping, seed)
+        with _lammps_words():
             self._lammps.numpy.fix_external_get_force("push")[: self.atoms, :2] = force
             self._lammps.command("run 0 post no")
         try:
@@ -195,6 +179,25 @@ class LammpsSession:
         finally:
             for name in fixes:
                 self._lammps.command(f"unfix {name}")
+
+    def _langevin(self, temperature: float, damping: float, seed: int) -> Sequence[str]:
+        """Draw velocities and set up friction, random forces and a load; the fixes to undo."""
+        kelvin = f"{temperature:.17g}"
+        fixes = {
+            "inner": "store/force",  # before the others, so that it sees the atoms' own forces
+            "push": "external pf/array 1",
+            "move": "nve",
+            "heat": f"langevin {kelvin} {kelvin} {damping:.17g} {seed} zero yes",
+            "plane": "setforce NULL NULL 0",
+        }
+        with _lammps_words():
+            self._lammps.command(
+                f"velocity all create {2 * temperature:.17g} {seed} mom yes rot no dist gaussian"
+            )
+            self._lammps.command("velocity all set NULL NULL 0")
+            for name, words in fixes.items():
+                self._lammps.command(f"fix {name} all {words}")
+        return list(fixes)
 
     def write_dump(self, path: str | Path) -> None:
         """Write the positions last given to `forces` as a LAMMPS text dump.
@@ -228,6 +231,23 @@ class LammpsSession:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _check(
+    positions: np.ndarray, box: tuple[float, float] | None, file: Path, elements: Sequence[str]
+) -> None:
+    """Refuse what a session cannot be made of, as LammpsSession says."""
+    if positions.ndim != 2 or positions.shape[1] != 2 or len(positions) == 0:
+        raise ValueError(f"positions: expected shape [A, 2], got {list(positions.shape)}")
+    if not np.isfinite(positions).all():
+        raise ValueError("positions: expected finite values")
+    if box is not None and not all(math.isfinite(side) and side > 0 for side in box):
+        raise ValueError(f"box: expected two lengths > 0, got {box}")
+    if not file.is_file():
+        raise FileNotFoundError(f"interatomic potential not found: {file}")
+    _check_path("potential", file)
+    if not elements or not set(elements) <= set(ase.data.chemical_symbols[1:]):
+        raise ValueError(f"elements: expected chemical symbols, got {list(elements)}")
 
 
 def _check_path(name: str, path: Path) -> None:

@@ -242,8 +242,8 @@ def run_all(
     return at_rest, result
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
+def argument_parser() -> argparse.ArgumentParser:
+    """Options of this tool."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -283,6 +283,12 @@ def main(arguments: list[str] | None = None) -> int:
         "--cache", type=Path, metavar="FOLDER", help="finished runs (default: in --out)"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
+    parser = argument_parser()
     given = parser.parse_args(arguments)
     warnings.showwarning = short_warning
     try:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tools import rivals
+from tools import numba_rival, rivals
 from warp_peri import Model, load_model, set_threads
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
@@ -134,7 +134,7 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     u = np.random.default_rng(1).normal(size=(side**2, 2))
     law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(bonds, points.x, np.array(box), u, u, **law)
-    forward, _ = rivals.numba_parallel(tables, np.float64, fastmath=False)
+    forward, _ = numba_rival.numba_parallel(tables, np.float64, fastmath=False)
     torus = Torus((side, side), torch.device("cpu"))
     scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
     symbol = torus.symbol(stencil(bonds.families.classes, scaled.solid))

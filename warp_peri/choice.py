@@ -44,7 +44,6 @@ class Choice:
         spacing: h [Å].
         horizon: δ [Å].
         degree: M of the influence function.
-        precision: "float64" or "float32" of the factorisation.
         method: of `solve`.
         error: measured displacement error, a fraction.
         seconds: expected for set-up and one solve on the machine that measured.
@@ -54,7 +53,6 @@ class Choice:
     spacing: float
     horizon: float
     degree: int
-    precision: str
     method: str
     error: float
     seconds: float
@@ -69,7 +67,7 @@ def shipped_table() -> dict[str, Any]:
 
 
 def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None = None) -> Choice:
-    """The cheapest spacing, horizon, degree, precision and solver for a scene.
+    """The cheapest spacing, horizon, degree and solver for a scene.
 
     Args:
         tolerance: largest displacement error, a fraction.
@@ -92,36 +90,32 @@ def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None
         )
     short = scene.shortest_wave < table["long_wave"]
     name = "waves" if short else "disks"
-    found = []
+    measured = []
     for row in table["rows"]:
-        if row["method"] not in ("lu", "lu32") or row["kind"] == "positive kernel":
+        # What `solve` can do: its factorisations are float64.
+        if row["method"] != "lu" or row["kind"] == "positive kernel":
             continue
         nodes = math.prod(length / row["spacing"] for length in scene.size)
         if nodes <= DIRECT:
             method = "lu"
             growth = nodes / row["disks_nodes"]
             seconds = (row["disks_setup"] + row["disks_solve"]) * growth**LU_POWER
-        elif row["method"] == "lu":  # conjugate gradients have no single precision to choose
+        else:
             method = "sine" if scene.rectangle else "multigrid"
             seconds = table["seconds_per_node"][method] * nodes
-        else:
-            continue
-        found.append((seconds, row[f"{name}_error"], row, method, nodes))
-    good = [one for one in found if one[1] <= tolerance]
+        measured.append((seconds, row[f"{name}_error"], row, method, nodes))
+    good = [way for way in measured if way[1] <= tolerance]
     if not good:
-        best = min((one[1] for one in found), default=math.inf)
+        best = min((way[1] for way in measured), default=math.inf)
         raise InputError(
             f"tolerance: no measured model comes within {100 * tolerance:g} % on such loads; the "
             f"best has {100 * best:.2g} %"
         )
-    seconds, error, row, method, nodes = min(good, key=lambda one: one[:2])
+    seconds, error, row, method, nodes = min(good, key=lambda way: way[:2])
     kind = "short waves" if short else "long waves"
     reason = (
         f"h = {row['spacing']:g} Å, δ = {row['horizon']:g} Å, M = {row['degree']} by {method} is "
         f"the cheapest of {len(good)} measured ways within {100 * tolerance:g} % on {kind}: "
         f"{100 * error:.2g} %, about {seconds:.2g} s for {nodes:.0f} nodes."
     )
-    precision = "float32" if row["method"] == "lu32" else "float64"
-    return Choice(
-        row["spacing"], row["horizon"], row["degree"], precision, method, error, seconds, reason
-    )
+    return Choice(row["spacing"], row["horizon"], row["degree"], method, error, seconds, reason)

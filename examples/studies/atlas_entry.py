@@ -5,11 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from examples.prose import fill
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 
@@ -33,6 +35,13 @@ class Entry:
     seen: list[str]
     figure: Figure
     values: dict[str, Any]
+
+
+def written(name: str, **numbers: Any) -> tuple[str, str, str]:
+    """Title, number and text of an entry: atlas/NAME.md filled with its measurements."""
+    template = Path(__file__).parent / "atlas" / f"{name}.md"
+    title, number, text = fill(template, **numbers).rstrip("\n").split("\n\n", 2)
+    return title.removeprefix("# "), number, text
 
 
 def words(run: Callable[[], Any]) -> str:

@@ -39,18 +39,8 @@ def elastic_solver(
     def mass(u, v, w):
         return u[0] * v[0] + u[1] * v[1]
 
-    h = points.spacing
-    step = np.rint((points.x - points.x.min(axis=0)) / h).astype(int)
-    number = np.full(step.max(axis=0) + 2 * order, -1)
-    number[tuple(step.T)] = np.arange(len(step))
-    corners = step[(step % order == 0).all(axis=1)]
-    sides = [
-        number[tuple((corners + shift).T)]
-        for shift in order * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    ]
-    whole = (np.array(sides) >= 0).all(axis=0)
-    mesh_nodes, cells = np.unique(np.array(sides)[:, whole], return_inverse=True)
-    mesh = skfem.MeshQuad(points.x[mesh_nodes].T.copy(), cells.reshape(4, -1))
+    mesh_nodes, cells = quadrilaterals(points, order)
+    mesh = skfem.MeshQuad(points.x[mesh_nodes].T.copy(), cells)
     element = skfem.ElementQuad1() if order == 1 else skfem.ElementQuad2()
     basis = skfem.Basis(mesh, skfem.ElementVector(element), intorder=2 * order)
     K = linear_elasticity(lam, mu).assemble(basis)
@@ -60,7 +50,7 @@ def elastic_solver(
         if dofs.size:
             component[dofs[1]] = 1
     distance, node = cKDTree(points.x).query(basis.doflocs.T)
-    if distance.max() > 1e-6 * h:
+    if distance.max() > 1e-6 * points.spacing:
         raise InputError("points: elements of two spacings need nodes at their middles")
     free = points.interior[node]
     if 2 * np.count_nonzero(points.interior) != np.count_nonzero(free):
@@ -77,3 +67,23 @@ def elastic_solver(
         return found
 
     return solve
+
+
+def quadrilaterals(points: Samples, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Squares of the lattice, so many spacings wide: nodes at their corners, and four each.
+
+    Returns the numbers of the nodes, shape [V], and the corners of the squares among them, [4, C].
+    """
+    step = np.rint((points.x - points.x.min(axis=0)) / points.spacing).astype(int)
+    number = np.full(step.max(axis=0) + 2 * width, -1)
+    number[tuple(step.T)] = np.arange(len(step))
+    first = step[(step % width == 0).all(axis=1)]
+    corners = np.array(
+        [
+            number[tuple((first + shift).T)]
+            for shift in width * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        ]
+    )
+    whole = (corners >= 0).all(axis=0)
+    nodes, cells = np.unique(corners[:, whole], return_inverse=True)
+    return nodes, cells.reshape(4, -1)

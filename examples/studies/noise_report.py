@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from examples.graphene_report import save_figure
+from examples.prose import fill, rows_of
 from warp_peri import plots
 from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty
@@ -21,6 +23,8 @@ from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.statics.solve import solve
+
+Row = dict[str, Any]
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.46, 31.33, 20.15, 14.86, 1.0),
@@ -40,114 +44,92 @@ PRINTED_TABLE_5 = {
 but E_res test absolute in the paper's units. The first row is Table 4 at 300 K."""
 
 NAMES = {"shared": "shared seed", "plain": "plain average", "iota": "ι = 0.01"}
+ERRORS = ("E_res_train", "E_u_train", "E_res_val", "E_u_val")
 CONSTANTS = ("alpha", "lam", "mu", "E", "nu")
 
 
 def tables(content: dict[str, Any], command: str) -> str:
     """The report: fits, Table 5, Tables 3 and 4 at 300 K."""
-    truth = content["truth"]
-    known = ", ".join(
-        f"{symbol} = {truth[key]:.4f}" for key, symbol in (("lambda", "λ"), ("mu", "μ"), ("E", "E"))
+    floors = {(row["reduction"], row["factor"]): row for row in content["floors"]}
+    return fill(
+        Path(__file__).with_suffix(".md"),
+        command=command,
+        truth=content["truth"],
+        fits=rows_of(_fit_row(row, floors) for row in content["fits"]),
+        choices="\n".join(_choice(row) for row in content["fits"] if row["default"]),
+        table_5=rows_of(_table_5(content["fits"], floors)),
+        table_3=rows_of(_table_3(content["sweep"]["by_degree"], floors["iota", 1.0])),
+        table_4=rows_of(_table_4(content["sweep"], floors["iota", 1.0])),
     )
-    floor = {(row["reduction"], row["factor"]): row for row in content["floors"]}
-    lines = [
-        "# Noise at 300 K",
-        "",
-        f"Made by `{command}`. δ = 20 Å, M = 10, h = 5 Å. Errors are means over samples of",
-        "relative ℓ2 errors in %, E_u as validation / disks. Own: against the reduction itself,",
-        "with its noise; shared: against the shared-seed reference of the same loads; 0 K: against",
-        "the loads of 0 K. The noise floor is what the noise of a reference is of its",
-        f"displacement. The box at 300 K has {known} TPa (shared-seed response to the longest",
-        "waves). ± is one standard deviation by noise; a residual loss has a bias besides.",
-        "",
-        "## Losses",
-        "",
-        "| data | factor | noise floor | loss | own | shared | 0 K | λ | μ | E | c |",
-        "|---" * 11 + "|",
+
+
+def _fit_row(row: Row, floors: Mapping[tuple[str, float], Row]) -> list[str]:
+    """One fit: its data, its loss, its errors and its constants."""
+    floor = floors[row["reduction"], row["factor"]]
+    return [
+        NAMES[row["reduction"]],
+        f"{row['factor']:g}",
+        _pair(floor, "floor_{}"),
+        row["loss"] + " (default)" * row["default"],
+        *(_pair(row, name) for name in ("E_u_{}", "E_u_{}_shared", "E_u_{}_cold")),
+        *(f"{row[key]:.4f} ± {row[f'{key}_deviation']:.4f}" for key in ("lam", "mu", "E")),
+        f"{row['c']:.4f}",
     ]
-    for row in content["fits"]:
-        at = floor[row["reduction"], row["factor"]]
-        cells = [NAMES[row["reduction"]], f"{row['factor']:g}", _pair(at, "floor_{}")]
-        cells += [
-            row["loss"] + " (default)" * row["default"],
-            _pair(row, "E_u_{}"),
-            _pair(row, "E_u_{}_shared"),
-        ]
-        cells += [_pair(row, "E_u_{}_cold")]
-        cells += [f"{row[key]:.4f} ± {row[f'{key}_deviation']:.4f}" for key in ("lam", "mu", "E")]
-        lines.append("| " + " | ".join([*cells, f"{row['c']:.4f}"]) + " |")
-    lines += ["", 'c: proven D(k)/s(k) [TPa]. What `loss="auto"` took, and why:', ""]
-    for row in content["fits"]:
-        if row["default"]:
-            name = f"{NAMES[row['reduction']]}, factor {row['factor']:g}"
-            lines.append(f"- {name}: {row['loss']} ({row['reason']})")
-    lines += [
-        "",
-        "## Table 5",
-        "",
-        "Time smoothing as printed, fitted by the default loss, beside the printed rows.",
-        "E_res test is absolute: here in 10⁻⁶ TPa/Å, there in the paper's units.",
-        "",
-        "| factor | | SNR | α | λ | μ | E | ν | E_res train | E_u train | E_res val | E_u val "
-        "| E_res test | E_u test | E_u shared | E_u 0 K | noise floor |",
-        "|---" * 17 + "|",
-    ]
-    for row in content["fits"]:
+
+
+def _choice(row: Row) -> str:
+    """What the library chose for a data set, and why."""
+    name = f"{NAMES[row['reduction']]}, factor {row['factor']:g}"
+    return f"- {name}: {row['loss']} ({row['reason']})"
+
+
+def _table_5(fits: list[Row], floors: Mapping[tuple[str, float], Row]) -> Iterator[list[str]]:
+    """Table 5: time smoothing as printed, each row before the printed one."""
+    for row in fits:
         if not row["default"] or row["reduction"] != "iota":
             continue
-        at = floor["iota", row["factor"]]
-        cells = [f"{row['factor']:g}", "here", f"{at['snr']:.4f}"]
-        cells += [f"{row[key]:.4f}" for key in CONSTANTS] + _errors(row)
-        cells += [_pair(row, "E_u_{}_shared"), _pair(row, "E_u_{}_cold"), _pair(at, "floor_{}")]
-        lines.append("| " + " | ".join(cells) + " |")
+        floor = floors["iota", row["factor"]]
+        own = [f"{row['factor']:g}", "here", f"{floor['snr']:.4f}"]
+        yield [*own, *_constants(row), *_errors(row), *_against(row, floor)]
         printed = [f"{value:g}" for value in PRINTED_TABLE_5[row["factor"]]]
-        lines.append("| | printed | " + " | ".join(printed) + " | – | – | – |")
-    lines += [
-        "",
-        "## Table 3 at 300 K",
-        "",
-        "Time smoothing as printed, factor 1; every degree at its δ*.",
-        "",
-        "| M | δ* [Å] | E_res train | E_u train | E_res val | E_u val | AvgE | E_u shared "
-        "| E_u 0 K | noise floor | printed: δ*, errors, AvgE |",
-        "|---" * 11 + "|",
-    ]
-    at = floor["iota", 1.0]
-    for row in content["sweep"]["by_degree"]:
-        keys = ("E_res_train", "E_u_train", "E_res_val", "E_u_val")
-        cells = [f"{row['degree']}", f"{row['horizon']:g}"]
-        cells += [f"{100 * row[key]:.2f}" for key in keys] + [f"{row['AvgE']:.4f}"]
-        cells += [_pair(row, "E_u_{}_shared"), _pair(row, "E_u_{}_cold"), _pair(at, "floor_{}")]
-        beside = PRINTED_TABLE_3.get(row["degree"])
-        cells.append(", ".join(f"{value:g}" for value in beside) if beside else "–")
-        lines.append("| " + " | ".join(cells) + " |")
-    chosen = content["sweep"]["chosen"]
-    row = next(row for row in content["sweep"]["by_degree"] if row["degree"] == chosen)
-    lines += [
-        "",
-        "## Table 4 at 300 K",
-        "",
-        "| | M | α | λ | μ | E | ν | E_res train | E_u train | E_res val | E_u val | E_res test "
-        "| E_u test | E_u shared | E_u 0 K | noise floor |",
-        "|---" * 16 + "|",
-    ]
-    cells = ["here", f"{chosen}", *(f"{row[key]:.4f}" for key in CONSTANTS), *_errors(row)]
-    cells += [_pair(row, "E_u_{}_shared"), _pair(row, "E_u_{}_cold"), _pair(at, "floor_{}")]
-    lines.append("| " + " | ".join(cells) + " |")
-    printed = [f"{value:g}" for value in PRINTED_TABLE_5[1.0][1:]]
-    lines.append("| printed | 15 | " + " | ".join(printed) + " | – | – | – |")
-    return "\n".join(lines) + "\n"
+        yield ["", "printed", *printed, "–", "–", "–"]
 
 
-def _pair(row: dict[str, Any], name: str) -> str:
+def _table_3(by_degree: list[Row], floor: Row) -> Iterator[list[str]]:
+    """Table 3: every degree at its δ*, and what is printed."""
+    for row in by_degree:
+        errors = [f"{100 * row[key]:.2f}" for key in ERRORS]
+        own = [f"{row['degree']}", f"{row['horizon']:g}", *errors, f"{row['AvgE']:.4f}"]
+        printed = PRINTED_TABLE_3.get(row["degree"])
+        beside = ", ".join(f"{value:g}" for value in printed) if printed else "–"
+        yield [*own, *_against(row, floor), beside]
+
+
+def _table_4(sweep: dict[str, Any], floor: Row) -> Iterator[list[str]]:
+    """Table 4: the degree that was chosen, and the printed one."""
+    row = next(row for row in sweep["by_degree"] if row["degree"] == sweep["chosen"])
+    own = ["here", f"{sweep['chosen']}"]
+    yield [*own, *_constants(row), *_errors(row), *_against(row, floor)]
+    yield ["printed", "15", *(f"{value:g}" for value in PRINTED_TABLE_5[1.0][1:]), "–", "–", "–"]
+
+
+def _constants(row: Row) -> list[str]:
+    return [f"{row[key]:.4f}" for key in CONSTANTS]
+
+
+def _against(row: Row, floor: Row) -> list[str]:
+    """Errors against the shared-seed reference and the loads of 0 K, and the noise floor."""
+    return [_pair(row, "E_u_{}_shared"), _pair(row, "E_u_{}_cold"), _pair(floor, "floor_{}")]
+
+
+def _pair(row: Row, name: str) -> str:
     """Validation / disks, in %."""
     return " / ".join(f"{100 * row[name.format(role)]:.2f}" for role in ("val", "test"))
 
 
-def _errors(row: dict[str, Any]) -> list[str]:
+def _errors(row: Row) -> list[str]:
     """E_res and E_u on train, val and test; E_res of the test set absolute."""
-    keys = ("E_res_train", "E_u_train", "E_res_val", "E_u_val")
-    out = [f"{100 * row[key]:.2f}" for key in keys]
+    out = [f"{100 * row[key]:.2f}" for key in ERRORS]
     return [*out, f"{1e6 * row['E_res_abs_test']:.2f}", f"{100 * row['E_u_test']:.2f}"]
 
 

@@ -10,7 +10,7 @@ import torch
 from scipy.optimize import least_squares
 from scipy.sparse.linalg import LinearOperator, cg
 
-from tools import rivals
+from tools import numba_rival, rivals
 from warp_peri import InputError, Model, Samples
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import class_weights, reduce
@@ -51,7 +51,7 @@ def by_numba(model: Model, points: Samples) -> Solver:
     field = np.zeros((len(x), 2))
     law = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(bonds, x, box, field, np.zeros_like(field), **law)
-    force, _ = rivals.numba_parallel(tables, np.float64, fastmath=False)
+    force, _ = numba_rival.numba_parallel(tables, np.float64, fastmath=False)
     place = np.ravel_multi_index(tuple(step.T), tuple(shape))
     inside = place[points.interior]
     force()  # compiles

@@ -24,7 +24,13 @@ matplotlib.use("Agg")
 
 import warp_peri
 from examples.graphene_report import save_figure
-from examples.studies import atlas_kernels, atlas_motion, atlas_solves
+from examples.studies import (
+    atlas_conditions,
+    atlas_kernels,
+    atlas_motion,
+    atlas_points,
+    atlas_solves,
+)
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from warp_peri.errors import InputError
@@ -51,14 +57,14 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         return learned[0]
 
     return {
-        "sign-changing": lambda: atlas_kernels.sign_changing(data),
+        "sign-changing": lambda: atlas_conditions.sign_changing(data),
         "spacing": lambda: atlas_kernels.other_spacing(data, cache),
         "exponent": atlas_kernels.steep_kernels,
         "horizon": atlas_kernels.short_horizons,
         "degree": lambda: atlas_kernels.large_degrees(data),
         "lame": lambda: atlas_solves.lame_parameters(data),
-        "scattered": atlas_solves.scattered_points,
-        "surfaces": atlas_solves.free_surfaces,
+        "scattered": atlas_points.scattered_points,
+        "surfaces": atlas_points.free_surfaces,
         "time-step": lambda: atlas_motion.critical_step(model()),
         "energy": lambda: atlas_motion.energy_drift(model(), steps),
         "dispersion": lambda: atlas_motion.dispersion(model(), data),

@@ -131,7 +131,7 @@ def test_interrupt_while_learning_leaves_no_file(graphene, tmp_path, monkeypatch
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train_graphene, "fit", interrupted)
+    monkeypatch.setattr(train_graphene, "train", interrupted)
     out = tmp_path / "out"
     assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 130
     assert "interrupted" in capsys.readouterr().err

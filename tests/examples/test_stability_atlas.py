@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pytest
 
-from examples.studies import atlas_kernels, atlas_solves, stability_atlas
+from examples.studies import atlas_kernels, atlas_points, atlas_solves, stability_atlas
 from examples.studies.atlas_entry import words
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
@@ -53,7 +53,7 @@ def test_float32_loses_forces_under_a_rigid_shift():
 @pytest.mark.parametrize("ratio", [-0.27, 3.0])
 def test_the_corrected_edge_is_better(ratio):
     lam = ratio * atlas_solves.MU
-    corrected, plain = (atlas_solves.free_edge(16, lam, corrected=one) for one in (True, False))
+    corrected, plain = (atlas_points.free_edge(16, lam, corrected=one) for one in (True, False))
     assert corrected < 0.7 * plain
 
 

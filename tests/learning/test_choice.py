@@ -60,6 +60,16 @@ def test_large_scenes_take_conjugate_gradients_by_shape():
     assert choose_model(tolerance=0.009, scene=scene, table=TABLE).spacing == 2.5
 
 
+def test_only_what_solve_can_do_is_chosen():
+    single = [
+        *TABLE["rows"],
+        row("lu32", 5.0, 12.5, 0.03, 1e-6),
+    ]  # measured, and no option of solve
+    found = choose_model(tolerance=0.05, scene=SMALL, table=TABLE | {"rows": single})
+    assert found == choose_model(tolerance=0.05, scene=SMALL, table=TABLE)
+    assert found.method == "lu"
+
+
 def test_what_was_not_measured_is_refused():
     with pytest.raises(InputError, match="waves of 10 Å were not measured"):
         choose_model(tolerance=0.05, scene=Scene((100.0, 100.0), 10.0), table=TABLE)

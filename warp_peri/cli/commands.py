@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import hashlib
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +23,9 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import smoothing_matrix
+
+if TYPE_CHECKING:
+    from warp_peri.learning.run import Run
 
 Result = dict[str, Any]
 
@@ -125,70 +127,61 @@ def _take_sheet(given: argparse.Namespace) -> Dataset | None:
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
     from warp_peri.learning import methods
+    from warp_peri.learning.run import train
 
     data = load_dataset(given.data)
-    train = data[given.set]
-    noise = data[given.noise] if given.noise else None
+    samples = data[given.set]
     kernel: warp_peri.Bernstein | warp_peri.InfluenceFunction
     kernel = warp_peri.Bernstein(DEGREE if given.degree is None else given.degree)
     if given.influence:
         if given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
-        kernel = shape_of(given.influence, given.horizon, train.spacing)
+        kernel = shape_of(given.influence, given.horizon, samples.spacing)
     with locked(given.out):
-        found = warp_peri.fit(
-            train,
+        run = train(
+            samples,
             given.horizon,
             kernel,
+            data.sets,
+            noise=data[given.noise] if given.noise else None,
             method=methods.named(given.method, seed=given.seed),
             conditions=warp_peri.Conditions(given.conditions, given.zeta),
             loss=given.loss,
-            noise=noise,
             normalise=given.normalise,
             progress=not given.json,
         )
-        tables, errors = {}, {}
-        for name in data:
-            try:
-                tables[name] = warp_peri.evaluate(found.model, data[name])
-            except InputError as error:  # no load, another spacing, a collar too small
-                errors[name] = str(error)
-        result: Result = {
-            "certified": bool(found.model.certified_on),
-            "statement": found.certificate.statement,
-            "loss": f"{found.loss.name} ({found.loss.reason})",
-            "lambda": found.model.lam,
-            "mu": found.model.mu,
-            "E": found.model.E,
-            "nu": found.model.nu,
-            "moduli": found.moduli[0],
-            "E_res": {name: table["E_res"] for name, table in tables.items()},
-            "E_u": {name: table["E_u"] for name, table in tables.items()},
-            "not_evaluated": errors,
-        }
-        if found.influence is not None:
-            result |= found.model.provenance
-        if noise is not None:
-            sure = warp_peri.fit_uncertainty(found, train, noise)
-            result["deviation"] = {
-                "lambda": float(sure.deviation(lambda model: model.lam)),
-                "mu": float(sure.deviation(lambda model: model.mu)),
-                "E": float(sure.deviation(lambda model: model.E)),
-            }
-        model = dataclasses.replace(
-            found.model,
-            errors={key: result[key] for key in ("E_res", "E_u")},
-            provenance={
-                **found.model.provenance,
-                "data": given.data.name,
-                "sha256": hashlib.sha256(given.data.read_bytes()).hexdigest(),
-                "data_provenance": data.provenance,
-            },
-        )
-        model.save(given.out / "model.json")
-        write_json(given.out / "metrics.json", result)
+        metrics = training_metrics(run)
+        provenance = {"data_provenance": data.provenance}
+        run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / f"{given.command}.toml")
-    return {**result, "model": str(given.out / "model.json")}
+    return {**metrics, "model": str(given.out / "model.json")}
+
+
+def training_metrics(run: Run) -> Result:
+    """Constants, certificate and errors of a training run."""
+    model = run.fit.model
+    metrics: Result = {
+        "certified": bool(model.certified_on),
+        "statement": run.fit.certificate.statement,
+        "loss": f"{run.fit.loss.name} ({run.fit.loss.reason})",
+        "lambda": model.lam,
+        "mu": model.mu,
+        "E": model.E,
+        "nu": model.nu,
+        "moduli": run.fit.moduli[0],
+        "E_res": run.mean("E_res"),
+        "E_u": run.mean("E_u"),
+        "not_evaluated": run.refused,
+    }
+    if run.fit.influence is not None:
+        metrics |= model.provenance
+    if run.sure is not None:
+        metrics["deviation"] = {
+            "lambda": float(run.sure.deviation(lambda model: model.lam)),
+            "mu": float(run.sure.deviation(lambda model: model.mu)),
+            "E": float(run.sure.deviation(lambda model: model.E)),
+        }
+    return metrics
 
 
 def run_certify(given: argparse.Namespace) -> Result:

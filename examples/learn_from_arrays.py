@@ -1,0 +1,43 @@
+"""Learn a solid from arrays: nodes, displacements and loads of an elastic sheet under waves."""
+
+import argparse
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri
+from warp_peri import plots
+
+PICTURE = Path(__file__).parent.parent / "runs" / "learn_from_arrays.png"
+LAM, MU = 0.3, 0.7  # Lamé parameters of the sheet [TPa], which the fit is not told
+
+# What you would bring: positions [Å], displacements [Å] and body forces [TPa/Å] of some tests.
+x = 5.0 * (np.argwhere(np.ones((27, 27))) - 13)
+k = 2 * np.pi / 120 * np.array([(p, q) for p in range(4) for q in range(4) if p or q])
+k = np.repeat(k, 2, axis=0)
+a = 0.1 * np.tile(np.eye(2), (len(k) // 2, 1))  # along x₁ and x₂ in turn
+force = MU * (k**2).sum(1)[:, None] * a + (LAM + MU) * (k * a).sum(1)[:, None] * k
+wave = np.cos(k @ x.T)[:, :, None]
+u, b = wave * a[:, None], wave * force[:, None]
+
+# Displacement is asked for on the interior; around it lies the collar, two horizons wide.
+points = warp_peri.Points(x, interior=np.abs(x).max(axis=1) <= 40, spacing=5.0)
+samples = warp_peri.Samples(points, u, b)
+seen, unseen = (warp_peri.Samples(points, u[s], b[s]) for s in (slice(0, 24), slice(24, None)))
+fit = warp_peri.fit(seen, horizon=12.5, kernel=warp_peri.Bernstein(3))
+numbers = {
+    "lambda": fit.model.lam,
+    "mu": fit.model.mu,
+    "E_u on loads it never saw": warp_peri.evaluate(fit.model, unseen)["E_u"],
+    "statement": fit.certificate.statement,
+}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    print(json.dumps(numbers, indent=None if parser.parse_args().json else 1, ensure_ascii=False))
+    plots.influence_function(fit.model, spacing=5.0, ax=plt.figure().add_subplot())
+    PICTURE.parent.mkdir(exist_ok=True)
+    plt.savefig(PICTURE)

@@ -1,0 +1,21 @@
+"""The short examples: a number of each, which it finds when it is imported."""
+
+import pytest
+
+
+def test_arrays_teach_the_constants_of_the_sheet():
+    from examples.learn_from_arrays import MU, numbers
+
+    assert numbers["mu"] == pytest.approx(MU, rel=1e-3)
+
+
+def test_a_spinning_disk_is_that_of_the_textbook():
+    from examples.solve_disk import numbers
+
+    assert numbers["relative error of u"] < 5e-3
+
+
+def test_an_influence_function_of_ones_own_is_found():
+    from examples.own_influence import numbers
+
+    assert numbers["radius"] == pytest.approx(9.0, rel=1e-5)

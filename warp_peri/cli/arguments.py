@@ -1,0 +1,165 @@
+"""The options of each command."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from pathlib import Path
+
+from warp_peri.learning.options import DEGREES, HORIZONS, LOSSES, METHODS
+
+
+def coarse_grain(command: ArgumentParser) -> None:
+    """Atoms, loads, and the nodes they are smoothed to."""
+    command.add_argument("dumps", nargs="+", type=Path, metavar="DUMP", help="one for each load")
+    command.add_argument("--reference", required=True, type=Path, help="dump of the unloaded atoms")
+    command.add_argument(
+        "--force",
+        required=True,
+        nargs="+",
+        type=Path,
+        help="external forces on the atoms of each load [eV/Å], by id: .npz or .csv",
+    )
+    command.add_argument(
+        "--unloaded", nargs="+", type=Path, help="dump without load, one or one each"
+    )
+    command.add_argument("--out", required=True, type=Path, metavar="DATA.h5")
+    command.add_argument("--set", default="train", help="name of the set in the file")
+    command.add_argument("--spacing", type=float, default=5.0, help="of the nodes [Å]")
+    command.add_argument("--radius", type=float, default=10.0, help="of the smoothing function [Å]")
+    command.add_argument("--reach", type=float, default=100.0, help="nodes lie within it [Å]")
+    command.add_argument(
+        "--interior", type=float, default=50.0, help="half width of the interior [Å]"
+    )
+    command.add_argument("--box", type=float, nargs=2, help="periods of the atoms [Å]")
+    command.add_argument(
+        "--mass", type=float, nargs="+", help="of atom types 1, 2, …; default: equal"
+    )
+    command.add_argument(
+        "--thickness", type=float, help="of the sheet [Å]; default: the file's, or 3.35"
+    )
+    command.add_argument(
+        "--density", type=float, help="mass density [kg/m³]; default: the file's, or 2200"
+    )
+    command.add_argument("--skip", type=int, default=0, help="frames left out at the begin")
+    command.add_argument("--iota", type=float, help="ι of the smoothing in time; default: average")
+
+
+def train(command: ArgumentParser) -> None:
+    """Data, kernel, method and conditions of a fit."""
+    command.add_argument("data", type=Path, metavar="DATA.h5")
+    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    command.add_argument("--set", default="train", help="what to learn from")
+    command.add_argument("--noise", help="set with fields of noise alone")
+    command.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    command.add_argument("--degree", type=int, help="M of the Bernstein polynomials; default: 10")
+    command.add_argument(
+        "--influence",
+        metavar="SHAPE",
+        help="in their place gaussian, exponential or conical, whose length is learned, or a .csv "
+        "file with columns r [Å], K to be taken as it is",
+    )
+    command.add_argument(
+        "--method",
+        choices=METHODS,
+        default="optimum",
+        help="Algorithm 1 and its optimum, Algorithm 1 alone, or the optimum alone",
+    )
+    command.add_argument(
+        "--conditions",
+        choices=("direct", "paper"),
+        default="direct",
+        help="solvability on the lattice, or also (i) and (iii) of the paper",
+    )
+    command.add_argument(
+        "--zeta",
+        type=float,
+        default=0.01,
+        help="ζ [TPa] of the condition D(k) ≥ ζ s(k) that is kept",
+    )
+    command.add_argument(
+        "--loss", choices=LOSSES, default="auto", help="auto: as the noise asks for"
+    )
+    command.add_argument("--normalise", action="store_true", help="divide samples by their loads")
+    command.add_argument("--seed", type=int, default=0, help="of the two stages' first kernel")
+
+
+def certify(command: ArgumentParser) -> None:
+    """A model, and lattices."""
+    command.add_argument("model", type=Path, metavar="MODEL.json")
+    command.add_argument("--spacing", type=float, nargs="+", help="of the lattices [Å]")
+
+
+def evaluate(command: ArgumentParser) -> None:
+    """A model, and the sets it is held to."""
+    command.add_argument("model", type=Path, metavar="MODEL.json")
+    command.add_argument("data", type=Path, metavar="DATA.h5")
+    command.add_argument(
+        "--set",
+        dest="sets",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="sets to evaluate; by default all, and those that cannot be are reported as errors",
+    )
+    _uncertified(command)
+
+
+def solve(command: ArgumentParser) -> None:
+    """A model, loads, and a solver."""
+    command.add_argument("model", type=Path, metavar="MODEL.json")
+    command.add_argument(
+        "data", type=Path, metavar="DATA.h5", help="loads; displacement on the collar"
+    )
+    command.add_argument("--set", default="test")
+    command.add_argument("--out", required=True, type=Path, metavar="SOLVED.h5")
+    command.add_argument("--method", default="auto", help="of the solver")
+    _uncertified(command)
+
+
+def export(command: ArgumentParser) -> None:
+    """What is exported, and to which format."""
+    command.add_argument("what", choices=("fields", "influence", "operator"))
+    command.add_argument("model", type=Path, metavar="MODEL.json")
+    command.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        help="folder for fields, .csv for influence, .npz for operator",
+    )
+    command.add_argument(
+        "--format",
+        choices=("vtu", "xdmf"),
+        default="vtu",
+        help="fields: a .vtu file a sample, or one .xdmf file with samples as time steps",
+    )
+    command.add_argument("--data", type=Path, metavar="DATA.h5", help="nodes, loads and collar")
+    command.add_argument("--set", default="test")
+    command.add_argument("--spacing", type=float, help="influence: of the lattice [Å]")
+    _uncertified(command)
+
+
+def sweep(command: ArgumentParser) -> None:
+    """Data, and the horizons and degrees to choose from."""
+    command.add_argument("data", type=Path, metavar="DATA.h5")
+    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    command.add_argument("--set", default="train", help="what to learn from")
+    command.add_argument("--val", default="val", help="validation set")
+    command.add_argument("--test", help="reported; takes no part in the choice")
+    command.add_argument("--noise", help="set with fields of noise alone")
+    command.add_argument("--horizons", type=float, nargs="+", default=list(HORIZONS), help="δ [Å]")
+    command.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES), help="M")
+    command.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    command.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
+
+
+def info(command: ArgumentParser) -> None:
+    """A file."""
+    command.add_argument("file", type=Path)
+
+
+def _uncertified(command: ArgumentParser) -> None:
+    command.add_argument(
+        "--allow-uncertified",
+        action="store_true",
+        help="use the model on spacings it holds no certificate for, with a warning",
+    )
