@@ -39,10 +39,10 @@ def advance_hookean(
     end = wp.int32(wp.int64(n) * wp.int64(t % blocks + 1) / wp.int64(blocks))
     pxx, pxy, pyx, pyy, pzz = P[i, 0], P[i, 1], P[i, 2], P[i, 3], P[i, 4]
     lxx, lyx, lyy, lzz = L[i, 0], L[i, 1], L[i, 2], L[i, 3]
-    cxx = float(0.0)
-    cxy = float(0.0)
-    cyy = float(0.0)
-    czz = float(0.0)
+    cxx = wp.float32(0.0)
+    cxy = wp.float32(0.0)
+    cyy = wp.float32(0.0)
+    czz = wp.float32(0.0)
     for j in range(begin, end):
         number = j
         if common == 0:
@@ -87,14 +87,14 @@ def advance_fene(
     end = wp.int32(wp.int64(n) * wp.int64(t % blocks + 1) / wp.int64(blocks))
     kxx, kxy, kyx, kyy = K[i, 0], K[i, 1], K[i, 2], K[i, 3]
     a = wp.sqrt(dt)
-    cxx = float(0.0)
-    cxy = float(0.0)
-    cyy = float(0.0)
-    czz = float(0.0)
-    sxx = float(0.0)
-    sxy = float(0.0)
-    syy = float(0.0)
-    szz = float(0.0)
+    cxx = wp.float32(0.0)
+    cxy = wp.float32(0.0)
+    cyy = wp.float32(0.0)
+    czz = wp.float32(0.0)
+    sxx = wp.float32(0.0)
+    sxy = wp.float32(0.0)
+    syy = wp.float32(0.0)
+    szz = wp.float32(0.0)
     for j in range(begin, end):
         number = j
         if common == 0:

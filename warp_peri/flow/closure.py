@@ -88,7 +88,7 @@ class Coupled:
     def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
         """σ [n, 4] after dt under κ [n, 4] held."""
         moments = self.dumbbells.advance(self.De * kappa, dt / self.De)
-        return (moments.S - IDENTITY) / self.De
+        return np.asarray((moments.S - IDENTITY) / self.De)
 
     def state(self) -> np.ndarray:
         """The dumbbells."""
@@ -99,8 +99,8 @@ class Coupled:
         self.dumbbells.q.assign(state)
 
 
-def heun(law: Law, K: Any, C: Any, h: float) -> Any:
-    """One step of Heun's rule, h relaxation times."""
+def heun(law: Law, K: Any, C: Any, h: Any) -> Any:
+    """One step of Heun's rule, h relaxation times (a number, or one for each state [n, 1])."""
     a = law.rate(K, C)
     return C + h / 2 * (a + law.rate(K, C + h * a))
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_peri.archive import read_arrays
 from warp_peri.errors import InputError
-from warp_peri.files import whole_file
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import whole_file
 from warp_peri.flow.planar import IDENTITY
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
@@ -74,7 +74,8 @@ class Dumbbells:
         if matched:
             drawn = match(drawn, rest_moment(b))
         q = np.broadcast_to(drawn, (ensembles, count, 3)).astype(np.float32)
-        self.q = wp.array(np.ascontiguousarray(q), dtype=wp.vec3f, device=device)
+        self.q: wp.array[Any] = wp.array(np.ascontiguousarray(q), dtype=wp.vec3f, device=device)
+        self._on_cpu = wp.get_device(device).is_cpu
         self._stream = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0] >> 2)
         self._blocks = -(-count // BLOCK)
         columns = 4 if b is None else 8
@@ -96,13 +97,12 @@ class Dumbbells:
                 f"for a velocity gradient of {largest / dt:.3g}, got {dt:g}"
             )
         common = int(self.common)
+        law: list[Any]
         if self.b is None:
-            P, L = propagator(K, dt)
-            law = [floats(P.astype(np.float32), wp.float32), floats(L.astype(np.float32), wp.float32)]
-            kernel, inputs = advance_hookean, law
+            kernel, law = advance_hookean, [_single(part) for part in propagator(K, dt)]
         else:
-            kernel, inputs = advance_fene, [floats(K.astype(np.float32), wp.float32), self.b, dt]
-        inputs = [*inputs, (self._stream + self.steps) % 2**30, steps, common, self._blocks]
+            kernel, law = advance_fene, [_single(K), self.b, dt]
+        inputs = [*law, (self._stream + self.steps) % 2**30, steps, common, self._blocks]
         self._launch(kernel, inputs)
         self.steps += steps
         return self._mean()
@@ -113,7 +113,7 @@ class Dumbbells:
 
     def _launch(self, kernel: Any, inputs: list[Any]) -> None:
         total = self.ensembles * self._blocks
-        slices = min(threads(), total) if self.q.device.is_cpu else 1
+        slices = min(threads(), total) if self._on_cpu else 1
         ends = [total * n // slices for n in range(slices + 1)]
         kernel.module.load(self.q.device)  # not from two threads at once
 
@@ -153,6 +153,10 @@ class Dumbbells:
         )
 
 
+def _single(values: np.ndarray) -> wp.array[Any]:
+    return floats(values.astype(np.float32), wp.float32)
+
+
 def rest_moment(b: float | None) -> float:
     """⟨q_x²⟩ at rest: 1, or b/(b + 5) of FENE dumbbells."""
     return 1.0 if b is None else b / (b + 5)
@@ -171,7 +175,7 @@ def match(q: np.ndarray, moment: float) -> np.ndarray:
     """The ensembles, linearly mapped to second moments of exactly `moment` times I."""
     C = np.einsum("mni,mnj->mij", q, q) / q.shape[1]
     inverse = np.linalg.inv(np.linalg.cholesky(C))
-    return np.sqrt(moment) * np.einsum("mij,mnj->mni", inverse, q)
+    return np.asarray(np.sqrt(moment) * np.einsum("mij,mnj->mni", inverse, q))
 
 
 def exponential(K: np.ndarray, t: float) -> np.ndarray:
@@ -182,9 +186,8 @@ def exponential(K: np.ndarray, t: float) -> np.ndarray:
     small = np.abs(root) < 1e-6
     ratio = np.where(small, 1 + root**2 / 6, np.sinh(root) / np.where(small, 1, root)).real * t
     grown, cosine = np.exp(half * t), np.cosh(root).real
-    return grown[..., None] * np.stack(
-        [cosine + ratio * d, ratio * K[..., 1], ratio * K[..., 2], cosine - ratio * d], axis=-1
-    )
+    parts = [cosine + ratio * d, ratio * K[..., 1], ratio * K[..., 2], cosine - ratio * d]
+    return np.asarray(grown[..., None] * np.stack(parts, axis=-1))
 
 
 def propagator(K: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:

@@ -115,5 +115,3 @@ class FENEP:
         longest = float(np.max(trace(C)))
         if longest >= float(self.b):
             raise InputError(f"conformation: expected a trace below {self.b}, got {longest:.4g}")
-
-

@@ -32,13 +32,13 @@ def unpack(A: Any) -> tuple[Any, Any, Any, Any]:
 def shear(rate: Any) -> np.ndarray:
     """K of simple shear, v_x = rate·y, shape [..., 4]."""
     rate = np.asarray(rate, dtype=float)
-    return np.multiply.outer(rate, [0.0, 1.0, 0.0, 0.0])
+    return np.asarray(np.multiply.outer(rate, [0.0, 1.0, 0.0, 0.0]))
 
 
 def elongation(rate: Any) -> np.ndarray:
     """K of planar elongation, v = rate·(x, −y), shape [..., 4]."""
     rate = np.asarray(rate, dtype=float)
-    return np.multiply.outer(rate, [1.0, 0.0, 0.0, -1.0])
+    return np.asarray(np.multiply.outer(rate, [1.0, 0.0, 0.0, -1.0]))
 
 
 def carried(K: Any, C: Any) -> Any:

@@ -10,13 +10,14 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.archive import read_arrays
 from warp_peri.errors import InputError
-from warp_peri.files import whole_file, write_text
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import whole_file, write_text
 from warp_peri.flow.closure import Stress
 from warp_peri.flow.planar import shear
 
@@ -145,13 +146,13 @@ def run_plane(
             kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
             kept |= {"t": times, "us": us, "sigmas": sigmas, "key": np.array(key)}
             with whole_file(checkpoint) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **{name: np.asarray(value) for name, value in kept.items()})
+                np.savez(file, **kept)
     return Profiles(np.array(times), np.array(us), np.array(sigmas))
 
 
-def _load(path: str | os.PathLike[str], key: str) -> dict[str, np.ndarray]:
+def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
     try:
-        kept = read_arrays(path)
+        kept: dict[str, Any] = dict(read_arrays(path))
         found = str(kept["key"])
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None

@@ -28,7 +28,13 @@ def poiseuille(
 
 
 def oscillation(
-    y: np.ndarray, t: np.ndarray, De: float, Re: float, force: float, omega: float, modes: int = 1000
+    y: np.ndarray,
+    t: np.ndarray,
+    De: float,
+    Re: float,
+    force: float,
+    omega: float,
+    modes: int = 1000,
 ) -> np.ndarray:
     """u [T, Y] from rest under the body force cos(ω t) times `force` (F15)."""
     u = np.zeros((len(t), len(y)))
