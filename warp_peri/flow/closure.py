@@ -91,12 +91,14 @@ class Coupled:
         return np.asarray((moments.S - IDENTITY) / self.De)
 
     def state(self) -> np.ndarray:
-        """The dumbbells."""
-        return np.asarray(self.dumbbells.q.numpy()).copy()
+        """The dumbbells and the number of their steps, in one row."""
+        return np.append(self.dumbbells.q.numpy().ravel(), float(self.dumbbells.steps))
 
     def restore(self, state: np.ndarray) -> None:
-        """Go on from kept dumbbells; the random numbers go on from the step they are at."""
-        self.dumbbells.q.assign(state)
+        """Go on from kept dumbbells with the random numbers that come next."""
+        q = state[:-1].astype(np.float32)
+        self.dumbbells.q.assign(q.reshape(self.dumbbells.q.numpy().shape))
+        self.dumbbells.steps = int(state[-1])
 
 
 def heun(law: Law, K: Any, C: Any, h: Any) -> Any:
