@@ -1,0 +1,1 @@
+"""Warp kernels of polymer flow: dumbbells and smoothed particles."""

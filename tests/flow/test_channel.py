@@ -1,0 +1,106 @@
+"""The channel of particles against the exact flow, symmetric, stable, resumable."""
+
+import numpy as np
+import pytest
+
+from tests.support.problems import fitted_order
+from warp_peri import InputError
+from warp_peri.flow import series
+from warp_peri.flow.channel import ChannelFlow, Particles
+from warp_peri.flow.channel_run import run_channel
+from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.laws import UpperConvectedMaxwell
+
+
+def run(flow, until, fraction=0.9, every=10, **more):
+    dt = until / np.ceil(until / (fraction * flow.longest_step))
+    fluid = Closure(UpperConvectedMaxwell(), flow.De, Particles(flow).fluid)
+    return run_channel(flow, fluid, until, dt, every=every, **more)
+
+
+def error(flow, record):
+    """Relative ℓ2 of u at the particles' own heights."""
+    y = np.linspace(0, 1, 401)
+    exact = series.poiseuille(y, record.t, flow.De, flow.Re, flow.force, modes=400)
+    u = np.array([np.interp(x[:, 1], y, row) for x, row in zip(record.x, exact)])
+    return np.linalg.norm(record.v[..., 0] - u) / np.linalg.norm(u)
+
+
+def test_the_channel_against_the_exact_flow():
+    flow = ChannelFlow(1e-3)
+    record = run(flow, 0.03)
+    assert error(flow, record) < 0.012
+    assert np.abs(record.rho - 1).max() < 0.03
+    assert np.abs(record.v[..., 1]).max() < 0.01
+
+
+def test_it_converges_where_elastic_waves_run():
+    errors, sizes = [], (20, 28, 40)
+    for across in sizes:
+        flow = ChannelFlow(1e-2, across=across, smoothing=1.2, length=0.4)
+        errors.append(error(flow, run(flow, 0.02)))
+    assert errors[1] < 0.04
+    assert fitted_order(1 / np.array(sizes), errors) > 0.9  # fronts are kinks: first order in ℓ2
+
+
+def test_a_linear_velocity_and_a_quiet_fluid_are_exact():
+    flow = ChannelFlow(1e-2, force=0.0)
+    particles = Particles(flow)
+    fluid = Closure(UpperConvectedMaxwell(), flow.De, particles.fluid)
+    for _ in range(5):
+        particles.step(fluid, 1e-4)
+    assert np.abs(particles.v).max() < 1e-12
+    x = particles._x.numpy()
+    particles._v.assign(np.column_stack([2 * x[:, 1] + 1, -0.5 * x[:, 1]]))
+    from warp_peri.flow.channel import SHARP
+    from warp_peri.kernels.flow.particles import velocity_gradient
+    from warp_peri.launch import launch
+
+    near = [particles._row, particles._neighbour, particles._x, particles._v]
+    shape = [particles.period, particles.h, particles.reach, SHARP]
+    launch(velocity_gradient, particles.fluid, [*near, *shape], [particles._kappa])
+    assert np.allclose(particles.kappa, [0, 2, 0, -0.5], atol=1e-10)
+
+
+def test_runs_resume_with_the_same_bits_and_go_to_paraview(tmp_path):
+    flow, file = ChannelFlow(1e-2, across=20, length=0.6, smoothing=1.2), tmp_path / "run.npz"
+    fluid = lambda: Closure(UpperConvectedMaxwell(), 1e-2, Particles(flow).fluid)
+    whole = run_channel(flow, fluid(), 0.02, 1e-4, every=2)
+    run_channel(flow, fluid(), 0.01, 1e-4, every=2, checkpoint=file)
+    resumed = run_channel(flow, fluid(), 0.02, 1e-4, every=2, checkpoint=file)
+    assert np.array_equal(whole.v, resumed.v)
+    assert len(whole.save_vtu(tmp_path / "fields")) == len(whole.t)
+    with pytest.raises(InputError, match="another channel"):
+        run_channel(flow, fluid(), 0.02, 5e-5, checkpoint=file)
+
+
+def test_dumbbells_in_every_particle():
+    flow = ChannelFlow(1e-2, across=16, smoothing=1.2, length=0.6)
+    n = Particles(flow).fluid
+    exact = run(flow, 5e-3)
+    dt = 5e-3 / np.ceil(5e-3 / (0.9 * flow.longest_step))
+    coupled = Coupled(Dumbbells(n, 2000, seed=1, common=True), 1e-2)
+    found = run_channel(flow, coupled, 5e-3, dt)
+    difference = np.linalg.norm(found.v - exact.v) / np.linalg.norm(exact.v)
+    assert difference < 4 * np.sqrt(2 / 2000)
+
+
+def test_bad_input_is_refused():
+    flow = ChannelFlow(1e-2)
+    fluid = Closure(UpperConvectedMaxwell(), 1e-2, Particles(flow).fluid)
+    with pytest.raises(InputError, match="time step: expected up to 0.00019"):
+        run_channel(flow, fluid, 1.0, 1e-3)
+    with pytest.raises(InputError, match="period above 0.63"):
+        ChannelFlow(1e-2, across=15)
+    with pytest.raises(InputError, match="above 0"):
+        ChannelFlow(-1.0)
+    particles = Particles(flow)
+    x = particles._x.numpy()
+    x[3, 1] = -0.01
+    particles._x.assign(x)
+    with pytest.raises(InputError, match="1 particles left"):
+        particles._find()
+    particles = Particles(flow)
+    with pytest.raises(InputError, match="not finite or too large"):
+        _ = [particles.step(fluid, 0.02) for _ in range(50)]

@@ -1,0 +1,112 @@
+"""Dumbbells against what is exact: Hookean moments, FENE ones at rest and stretched."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from warp_peri import InputError
+from warp_peri.flow.closure import homogeneous
+from warp_peri.flow.dumbbells import Dumbbells, propagator, rest_moment, stretched_rest
+from warp_peri.flow.laws import UpperConvectedMaxwell
+from warp_peri.flow.planar import IDENTITY, elongation, shear
+from warp_peri.flow.protocols import held, mixed, read_trajectory, simulate
+from warp_peri.launch import set_threads, threads
+
+
+def test_a_hookean_step_is_exact_in_its_moments():
+    K, dt = np.array([0.3, 2.0, 0.5, -0.3]), 0.7
+    A = np.array([[0.3, 2.0], [0.5, -0.3]]) - np.eye(2) / 2
+    block = np.block([[-A, np.eye(2)], [np.zeros((2, 2)), A.T]])
+    E = expm(block * dt)
+    P, L = propagator(K[None], dt)
+    lower = np.array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])
+    assert np.abs(P[0, :4].reshape(2, 2) - E[2:, 2:].T).max() < 1e-14
+    assert np.abs(lower @ lower.T - E[2:, 2:].T @ E[:2, 2:]).max() < 1e-11
+    assert P[0, 4] ** 2 + L[0, 3] ** 2 == pytest.approx(1, abs=1e-14)
+
+
+def test_hookean_ensembles_follow_the_upper_convected_maxwell_law():
+    count, K = 40_000, mixed(8, 12, 1.0, hold=3, seed=2)
+    record = simulate(Dumbbells(8, count, seed=1), K, 0.25)
+    exact = homogeneous(UpperConvectedMaxwell(), K, 0.25, parts=200)
+    xx, xy, yy, zz = np.moveaxis(exact, -1, 0)
+    deviation = np.sqrt(np.stack([2 * xx**2, xx * yy + xy**2, 2 * yy**2, 2 * zz**2], -1) / count)
+    error = (record.C - exact) / deviation
+    assert np.abs(error).max() < 4.5  # of 416 normal numbers
+    assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
+
+
+@pytest.mark.parametrize("K", [0 * shear(1.0), elongation(0.4), elongation(2.0)])
+def test_fene_ensembles_reach_the_exact_steady_state(K):
+    b, m = 20.0, 10
+    dumbbells = Dumbbells(m, 2000, b=b, seed=4)
+    dumbbells.advance(K, 0.02, 400)
+    found, exact = dumbbells.moments(), stretched_rest(K, b)
+    for one, truth in ((found.C, exact.C), (found.S, exact.S)):
+        assert np.all(np.abs(one.mean(0) - truth[0]) < 4 * one.std(0) / np.sqrt(m) + 2e-3)
+    if not K.any():
+        assert np.allclose(exact.S[0], IDENTITY)
+        assert np.allclose(exact.C[0], rest_moment(b) * IDENTITY)
+
+
+@pytest.mark.parametrize("b", [None, 50.0])
+def test_seeds_repeat_on_any_number_of_threads_and_runs_resume(b, tmp_path):
+    K, before = mixed(3, 6, 1.0, hold=2), threads()
+    whole = simulate(Dumbbells(3, 5000, b=b, seed=7), K, 0.1, steps=2)
+    try:
+        set_threads(1)
+        again = simulate(Dumbbells(3, 5000, b=b, seed=7), K, 0.1, steps=2)
+    finally:
+        set_threads(before)
+    assert np.array_equal(whole.S, again.S)
+    file = tmp_path / "run.npz"
+    dumbbells = Dumbbells(3, 5000, b=b, seed=7)
+    advance, calls = dumbbells.advance, []
+
+    def stop(*arguments):
+        calls.append(1)
+        if len(calls) > 4:
+            raise KeyboardInterrupt
+        return advance(*arguments)
+
+    dumbbells.advance = stop
+    with pytest.raises(KeyboardInterrupt):
+        simulate(dumbbells, K, 0.1, steps=2, checkpoint=file)
+    resumed = simulate(Dumbbells(3, 5000, b=b, seed=7), K, 0.1, steps=2, checkpoint=file)
+    assert np.array_equal(whole.C, resumed.C)
+    assert np.array_equal(whole.S, resumed.S)
+    with pytest.raises(InputError, match="another run"):
+        simulate(Dumbbells(3, 5000, b=b, seed=8), K, 0.1, checkpoint=file)
+
+
+def test_common_noise_and_matched_starts():
+    dumbbells = Dumbbells(2, 500, common=True, matched=True, seed=3)
+    start = dumbbells.moments()
+    assert np.abs(start.C - IDENTITY).max() < 1e-5
+    alike = dumbbells.advance(shear(1.0), 0.3)
+    assert np.array_equal(alike.C[0], alike.C[1])
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InputError, match="above 3"):
+        Dumbbells(1, 10, b=2.0)
+    with pytest.raises(InputError, match="time step: expected at most 0.05"):
+        Dumbbells(1, 10, b=50.0).advance(shear(10.0), 0.1)
+    with pytest.raises(InputError, match="shape"):
+        simulate(Dumbbells(2, 10), held(shear(np.ones(3)), 4), 0.1)
+
+
+def test_a_stress_trajectory_of_another_simulator(tmp_path):
+    tau, modulus = 2.0, 5.0
+    t = np.arange(0, 8, 0.4)
+    xy = 0.3 * tau * modulus * (1 - np.exp(-t / tau))
+    table = np.zeros((len(t), 9))
+    table[:, 0], table[:, 2], table[:, 6] = t, 0.3, xy
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",")
+    record = read_trajectory(tmp_path / "run.csv", tau, modulus, 1000)
+    assert record.interval == pytest.approx(0.2)
+    assert np.allclose(record.K[:, 0], shear(0.6))
+    assert np.allclose(record.stress[:, 0, 1], 0.6 * (1 - np.exp(-t / tau)))
+    np.savetxt(tmp_path / "run.csv", table[:, :4], delimiter=",")
+    with pytest.raises(InputError, match="9 columns"):
+        read_trajectory(tmp_path / "run.csv", tau, modulus, 1000)

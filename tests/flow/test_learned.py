@@ -1,0 +1,171 @@
+"""Learned laws: mixed flows from exact data, noise, Couette, objectivity, tables, files."""
+
+import json
+
+import numpy as np
+import pytest
+
+from warp_peri import InputError
+from warp_peri.flow.closure import Closure, homogeneous
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.law_file import load_law, save_law
+from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
+from warp_peri.flow.pairs import exact_pairs, reached, start_pairs, window_pairs
+from warp_peri.flow.planar import IDENTITY, elongation, shear
+from warp_peri.flow.plane import PlaneFlow, run_plane
+from warp_peri.flow.protocols import Record, held, simulate
+from warp_peri.flow.rate_law import learn_rate
+from warp_peri.flow.shear_law import learn_shear
+from warp_peri.flow.spring_law import learn_spring
+
+MAXWELL = UpperConvectedMaxwell()
+
+
+def errors(law, test):
+    found = law.rate(test.K, test.s + IDENTITY)
+    difference = np.linalg.norm(found - test.rate, axis=0)[:3]
+    return 100 * difference / np.linalg.norm(test.rate, axis=0)[:3]
+
+
+@pytest.fixture(scope="module")
+def exact():
+    train = exact_pairs(MAXWELL, *reached(MAXWELL, 150, 0.15, seed=0))
+    return train, exact_pairs(MAXWELL, *reached(MAXWELL, 400, 0.15, seed=1))
+
+
+@pytest.fixture(scope="module")
+def shears():
+    rates = shear(np.linspace(-0.15, 0.15, 9))
+    return simulate(Dumbbells(9, 1000, seed=5), held(rates, 500), 0.02)
+
+
+@pytest.fixture(scope="module")
+def spring():
+    K = np.concatenate([shear(np.array([1.0, 3.0])), elongation(np.array([0.5, 1.0]))])
+    K = np.concatenate([held(K, 30), np.zeros((20, 4, 4))])
+    record = simulate(Dumbbells(4, 1500, b=50.0, seed=1), K, 0.1, steps=5)
+    return learn_spring(record, points=60, outside="allow"), record
+
+
+def test_mixed_flows_from_150_exact_samples(exact):
+    train, test = exact
+    assert errors(learn_rate(train, kernel="product"), test).max() < 0.1
+    additive = errors(learn_rate(train, kernel="additive"), test)
+    assert additive.min() > 5  # sums cannot hold the products of K and s
+    assert errors(learn_rate(train, kernel="additive", kinematics=True), test).max() < 0.1
+
+
+def test_increments_belong_to_the_start_of_their_window(shears):
+    slopes = {}
+    for name, pairs in (("start", start_pairs(shears, 2)), ("mean", window_pairs(shears, 2))):
+        A = np.stack([pairs.K[:, 1], pairs.s[:, 1]], axis=-1)
+        slopes[name] = np.linalg.lstsq(A, pairs.rate[:, 1])[0][1]
+        if name == "start":
+            rest = pairs.rate[:, 1] - A @ [1, -1]
+            assert rest.std() == pytest.approx(np.sqrt(pairs.noise[:, 1].mean()), rel=0.05)
+    assert slopes["start"] == pytest.approx(-1, abs=0.2)
+    assert slopes["mean"] > -0.6  # biased by what both have in common
+
+
+def test_start_up_between_plates_from_a_thousand_dumbbells():
+    flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
+    run = lambda law: run_plane(flow, Closure(law, 1.0, 64), 10.0, 0.02, every=10).u
+    exact, errors = run(MAXWELL), []
+    for seed in range(3):
+        rates = held(shear(np.linspace(-150, 150, 9)), 500)
+        record = simulate(Dumbbells(9, 1000, seed=seed), rates, 0.01)
+        law = learn_shear(record, 5, outside="allow", most=400)
+        errors.append(np.abs(run(law) - exact).max())
+    assert np.median(errors) < 0.03
+
+
+def test_the_spring_of_hookean_dumbbells_is_exact():
+    random = np.random.default_rng(0)
+    record = simulate(Dumbbells(5, 50), held(random.uniform(-1, 1, (5, 4)), 10), 0.2)
+    law = learn_spring(record, points=20, outside="allow")
+    K, C = reached(MAXWELL, 50, 1.0)
+    assert np.allclose(law.rate(K, C), MAXWELL.rate(K, C), atol=1e-10)
+
+
+def test_a_learned_spring_beats_fenep_on_flows_it_never_saw(spring):
+    law, _ = spring
+    K = np.zeros((30, 2, 4))
+    K[:, 0] = shear(2.0)
+    K[:15, 1], K[15:, 1] = shear(3.0), [0.5, 1.0, 0.2, -0.5]
+    truth = simulate(Dumbbells(2, 4000, b=50.0, seed=9), K, 0.1, steps=5)
+
+    def error(one):
+        s = one.stress(homogeneous(one, K, 0.1).reshape(-1, 4)).reshape(truth.S.shape)
+        return np.linalg.norm((s - truth.stress)[..., :3]) / np.linalg.norm(truth.stress[..., :3])
+
+    assert error(law) < 0.1
+    assert error(law) < 0.5 * error(FENEP(50.0))
+
+
+def test_a_learned_spring_is_objective_at_rest_and_positive(spring):
+    law, record = spring
+    C = record.C.reshape(-1, 4)[::7]
+    assert np.abs(law.stress(law.rest[None])).max() < 1e-9
+    S = law.spring(C)
+    assert np.all(S[:, 0] * S[:, 2] > S[:, 1] ** 2)
+    angle = 0.7
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def turned(A):
+        full = Q @ A[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ Q.T
+        return np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1], A[:, 3]], -1)
+
+    assert np.allclose(law.spring(turned(C)), turned(S), atol=1e-9)
+
+
+def test_tables_agree_and_do_not_extrapolate(spring, exact):
+    law, record = spring
+    table, C = law.tabulated(), record.C.reshape(-1, 4)
+    assert np.abs(table.spring(C) / law.spring(C) - 1)[:, [0, 2, 3]].max() < 1e-3
+    far = np.array([[200.0, 0.0, 1e-3, 1e-3]])
+    ends = np.exp(table.process(table.process.X)).max()
+    assert 0 < table.spring(far)[0, 0] < 200 * 3 * ends
+    train, test = exact
+    additive = learn_rate(train, kernel="additive", kinematics=True, outside="allow")
+    tabled = additive.tabulated()
+    same = tabled.rate(test.K, test.s + IDENTITY) - additive.rate(test.K, test.s + IDENTITY)
+    assert np.abs(same).max() < 1e-6
+    beyond = tabled.learned(np.full((1, 7), 1e3))
+    assert np.allclose(beyond, tabled.learned(np.full((1, 7), 1e6)))
+    with pytest.raises(InputError, match="additive"):
+        learn_rate(train, kernel="product").tabulated()
+
+
+def test_laws_go_through_their_files(spring, exact, shears, tmp_path):
+    train, test = exact
+    file = tmp_path / "law.json"
+    laws = [spring[0], learn_rate(train), learn_shear(shears, 5, most=60, outside="refuse")]
+    for law in laws:
+        save_law(file, law, {"dumbbells": 1})
+        again = load_law(file)
+        C = test.s + IDENTITY
+        assert np.allclose(again.rate(test.K, C), law.rate(test.K, C), atol=1e-12)
+        assert again.outside == law.outside
+    content = json.loads(file.read_text())
+    content["units"]["time"] = "second"
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="units"):
+        load_law(file)
+    with pytest.raises(InputError, match="learned"):
+        save_law(file, MAXWELL, {})
+
+
+def test_a_law_refuses_states_beyond_its_data(exact):
+    law = learn_rate(exact[0], kernel="product", outside="refuse")
+    closure = Closure(law, 1.0, 4, check_every=1)
+    closure.advance(shear(np.full(4, 0.05)), 0.1)
+    with pytest.raises(InputError, match="outside the training data"):
+        closure.advance(shear(np.full(4, 2.0)), 0.1)
+    with pytest.raises(InputError, match="at most 150"):
+        exact[0].choose(151, np.random.default_rng(0))
+
+
+def test_moments_that_are_not_positive_are_refused():
+    C = np.array([[[1.0, 2.0, 1.0, 1.0]]])
+    with pytest.raises(InputError, match="positive eigenvalues"):
+        learn_spring(Record(0.1, np.zeros((0, 1, 4)), C, C, 10))

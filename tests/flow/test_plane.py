@@ -1,0 +1,136 @@
+"""Named laws and plane flows: exact series, order, objectivity, steady states, bad input."""
+
+import numpy as np
+import pytest
+
+from tests.support.problems import fitted_order
+from warp_peri import InputError
+from warp_peri.flow import series
+from warp_peri.flow.closure import Closure, Coupled, homogeneous
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell
+from warp_peri.flow.planar import IDENTITY, elongation, shear
+from warp_peri.flow.plane import PlaneFlow, run_plane
+from warp_peri.flow.protocols import held
+
+LAWS = [UpperConvectedMaxwell(), Giesekus(0.3), FENEP(20.0)]
+
+
+def channel(De, cells, until, force, every=1):
+    flow = PlaneFlow(De, 1e-2, cells, force=force)
+    closure = Closure(UpperConvectedMaxwell(), De, cells)
+    return flow, run_plane(flow, closure, until, flow.longest_step / 2, every=every)
+
+
+def test_start_up_of_a_channel_against_the_exact_series():
+    flow, found = channel(1e-3, 128, 0.05, lambda t: 12.0, every=16)
+    exact = series.poiseuille(flow.faces, found.t, 1e-3, 1e-2, 12.0)
+    assert np.linalg.norm(found.u - exact) < 5e-4 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("De", [1e-3, 1e-2])
+def test_second_order_under_a_force_that_starts_smoothly(De):
+    omega, errors, sizes = 60.0, [], [16, 32, 64]
+    for cells in sizes:
+        force = lambda t: 12 * (1 - np.cos(omega * t))
+        flow, found = channel(De, cells, 0.05, force, every=cells // 8)
+        exact = series.poiseuille(flow.faces, found.t, De, 1e-2, 12.0)
+        exact -= series.oscillation(flow.faces, found.t, De, 1e-2, 12.0, omega)
+        errors.append(np.linalg.norm(found.u - exact) / np.linalg.norm(exact))
+    assert 1.85 < fitted_order(1 / np.array(sizes), errors) < 2.15
+
+
+def test_the_exact_overshoot_of_the_channel():
+    t = np.linspace(0, 0.3, 3001)
+    u = series.poiseuille(np.array([0.5]), t, 1e-2, 1e-2, 12.0)
+    assert u.max() == pytest.approx(6.0, abs=0.05)  # four times the steady 1.5
+    assert u.min() == pytest.approx(-1.20, abs=0.02)
+
+
+def test_a_moving_wall_against_the_exact_series():
+    flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
+    found = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 64), 20.0, 0.02, every=50)
+    exact = series.couette(flow.faces, found.t, 1.0, 10.0)
+    late = found.t > 8  # the front has faded
+    assert np.abs(found.u - exact)[late].max() < 0.01
+
+
+def test_a_solvent_adds_its_viscosity():
+    flow = PlaneFlow(0.1, 1.0, 16, force=lambda t: 1.0, solvent=1.0)
+    closure = Closure(UpperConvectedMaxwell(), 0.1, 16)
+    found = run_plane(flow, closure, 3.0, flow.longest_step / 2, every=100)
+    y = flow.faces
+    assert np.abs(found.u[-1] - y * (1 - y) / 4).max() < 1e-4
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_laws_are_objective(law):
+    random, angle = np.random.default_rng(0), 0.7
+    Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def turned(A):
+        full = Q @ A[..., :3][..., [0, 1, 1, 2]].reshape(-1, 2, 2) @ Q.T
+        return np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1], A[:, 3]], -1)
+
+    K = random.uniform(-1, 1, (20, 4))
+    C = homogeneous(law, K[None], 0.5)[-1]
+    K_turned = (Q @ K.reshape(-1, 2, 2) @ Q.T).reshape(-1, 4)
+    assert np.allclose(law.rate(K_turned, turned(C)), turned(law.rate(K, C)), atol=1e-12)
+    assert np.allclose(law.stress(turned(C)), turned(law.stress(C)), atol=1e-12)
+    assert np.abs(law.rate(0 * K[:1], law.rest[None])).max() < 1e-12
+    assert np.abs(law.stress(law.rest)).max() < 1e-12
+    spin = np.array([[0.0, 2.0, -2.0, 0.0]])  # a rigid rotation leaves the fluid at rest alone
+    assert np.abs(law.rate(spin, law.rest[None])).max() < 1e-12
+
+
+def test_steady_shear_of_the_named_laws():
+    K = held(shear(np.array([0.5, 2.0])), 300)
+    s = UpperConvectedMaxwell().stress(homogeneous(UpperConvectedMaxwell(), K, 0.1)[-1])
+    assert np.allclose(s[:, 1], [0.5, 2.0])
+    assert np.allclose(s[:, 0] - s[:, 2], [0.5, 8.0])  # N1 = 2 Wi²
+    thin = Giesekus(0.3).stress(homogeneous(Giesekus(0.3), K, 0.1)[-1])
+    assert thin[1, 1] < 0.7 * s[1, 1]
+    assert (thin[:, 2] < 0).all()  # a second normal stress difference
+    bounded = FENEP(20.0)
+    C = homogeneous(bounded, held(elongation(np.array([5.0])), 300), 0.1)[-1]
+    assert 15 < C[0, 0] < 20
+    near = homogeneous(Giesekus(1e-9), K, 0.1)[-1]
+    assert np.allclose(near, s + IDENTITY, atol=1e-6)
+
+
+def test_a_coupled_flow_nears_the_exact_law():
+    flow = PlaneFlow(1.0, 1.0, 16, force=lambda t: 1.0)
+    exact = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 16), 2.0, 0.02, every=10)
+    for count in (500, 8000):
+        dumbbells = Dumbbells(16, count, seed=3, common=True)
+        found = run_plane(flow, Coupled(dumbbells, 1.0), 2.0, 0.02, every=10)
+        error = np.linalg.norm(found.u - exact.u) / np.linalg.norm(exact.u)
+        assert error < 4 * np.sqrt(2 / count)  # the elastic modulus is ⟨q_y²⟩, noisy by √(2/N)
+
+
+def test_plane_flows_resume_and_write_tables(tmp_path):
+    flow, file = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 12.0), tmp_path / "flow.npz"
+    run = lambda until, **more: run_plane(
+        flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), until, 2e-4, every=5, **more
+    )
+    whole = run(0.02)
+    run(0.01, checkpoint=file)
+    resumed = run(0.02, checkpoint=file)
+    assert np.array_equal(whole.u, resumed.u)
+    whole.save_csv(tmp_path / "u.csv")
+    assert np.allclose(np.loadtxt(tmp_path / "u.csv", delimiter=",")[:, 1:], whole.u)
+    with pytest.raises(InputError, match="another flow"):
+        run_plane(flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), 0.02, 1e-4, checkpoint=file)
+
+
+def test_bad_input_is_refused():
+    flow = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 12.0)
+    closure = Closure(UpperConvectedMaxwell(), 1e-2, 16)
+    with pytest.raises(InputError, match="time step: expected up to 0.000625"):
+        run_plane(flow, closure, 1.0, 1e-3)
+    with pytest.raises(InputError, match="positive eigenvalues, got -0.5"):
+        closure.law.check(np.zeros((1, 4)), np.array([[1.0, 1.5, 1.0, 1.0]]))
+    with pytest.raises(InputError, match="trace below 20"):
+        FENEP(20.0).check(np.zeros((1, 4)), np.array([[19.0, 0.0, 1.0, 1.0]]))
+    with pytest.raises(InputError, match="De > 0"):
+        PlaneFlow(0.0, 1.0)

@@ -1,0 +1,208 @@
+"""A channel of smoothed particles in Warp: periodic along x, walls at y = 0 and 1 (F25–F29).
+
+Lengths in the channel's width, time in t0, stress in η/t0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_peri.errors import InputError
+from warp_peri.flow.closure import Stress
+from warp_peri.kernels.flow import particles as kernels
+from warp_peri.launch import ints, launch, zeros
+from warp_peri.points.scattered import neighbours
+
+REACH = 3.0
+"""Of the bell, in smoothing lengths."""
+SKIN = 0.25
+"""By how much neighbours are looked for further, in spacings."""
+SHARP = 1 / 3
+"""Cancels the third moments of the weight of differences."""
+
+
+@dataclass(frozen=True)
+class ChannelFlow:
+    """What is printed for the channel, unless said.
+
+    Args:
+        De: relaxation time over t0.
+        Re: Reynolds number.
+        sound: artificial speed of sound Cs.
+        force: body force along x.
+        across: particles from wall to wall.
+        length: of the period along x, in widths.
+        smoothing: length of the bell, in spacings.
+
+    Raises InputError for numbers that are not positive, fewer than 10 particles across, or a period
+    shorter than twice the reach.
+    """
+
+    De: float
+    Re: float = 1e-2
+    sound: float = 10.0
+    force: float = 12.0
+    across: int = 30
+    length: float = 0.6
+    smoothing: float = 1.5
+
+    def __post_init__(self) -> None:
+        numbers = (self.De, self.Re, self.sound, self.length, self.smoothing)
+        if not (all(math.isfinite(n) and n > 0 for n in numbers) and self.across >= 10):
+            raise InputError(
+                f"channel: expected numbers above 0 and 10 particles across, got {self}"
+            )
+        reach = (REACH * self.smoothing + SKIN) / self.across
+        if not 2 * reach < self.length:
+            raise InputError(f"channel: expected a period above {2 * reach:.3g}, got {self.length}")
+
+    @property
+    def spacing(self) -> float:
+        """Between particles at the start."""
+        return 1 / self.across
+
+    @property
+    def longest_step(self) -> float:
+        """Δt beyond which sound and shear waves outrun a spacing."""
+        wave = self.sound**2 / self.Re + 2 / (self.De * self.Re)
+        return self.spacing / math.sqrt(wave)
+
+
+class Particles:
+    """The fluid's particles, at rest on a lattice; their images stand for the walls."""
+
+    def __init__(self, flow: ChannelFlow) -> None:
+        self.flow, self.t, self.rebuilds = flow, 0.0, 0
+        b = flow.spacing
+        along = round(flow.length / b)
+        self.period = along * b
+        X, Y = np.meshgrid((np.arange(along) + 0.5) * b, (np.arange(flow.across) + 0.5) * b)
+        self.fluid = X.size
+        self.h, self.reach = flow.smoothing * b, REACH * flow.smoothing * b
+        most = 2 * self.fluid  # every particle has one image at most
+        inside = np.column_stack([X.ravel(), Y.ravel()])
+        self._x: wp.array[Any] = wp.array(np.concatenate([inside, 0 * inside]), dtype=wp.vec2d)
+        self._v, self._stress = zeros(most, dtype=wp.vec2d), zeros(most, dtype=wp.vec4d)
+        self._sigma = zeros(self.fluid, dtype=wp.vec4d)
+        self._kappa = zeros(self.fluid, dtype=wp.vec4d)
+        self._rho, self._a = zeros(self.fluid), zeros(self.fluid, dtype=wp.vec2d)
+        self._mass = 1.0
+        self._find()
+        self._weigh()
+        self._mass = 1 / float(self._rho.numpy().mean())
+        self._weigh()
+        self._forces()
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions of the fluid, x not folded into the period, shape [N, 2]."""
+        return np.asarray(self._x.numpy()[: self.fluid])
+
+    @property
+    def v(self) -> np.ndarray:
+        """Velocities of the fluid, shape [N, 2]."""
+        return np.asarray(self._v.numpy()[: self.fluid])
+
+    @property
+    def rho(self) -> np.ndarray:
+        """Densities, shape [N]."""
+        return np.asarray(self._rho.numpy())
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """The polymer's stress (xx, xy, yy, zz), shape [N, 4]."""
+        return np.asarray(self._sigma.numpy())
+
+    @property
+    def kappa(self) -> np.ndarray:
+        """Velocity gradients (xx, xy, yx, yy), shape [N, 4]."""
+        return np.asarray(self._kappa.numpy())
+
+    def step(self, stress: Stress, dt: float) -> None:
+        """Kick, drift, stress, kick.
+
+        Raises InputError when particles leave the channel or velocities are not finite.
+        """
+        fluid, shape = self.fluid, [self.period, self.h, self.reach, SHARP]
+        launch(kernels.kick, fluid, [self._a, dt / 2], [self._v])
+        launch(kernels.drift, fluid, [self._v, dt], [self._x])
+        self.t += dt
+        self._follow(dt)
+        self._images(velocity=True)
+        near = [self._row, self._neighbour, self._x]
+        launch(kernels.velocity_gradient, fluid, [*near, self._v, *shape], [self._kappa])
+        self._sigma.assign(stress.advance(self.kappa, dt))
+        self._weigh()
+        self._forces()
+        launch(kernels.kick, fluid, [self._a, dt / 2], [self._v])
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What a checkpoint keeps."""
+        kept = {"x": self._x, "v": self._v, "sigma": self._sigma, "near": self._near}
+        found = {name: np.array(array.numpy()) for name, array in kept.items()}
+        return found | {"t": np.array(self.t), "moved": np.array(self._moved)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from it, with the same bits."""
+        self._x.assign(state["near"])
+        self._find()
+        for array, name in ((self._x, "x"), (self._v, "v"), (self._sigma, "sigma")):
+            array.assign(state[name])
+        self.t, self._moved = float(state["t"]), float(state["moved"])
+        self._images(velocity=True)
+        self._weigh()
+        self._forces()
+
+    def _images(self, velocity: bool = False) -> None:
+        images = [self.fluid, self._parent]
+        if velocity:
+            launch(kernels.place_images, len(self._parent), images, [self._x])
+        given = [*images, self._x, self.flow.force]
+        launch(kernels.image_fields, len(self._parent), given, [self._v, self._stress])
+
+    def _weigh(self) -> None:
+        near = [self._row, self._neighbour, self._x, self._sigma, self._mass]
+        shape = [self.period, self.h, self.reach, self.flow.sound**2]
+        launch(kernels.density, self.fluid, [*near, *shape], [self._rho, self._stress])
+
+    def _forces(self) -> None:
+        self._images()
+        numbers = wp.vec3d(self.flow.sound**2, self.flow.force, self.flow.Re)
+        near = [self._row, self._neighbour, self._x, self._stress, self._mass]
+        shape = [self.period, self.h, self.reach, SHARP, numbers]
+        launch(kernels.acceleration, self.fluid, [*near, *shape], [self._a])
+
+    def _follow(self, dt: float) -> None:
+        """Look for neighbours again when two particles may have come nearer than the skin."""
+        self._moved += float(np.abs(self.v).max()) * dt
+        if not self._moved < self.flow.spacing:
+            raise InputError(
+                f"channel: velocities are not finite or too large at t = {self.t:.4g}; "
+                f"expected a time step up to {self.flow.longest_step:.3g}"
+            )
+        if self._moved > 0.5 * SKIN * self.flow.spacing:
+            self._find()
+
+    def _find(self) -> None:
+        y = self.x[:, 1]
+        outside = int(((y < 0) | (y > 1)).sum())
+        if outside:
+            raise InputError(
+                f"channel: {outside} particles left through a wall at t = {self.t:.4g}"
+            )
+        reach = self.reach + SKIN * self.flow.spacing
+        parent = np.flatnonzero((y < reach) | (y > 1 - reach))
+        self._parent = ints(parent)
+        launch(kernels.place_images, len(parent), [self.fluid, self._parent], [self._x])
+        x = self._x.numpy()[: self.fluid + len(parent)].copy()
+        x[:, 0] %= self.period
+        row, neighbour, _ = neighbours(x, reach, (self.period, 8.0))
+        self._row, self._neighbour = ints(row[: self.fluid + 1]), ints(neighbour)
+        self._near = wp.clone(self._x)
+        self._moved = 0.0
+        self.rebuilds += 1

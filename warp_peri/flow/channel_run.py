@@ -1,0 +1,133 @@
+"""Runs of the channel: records, checkpoints, files for ParaView."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from warp_peri.errors import InputError
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import whole_file
+from warp_peri.flow.channel import ChannelFlow, Particles
+from warp_peri.flow.closure import Stress
+
+
+@dataclass(frozen=True)
+class ChannelRecord:
+    """What the fluid's particles did.
+
+    Args:
+        t: times [T].
+        x: positions [T, N, 2].
+        v: velocities [T, N, 2].
+        sigma: stress of the polymer [T, N, 4].
+        rho: densities [T, N].
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    sigma: np.ndarray
+    rho: np.ndarray
+
+    def centre(self) -> np.ndarray:
+        """Mean u of the particles next to the middle, at all times."""
+        gap = np.abs(self.x[:, :, 1] - 0.5)
+        near = gap < gap.min(axis=1, keepdims=True) + 1e-3
+        return np.asarray((self.v[:, :, 0] * near).sum(axis=1) / near.sum(axis=1))
+
+    def save_vtu(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """One file a time, flow_0000.vtu and so on. Raises InputError without meshio."""
+        try:
+            import meshio
+        except ImportError:
+            raise InputError("meshio is not installed: pip install 'warp_peri[export]'") from None
+        paths = []
+        for n, (x, v, s, rho) in enumerate(zip(self.x, self.v, self.sigma, self.rho)):
+            points = np.column_stack([x, np.zeros(len(x))])
+            cells = [("vertex", np.arange(len(x))[:, None])]
+            data = {"velocity": np.column_stack([v, np.zeros(len(x))]), "density": rho}
+            data |= {f"stress_{name}": s[:, i] for i, name in enumerate(("xx", "xy", "yy", "zz"))}
+            paths.append(Path(folder) / f"flow_{n:04d}.vtu")
+            with whole_file(paths[-1]) as temporary:
+                meshio.Mesh(points, cells, point_data=data).write(temporary)
+        return paths
+
+
+def run_channel(
+    flow: ChannelFlow,
+    stress: Stress,
+    until: float,
+    dt: float,
+    *,
+    every: int = 10,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> ChannelRecord:
+    """Run from rest.
+
+    Args:
+        flow: the channel.
+        stress: what its particles, `Particles(flow).fluid` of them, are made of; at rest.
+        until: time at the end [t0].
+        dt: time step [t0].
+        every: steps between two records.
+        checkpoint: file written at every tenth record, and when a run fails; a run that finds its
+            own goes on from it.
+        progress: whether to show a bar.
+
+    Raises InputError for a time step beyond `flow.longest_step`, a checkpoint of another run, and
+    as Particles.step does.
+    """
+    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
+        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    particles, steps = Particles(flow), round(until / dt)
+    key = f"{flow} dt {dt} every {every}"
+    kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
+    first = 0
+    if checkpoint is not None and Path(checkpoint).exists():
+        first, kept = _resume(checkpoint, key, particles, stress)
+
+    def keep(done: int) -> None:
+        if checkpoint is not None:
+            content = {name: np.array(rows) for name, rows in kept.items()}
+            content |= {f"particles_{k}": v for k, v in particles.state().items()}
+            content |= {"stress": stress.state(), "done": np.array(done), "key": np.array(key)}
+            _write(checkpoint, content)
+
+    bar = tqdm(range(first, steps), disable=not progress, desc="channel", initial=first)
+    for n in bar:
+        particles.step(stress, dt)
+        if (n + 1) % every == 0:
+            row = (particles.t, particles.x, particles.v, particles.sigma, particles.rho)
+            for name, value in zip(kept, row):
+                kept[name].append(np.array(value))
+            if (n + 1) % (10 * every) == 0 or n + 1 == steps:
+                keep(n + 1)
+    return ChannelRecord(*(np.array(rows) for rows in kept.values()))
+
+
+def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
+    with whole_file(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **content)
+
+
+def _resume(
+    path: str | os.PathLike[str], key: str, particles: Particles, stress: Stress
+) -> tuple[int, dict[str, list[Any]]]:
+    try:
+        content = read_arrays(path)
+        found, done = str(content["key"]), int(content["done"])
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: not a checkpoint of a channel ({error})") from None
+    if found != key:
+        raise InputError(f"{path}: the checkpoint of another channel or time step")
+    head = "particles_"
+    particles.restore({k[len(head) :]: v for k, v in content.items() if k.startswith(head)})
+    stress.restore(content["stress"])
+    return done, {name: list(content[name]) for name in ("t", "x", "v", "sigma", "rho")}

@@ -1,0 +1,133 @@
+"""The stress of a fluid, cell by cell: from a law, or from dumbbells in every cell.
+
+Both take macroscopic numbers, the gradient κ in 1/t0 and Δt in t0, and give σ in η/t0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.laws import Law
+from warp_peri.flow.planar import IDENTITY
+
+LARGEST_STRAIN = 0.25
+"""|K| Δt of one step of a law; longer steps are divided."""
+
+
+class Stress(Protocol):
+    """What a flow solver asks of the fluid in its cells."""
+
+    def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
+        """σ [n, 4] after dt under κ [n, 4]."""
+
+    def state(self) -> np.ndarray:
+        """What a checkpoint keeps."""
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on from it."""
+
+
+class Closure:
+    """A law in n cells, advanced by Heun's rule.
+
+    Args:
+        law: the law.
+        De: relaxation time over t0.
+        n: cells.
+        check_every: steps between two checks of the state.
+
+    Raises InputError for a De that is not positive; `advance` raises what the law's check raises.
+    """
+
+    def __init__(self, law: Law, De: float, n: int, *, check_every: int = 10) -> None:
+        if not (math.isfinite(De) and De > 0):
+            raise InputError(f"De: expected a number above 0, got {De}")
+        self.law, self.De, self.check_every = law, De, check_every
+        self.C = np.tile(law.rest, (n, 1))
+        self.steps = 0
+
+    def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
+        """σ [n, 4] after dt under κ [n, 4] held."""
+        K, t = self.De * kappa, dt / self.De
+        strain = float(np.abs(K).max()) * t
+        if not math.isfinite(strain):
+            raise InputError("velocity gradient: not finite; the flow is beyond a stable time step")
+        parts = max(1, math.ceil(strain / LARGEST_STRAIN), math.ceil(t / LARGEST_STRAIN))
+        h = t / parts
+        for _ in range(parts):
+            self.C = heun(self.law, K, self.C, h)
+        self.steps += 1
+        if self.steps % self.check_every == 0:
+            self.law.check(K, self.C)
+        return np.asarray(self.law.stress(self.C)) / self.De
+
+    def state(self) -> np.ndarray:
+        """C, shape [n, 4]."""
+        return self.C.copy()
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on from a kept C."""
+        self.C = state.copy()
+
+
+class Coupled:
+    """Dumbbells in every cell: the reference, and what a law replaces.
+
+    With common noise all cells see the same random numbers, and differences between them are what
+    the flow made (theory, F4); with noise of their own few dumbbells blow the flow up.
+    """
+
+    def __init__(self, dumbbells: Dumbbells, De: float) -> None:
+        self.dumbbells, self.De = dumbbells, De
+
+    def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
+        """σ [n, 4] after dt under κ [n, 4] held."""
+        moments = self.dumbbells.advance(self.De * kappa, dt / self.De)
+        return np.asarray((moments.S - IDENTITY) / self.De)
+
+    def state(self) -> np.ndarray:
+        """The dumbbells and the number of their steps, in one row."""
+        return np.append(self.dumbbells.q.numpy().ravel(), float(self.dumbbells.steps))
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on from kept dumbbells with the random numbers that come next."""
+        q = state[:-1].astype(np.float32)
+        self.dumbbells.q.assign(q.reshape(self.dumbbells.q.numpy().shape))
+        self.dumbbells.steps = int(state[-1])
+
+
+def heun(law: Law, K: Any, C: Any, h: Any) -> Any:
+    """One step of Heun's rule, h relaxation times (a number, or one for each state [n, 1])."""
+    a = law.rate(K, C)
+    return C + h / 2 * (a + law.rate(K, C + h * a))
+
+
+def homogeneous(
+    law: Law, K: np.ndarray, interval: float, *, start: np.ndarray | None = None, parts: int = 10
+) -> np.ndarray:
+    """C of a fluid under one gradient after another, each held for an interval.
+
+    Args:
+        law: the law.
+        K: gradients, shape [T, m, 4].
+        interval: relaxation times.
+        start: C [m, 4]; rest if not given.
+        parts: least steps an interval.
+
+    Returns C at the ends of the intervals after the start itself, shape [T + 1, m, 4]. Raises
+    InputError when the law's check does.
+    """
+    C = np.tile(law.rest, (K.shape[1], 1)) if start is None else np.array(start, dtype=float)
+    found = [C]
+    for now in K:
+        count = max(parts, math.ceil(float(np.abs(now).max()) * interval / LARGEST_STRAIN))
+        for _ in range(count):
+            C = heun(law, now, C, interval / count)
+        law.check(now, C)
+        found.append(C)
+    return np.array(found)

@@ -1,0 +1,236 @@
+"""Exact Gaussian-process regression that knows its noise (F17–F19).
+
+Kernels on standardised inputs: "product", the squared exponential with a length for each input;
+"additive", the sum of one-dimensional ones (of first order); "second", that and their products two
+by two. A few hundred points and tens of inputs are what it is for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sl
+from scipy.optimize import minimize
+
+from warp_peri.errors import InputError
+
+KERNELS = ("product", "additive", "second")
+JITTER = 1e-10
+"""Added to the diagonal, in units of the kernel's own."""
+LENGTHS = (np.log(0.1), np.log(60.0))
+"""Bounds of the logarithm of a length, in standard deviations of its input."""
+SUBSET = 400
+"""Points that hyperparameters are fitted on; all of them predict."""
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """A fitted process: what it was given, in the given units, and its hyperparameters.
+
+    Args:
+        kernel: one of the names above.
+        X: inputs, shape [n, d].
+        y: values, shape [n].
+        noise: variance of each value, shape [n], or its covariance [n, n].
+        log_amplitude: of the standardised values.
+        log_lengths: of the standardised inputs, shape [d].
+        log_pairs: weight of the pairs of the kernel "second".
+        centre, scale: of the inputs, shape [d].
+        mean, size: of the values.
+    """
+
+    kernel: str
+    X: np.ndarray
+    y: np.ndarray
+    noise: np.ndarray
+    log_amplitude: float
+    log_lengths: np.ndarray
+    log_pairs: float
+    centre: np.ndarray
+    scale: np.ndarray
+    mean: float
+    size: float
+
+    def standard(self, X: np.ndarray) -> np.ndarray:
+        """Inputs in lengths of the kernel."""
+        return np.asarray((X - self.centre) / self.scale / np.exp(self.log_lengths))
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """The given inputs, standardised."""
+        return self.standard(self.X)
+
+    def covariance(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """Of the standardised values at standardised inputs, shape [a, b]."""
+        amplitude = np.exp(2 * self.log_amplitude)
+        if self.kernel == "product":
+            square = (A**2).sum(1)[:, None] + (B**2).sum(1) - 2 * A @ B.T
+            return np.asarray(amplitude * np.exp(-0.5 * np.maximum(square, 0)))
+        one, squares = np.zeros((len(A), len(B))), np.zeros((len(A), len(B)))
+        for a, b in zip(A.T, B.T):
+            e = np.exp(-0.5 * (a[:, None] - b) ** 2)
+            one += e
+            squares += e * e if self.kernel == "second" else 0
+        if self.kernel == "second":
+            one += np.exp(2 * self.log_pairs) * 0.5 * (one * one - squares)
+        return np.asarray(amplitude * one)
+
+    @property
+    def prior(self) -> float:
+        """Variance of a standardised value before any data."""
+        d = len(self.log_lengths)
+        count = {"product": 1.0, "additive": d}.get(self.kernel)
+        if count is None:
+            count = d + np.exp(2 * self.log_pairs) * d * (d - 1) / 2
+        return float(np.exp(2 * self.log_amplitude) * count)
+
+    @cached_property
+    def factor(self) -> np.ndarray:
+        """Lower Cholesky factor of the covariance of the data."""
+        K = self.covariance(self.points, self.points) + _matrix(self.noise / self.size**2)
+        K[np.diag_indices(len(K))] += JITTER * self.prior
+        return np.asarray(sl.cholesky(K, lower=True))
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """What the kernel's columns are multiplied by."""
+        return np.asarray(sl.cho_solve((self.factor, True), (self.y - self.mean) / self.size))
+
+    def __call__(self, X: np.ndarray) -> np.ndarray:
+        """Expected values at inputs [m, d]."""
+        k = self.covariance(self.standard(X), self.points)
+        return np.asarray(self.mean + self.size * (k @ self.weights))
+
+    def deviation(self, X: np.ndarray) -> np.ndarray:
+        """Standard deviation of the function (not of new data) at inputs [m, d]."""
+        k = self.covariance(self.points, self.standard(X))
+        v = sl.solve_triangular(self.factor, k, lower=True)
+        return np.asarray(self.size * np.sqrt(np.maximum(self.prior - (v * v).sum(0), 0)))
+
+
+def fit_process(
+    X: np.ndarray,
+    y: np.ndarray,
+    *,
+    kernel: str = "product",
+    noise: np.ndarray | None = None,
+    mean: float | None = None,
+    subset: int = SUBSET,
+    iterations: int = 80,
+) -> GaussianProcess:
+    """A process whose hyperparameters make the data likeliest.
+
+    Args:
+        X: inputs, shape [n, d].
+        y: values, shape [n].
+        kernel: "product", "additive" or "second".
+        noise: known variance of the values, shape [n], or covariance [n, n]; learned, the same for
+            all, if not given.
+        mean: of the process before data; that of y if not given.
+        subset: points for the hyperparameters, evenly from the first to the last.
+        iterations: of L-BFGS-B.
+
+    Raises InputError for shapes that do not fit, numbers that are not finite, an unknown kernel or
+    a noise that is not positive.
+    """
+    X, y = np.asarray(X, dtype=float), np.asarray(y, dtype=float)
+    _check(X, y, kernel, noise)
+    scale = np.where(X.std(axis=0) > 1e-12, X.std(axis=0), 1.0)
+    base = float(y.mean()) if mean is None else mean
+    size = float(np.sqrt(np.mean((y - base) ** 2)))
+    size = size if size > 1e-12 else 1.0
+    keep = np.unique(np.linspace(0, len(X) - 1, min(subset, len(X))).astype(int))
+    known = None if noise is None else np.asarray(noise, dtype=float)
+    part = None if known is None else known[keep] if known.ndim == 1 else known[np.ix_(keep, keep)]
+    Z, f = ((X - X.mean(axis=0)) / scale)[keep], (y[keep] - base) / size
+    given = None if part is None else part / size**2
+    d = X.shape[1]
+    start = np.concatenate([[0.0], np.full(d, 0.7), [0.0, np.log(0.1)]])
+    bounds = [(-5, 6), *[LENGTHS] * d, (-6, 4), (-12, 1)]
+    found = minimize(
+        _unlikelihood, start, (Z, f, kernel, given), jac=True, bounds=bounds,
+        method="L-BFGS-B", options={"maxiter": iterations},
+    )  # fmt: skip
+    theta = found.x
+    variance = np.full(len(y), np.exp(2 * theta[-1]) * size**2) if known is None else known
+    return GaussianProcess(
+        kernel, X, y, variance, float(theta[0]), theta[1 : 1 + d], float(theta[-2]),
+        X.mean(axis=0), scale, base, size,
+    )  # fmt: skip
+
+
+def _unlikelihood(
+    theta: np.ndarray, Z: np.ndarray, f: np.ndarray, kernel: str, noise: np.ndarray | None
+) -> tuple[float, np.ndarray]:
+    """(F18) and its gradient by log amplitude, log lengths, log weight of pairs, log noise."""
+    n, d = Z.shape
+    amplitude, lengths = np.exp(2 * theta[0]), np.exp(theta[1 : 1 + d])
+    pairs = np.exp(2 * theta[-2]) if kernel == "second" else 0.0
+    squares = [((z[:, None] - z) / length) ** 2 for z, length in zip(Z.T, lengths)]
+    if kernel == "product":
+        K = amplitude * np.exp(-0.5 * np.sum(squares, axis=0))
+        second = 0.0 * K
+    else:
+        ones = [np.exp(-0.5 * s) for s in squares]
+        one = np.sum(ones, axis=0)
+        second = 0.5 * (one * one - np.sum([e * e for e in ones], axis=0))
+        K = amplitude * (one + pairs * second)
+    added = _matrix(noise) if noise is not None else np.exp(2 * theta[-1]) * np.eye(n)
+    total = K + added + JITTER * K[0, 0] * np.eye(n)
+    try:
+        L = sl.cholesky(total, lower=True)
+    except sl.LinAlgError:
+        return 1e12, np.zeros_like(theta)
+    alpha = sl.cho_solve((L, True), f)
+    value = 0.5 * f @ alpha + np.log(np.diag(L)).sum() + 0.5 * n * np.log(2 * np.pi)
+    G = 0.5 * (sl.cho_solve((L, True), np.eye(n)) - np.outer(alpha, alpha))
+    gradient = np.zeros_like(theta)
+    gradient[0] = 2 * np.sum(G * K) + 2 * JITTER * K[0, 0] * np.trace(G)
+    for i, s in enumerate(squares):
+        part = K if kernel == "product" else amplitude * (1 + pairs * (one - ones[i])) * ones[i]
+        gradient[1 + i] = np.sum(G * part * s)
+    gradient[-2] = 2 * amplitude * pairs * np.sum(G * second)
+    gradient[-2] += 2 * JITTER * amplitude * pairs * d * (d - 1) / 2 * np.trace(G)
+    if noise is None:
+        gradient[-1] = 2 * np.exp(2 * theta[-1]) * np.trace(G)
+    return float(value), gradient
+
+
+def greedy(Z: np.ndarray, count: int) -> np.ndarray:
+    """Inputs, in lengths of a product kernel, that tell most about the others (F19).
+
+    Largest posterior variance first: a pivoted Cholesky factor of their covariance. Returns at most
+    `count` of their numbers.
+    """
+    left, L = np.ones(len(Z)), np.zeros((min(count, len(Z)), len(Z)))
+    chosen: list[int] = []
+    for m in range(len(L)):
+        i = int(np.argmax(left))
+        if left[i] < 1e-12:
+            break
+        k = np.exp(-0.5 * ((Z - Z[i]) ** 2).sum(axis=1))
+        L[m] = (k - L[:m].T @ L[:m, i]) / np.sqrt(left[i])
+        left -= L[m] ** 2
+        chosen.append(i)
+        left[chosen] = -1
+    return np.array(chosen)
+
+
+def _matrix(noise: np.ndarray) -> np.ndarray:
+    return np.diag(noise) if noise.ndim == 1 else noise
+
+
+def _check(X: np.ndarray, y: np.ndarray, kernel: str, noise: np.ndarray | None) -> None:
+    if kernel not in KERNELS:
+        raise InputError(f"kernel: expected one of {', '.join(KERNELS)}, got {kernel!r}")
+    if X.ndim != 2 or y.shape != X.shape[:1] or len(y) < 2:
+        raise InputError(f"data: expected X [n, d] and y [n], got {X.shape} and {y.shape}")
+    if not (np.isfinite(X).all() and np.isfinite(y).all()):
+        raise InputError("data: expected finite inputs and values")
+    if noise is not None:
+        noise = np.asarray(noise, dtype=float)
+        variances = noise if noise.ndim == 1 else np.diag(noise)
+        if variances.shape != y.shape or not (variances > 0).all():
+            raise InputError(f"noise: expected {len(y)} variances above 0")

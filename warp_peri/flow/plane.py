@@ -1,0 +1,161 @@
+"""Flow between two plates, one-dimensional: velocity on faces, stress in cells, leapfrog (F11).
+
+Lengths in the gap, time in t0, stress in η/t0.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from warp_peri.errors import InputError
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import whole_file, write_text
+from warp_peri.flow.closure import Stress
+from warp_peri.flow.planar import shear
+
+
+def still(t: float) -> float:
+    """Nothing moves, nothing pulls."""
+    return 0.0
+
+
+@dataclass(frozen=True)
+class PlaneFlow:
+    """What moves the fluid.
+
+    Args:
+        De: relaxation time over t0.
+        Re: Reynolds number.
+        cells: across the gap.
+        force: body force along x at a time.
+        top: velocity of the upper wall at a time; the lower one is at rest.
+        solvent: its viscosity β over that of the polymer (Oldroyd-B and the like).
+
+    Raises InputError for numbers that are not positive, or fewer than 4 cells.
+    """
+
+    De: float
+    Re: float
+    cells: int = 128
+    force: Callable[[float], float] = field(default=still)
+    top: Callable[[float], float] = field(default=still)
+    solvent: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.De > 0 and self.Re > 0 and self.cells >= 4 and self.solvent >= 0):
+            raise InputError(
+                "plane flow: expected De > 0, Re > 0, 4 cells or more and solvent ≥ 0, got "
+                f"{self.De}, {self.Re}, {self.cells}, {self.solvent}"
+            )
+
+    @property
+    def longest_step(self) -> float:
+        """Δt beyond which the leapfrog of the linear law is unstable (F12)."""
+        dy = 1 / self.cells
+        wave = dy * math.sqrt(self.De * self.Re)
+        if self.solvent == 0:
+            return wave
+        return 1 / (1 / wave + 2 * self.solvent / (self.Re * dy**2))
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Where u is, shape [cells + 1]."""
+        return np.linspace(0, 1, self.cells + 1)
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """What came of it: times [T], u [T, cells + 1] on faces, σ [T, cells, 4] in cells."""
+
+    t: np.ndarray
+    u: np.ndarray
+    stress: np.ndarray
+
+    def save_csv(self, path: str | os.PathLike[str]) -> None:
+        """A line a time: t, then u on all faces."""
+        faces = np.linspace(0, 1, self.u.shape[1])
+        head = "# time in t0 = L/U; u in U at y = " + ",".join(f"{y:.6g}" for y in faces)
+        rows = [",".join(f"{x:.12g}" for x in (t, *u)) for t, u in zip(self.t, self.u)]
+        write_text(path, "\n".join([head, *rows]) + "\n")
+
+
+def run_plane(
+    flow: PlaneFlow,
+    stress: Stress,
+    until: float,
+    dt: float,
+    *,
+    every: int = 1,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> Profiles:
+    """Run from rest.
+
+    Args:
+        flow: what moves the fluid.
+        stress: what is in its cells, at rest.
+        until: time at the end [t0].
+        dt: time step [t0].
+        every: steps between two records.
+        checkpoint: file written at every record; a run that finds its own goes on from it.
+        progress: whether to show a bar.
+
+    Raises InputError for a time step beyond `flow.longest_step`, a checkpoint of another run, or a
+    flow that blows up: the last good state is in the checkpoint.
+    """
+    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
+        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    steps, dy = round(until / dt), 1 / flow.cells
+    key = f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every}"
+    u, sigma = np.zeros(flow.cells + 1), np.zeros((flow.cells, 4))
+    times, us, sigmas = [0.0], [u.copy()], [sigma.copy()]
+    first = 0
+    if checkpoint is not None and Path(checkpoint).exists():
+        kept = _load(checkpoint, key)
+        first, u, sigma = int(kept["step"]), kept["u"].copy(), kept["sigma"].copy()
+        times, us, sigmas = list(kept["t"]), list(kept["us"]), list(kept["sigmas"])
+        stress.restore(kept["state"])
+
+    def slope(t: float) -> np.ndarray:
+        total = sigma[:, 1] + flow.solvent * np.diff(u) / dy
+        return (np.diff(total) / dy + flow.force(t)) / flow.Re
+
+    for n in tqdm(range(first, steps), disable=not progress, desc="plane flow", initial=first):
+        h = dt / 2 if n == 0 else dt
+        u[1:-1] += h * slope(n * dt)
+        u[-1] = flow.top((n + 0.5) * dt)
+        sigma = stress.advance(shear(np.diff(u) / dy), dt)
+        if (n + 1) % every:
+            continue
+        if not np.isfinite(u).all():
+            raise InputError(f"plane flow: velocities are not finite at t = {(n + 1) * dt:.4g}")
+        now = u.copy()
+        now[1:-1] += dt / 2 * slope((n + 1) * dt)
+        times.append((n + 1) * dt)
+        us.append(now)
+        sigmas.append(sigma.copy())
+        if checkpoint is not None:
+            kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
+            kept |= {"t": times, "us": us, "sigmas": sigmas, "key": np.array(key)}
+            with whole_file(checkpoint) as temporary, open(temporary, "wb") as file:
+                np.savez(file, **kept)
+    return Profiles(np.array(times), np.array(us), np.array(sigmas))
+
+
+def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
+    try:
+        kept: dict[str, Any] = dict(read_arrays(path))
+        found = str(kept["key"])
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None
+    if found != key:
+        raise InputError(f"{path}: the checkpoint of another flow or time step")
+    return kept

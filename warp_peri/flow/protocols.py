@@ -1,0 +1,163 @@
+"""What is done to dumbbells, and what is recorded: gradients held one after another.
+
+A protocol is an array K [T, m, 4]: in interval n ensemble i feels K[n, i], in relaxation times.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from warp_peri.errors import InputError
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import whole_file
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.planar import IDENTITY
+
+
+@dataclass(frozen=True)
+class Record:
+    """Moments of ensembles at the ends of intervals.
+
+    Args:
+        interval: relaxation times between two rows.
+        K: what was felt, shape [T, m, 4].
+        C: ⟨q q⟩, shape [T + 1, m, 4].
+        S: ⟨q q f⟩, the same for Hookean dumbbells; the stress is S − I.
+        count: dumbbells in an ensemble, 0 for exact moments.
+    """
+
+    interval: float
+    K: np.ndarray
+    C: np.ndarray
+    S: np.ndarray
+    count: int
+
+    @property
+    def stress(self) -> np.ndarray:
+        """s = S − I [n k T], shape [T + 1, m, 4]."""
+        return np.asarray(self.S - IDENTITY)
+
+
+def held(K: np.ndarray, intervals: int) -> np.ndarray:
+    """Every ensemble under one K of its own [m, 4] throughout."""
+    return np.tile(np.asarray(K, dtype=float), (intervals, 1, 1))
+
+
+def random_planar(n: int, largest: float, random: np.random.Generator) -> np.ndarray:
+    """Gradients without trace, each component within ± largest/√2; shape [n, 4]."""
+    a, b, c = random.uniform(-1, 1, (3, n)) * largest / np.sqrt(2)
+    return np.stack([a, b, c, -a], axis=-1)
+
+
+def mixed(m: int, intervals: int, largest: float, *, hold: int = 10, seed: int = 0) -> np.ndarray:
+    """Random planar gradients, a new one every `hold` intervals: what visits mixed states.
+
+    Raises InputError for a `largest` that is not positive.
+    """
+    if not (np.isfinite(largest) and largest > 0):
+        raise InputError(f"largest gradient: expected a number above 0, got {largest}")
+    random = np.random.default_rng(seed)
+    pieces = -(-intervals // hold)
+    drawn = random_planar(pieces * m, largest, random).reshape(pieces, m, 4)
+    return np.repeat(drawn, hold, axis=0)[:intervals]
+
+
+def simulate(
+    dumbbells: Dumbbells,
+    K: np.ndarray,
+    interval: float,
+    *,
+    steps: int = 1,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> Record:
+    """Run dumbbells through a protocol.
+
+    Args:
+        dumbbells: as many ensembles as K has.
+        K: the protocol, shape [T, m, 4].
+        interval: relaxation times that each row is held.
+        steps: of the dumbbells in an interval; Hookean ones need one.
+        checkpoint: file written now and then; a run that finds its own goes on from it, and ends
+            with the same bits.
+        progress: whether to show a bar.
+
+    Raises InputError for a protocol of another shape, or a checkpoint of another run.
+    """
+    K = np.asarray(K, dtype=float)
+    if K.ndim != 3 or K.shape[1:] != (dumbbells.ensembles, 4):
+        raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
+    first = 0
+    moments = np.zeros((2, len(K) + 1, *K.shape[1:]))
+    if checkpoint is not None and Path(checkpoint).exists():
+        first, moments = _resume(checkpoint, dumbbells, moments)
+    else:
+        now = dumbbells.moments()
+        moments[:, 0] = now.C, now.S
+    rows = tqdm(range(first, len(K)), disable=not progress, desc="dumbbells", initial=first)
+    often = max(1, len(K) // 20)
+    for n in rows:
+        now = dumbbells.advance(K[n], interval / steps, steps)
+        moments[:, n + 1] = now.C, now.S
+        if checkpoint is not None and ((n + 1) % often == 0 or n + 1 == len(K)):
+            _keep(checkpoint, dumbbells, moments, n + 1)
+    return Record(interval, K, moments[0], moments[1], dumbbells.count)
+
+
+def _keep(
+    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, done: int
+) -> None:
+    content = {"q": dumbbells.q.numpy(), "steps": np.array(dumbbells.steps), "moments": moments}
+    content |= {"done": np.array(done), "key": np.array(dumbbells.key)}
+    with whole_file(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **content)
+
+
+def _resume(
+    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray
+) -> tuple[int, np.ndarray]:
+    try:
+        content = read_arrays(path)
+        key, done = str(content["key"]), int(content["done"])
+        kept, q, steps = content["moments"], content["q"], int(content["steps"])
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: not a checkpoint of dumbbells ({error})") from None
+    if key != dumbbells.key or kept.shape != moments.shape:
+        raise InputError(f"{path}: the checkpoint of another run ({key})")
+    dumbbells.q.assign(q)
+    dumbbells.steps = steps
+    return done, kept
+
+
+def read_trajectory(
+    path: str | os.PathLike[str], relaxation_time: float, modulus: float, count: int
+) -> Record:
+    """A stress trajectory of any simulator, as a record of one ensemble.
+
+    Args:
+        path: text with commas; columns t, K_xx, K_xy, K_yx, K_yy (in 1/time) and the stress of the
+            polymer s_xx, s_xy, s_yy, s_zz, at equal times; lines that begin with # are skipped.
+        relaxation_time: in the file's unit of time.
+        modulus: n k T in the file's unit of stress.
+        count: molecules, which set the noise.
+
+    C is given as S: a stress trajectory does not know the conformation. Raises InputError for a
+    file that cannot be read, other columns, or times that are not equally spaced.
+    """
+    try:
+        table = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a table of numbers ({error})") from None
+    if table.shape[1] != 9 or len(table) < 3:
+        raise InputError(f"{path}: expected 9 columns and 3 lines or more, got {table.shape}")
+    gaps = np.diff(table[:, 0]) / relaxation_time
+    if not (gaps[0] > 0 and np.allclose(gaps, gaps[0], rtol=1e-4)):
+        raise InputError(f"{path}: expected equally spaced times")
+    S = table[:, None, 5:] / modulus + IDENTITY
+    K = table[:-1, None, 1:5] * relaxation_time
+    return Record(float(gaps[0]), K, S, S, count)

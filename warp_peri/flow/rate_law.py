@@ -1,0 +1,170 @@
+"""The rate of the stress learned as it is printed: Gaussian processes of seven raw components.
+
+ds/dt = f(K_xx, K_xy, K_yx, K_yy, s_xx, s_xy, s_yy), one process for each of s_xx, s_xy, s_yy, in
+relaxation times and n k T, so that one law serves every De. With `kinematics` what the flow does
+to any stress, K s + s Kᵗ + K + Kᵗ, is taken as known and the rest is learned (theory, F20).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from warp_peri.errors import InputError
+from warp_peri.flow.cloud import Cloud
+from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
+from warp_peri.flow.pairs import Pairs
+from warp_peri.flow.planar import IDENTITY, carried
+
+PLACES = (0, 1, 2)
+"""The components of s that are learned; s_zz relaxes by itself, −s_zz."""
+KNOTS = 400
+"""Of a table of one input."""
+MARGIN = 0.25
+"""How far a table goes beyond the data, in their range; further out it is constant."""
+
+
+def inputs(K: Any, s: Any) -> np.ndarray:
+    """The seven components, shape [n, 7]."""
+    return np.concatenate([K, s[..., :3]], axis=-1)
+
+
+@dataclass(frozen=True)
+class RateLaw:
+    """Three processes, and what is known beside them.
+
+    Args:
+        processes: of the rates of s_xx, s_xy, s_yy.
+        kinematics: whether K s + s Kᵗ + K + Kᵗ is added to what they give.
+        outside: "warn", "refuse" or "allow" states far from the data.
+    """
+
+    processes: tuple[GaussianProcess, GaussianProcess, GaussianProcess]
+    kinematics: bool
+    outside: str = "warn"
+
+    @property
+    def name(self) -> str:
+        """For tables and figures."""
+        known = ", kinematics known" if self.kinematics else ""
+        return f"learned rate, {self.processes[0].kernel} kernel{known}"
+
+    @property
+    def rest(self) -> np.ndarray:
+        """I: the state is C = I + s."""
+        return IDENTITY
+
+    def stress(self, C: np.ndarray) -> np.ndarray:
+        """C − I."""
+        return np.asarray(C - IDENTITY)
+
+    def learned(self, X: np.ndarray) -> list[np.ndarray]:
+        """What the processes give at inputs [n, 7]."""
+        return [process(X) for process in self.processes]
+
+    def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """dC/dt of states [n, 4]."""
+        s = C - IDENTITY
+        known = carried(K, C) if self.kinematics else np.zeros_like(C)
+        for place, value in zip(PLACES, self.learned(inputs(K, s))):
+            known[..., place] += value
+        known[..., 3] -= s[..., 3]
+        return np.asarray(known)
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Where the data are."""
+        process = self.processes[0]
+        return Cloud(process.X, process.scale)
+
+    def check(self, K: np.ndarray, C: np.ndarray) -> None:
+        """Warn or refuse outside the data; InputError for stresses that are not finite."""
+        if not np.isfinite(C).all():
+            raise InputError("stress: not finite under the learned law")
+        self.cloud.check(inputs(K, C - IDENTITY), self.outside)
+
+    def tabulated(self) -> TabulatedRateLaw:
+        """The same law by tables, of the additive kernel. Raises InputError for another."""
+        return TabulatedRateLaw(self.processes, self.kinematics, self.outside)
+
+
+@dataclass(frozen=True)
+class TabulatedRateLaw(RateLaw):
+    """Seven cubic splines in place of each process; beyond their ends they are constant."""
+
+    def __post_init__(self) -> None:
+        if any(process.kernel != "additive" for process in self.processes):
+            raise InputError("tables: expected processes with the additive kernel")
+
+    @cached_property
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        X = self.processes[0].X
+        low, high = X.min(axis=0), X.max(axis=0)
+        more = MARGIN * (high - low) + 1e-9
+        return low - more, high + more
+
+    @cached_property
+    def _splines(self) -> list[CubicSpline]:
+        """For each input a spline with three values."""
+        low, high = self._ends
+        found = []
+        for i, (a, b) in enumerate(zip(low, high)):
+            at = np.linspace(a, b, KNOTS)
+            values = []
+            for process in self.processes:
+                length = process.scale[i] * np.exp(process.log_lengths[i])
+                k = np.exp(-0.5 * ((at[:, None] - process.X[:, i]) / length) ** 2)
+                amplitude = process.size * np.exp(2 * process.log_amplitude)
+                values.append(amplitude * k @ process.weights)
+            found.append(CubicSpline(at, np.array(values).T))
+        return found
+
+    def learned(self, X: np.ndarray) -> list[np.ndarray]:
+        """What the tables give at inputs [n, 7]."""
+        X = np.clip(X, *self._ends)
+        total = np.sum([table(x) for table, x in zip(self._splines, X.T)], axis=0)
+        return [total[:, i] + process.mean for i, process in enumerate(self.processes)]
+
+
+def learn_rate(
+    pairs: Pairs,
+    *,
+    kernel: str = "additive",
+    kinematics: bool = False,
+    outside: str = "warn",
+    rounds: int = 3,
+) -> RateLaw:
+    """Learn the rate of the stress.
+
+    Args:
+        pairs: the data. Noise that is known is used; that of `window_pairs` is learned.
+        kernel: of the processes; products of K and s need "second" or "product", or kinematics.
+        kinematics: whether what the flow does to any stress is taken as known.
+        outside: what happens far from the data, "warn", "refuse" or "allow".
+        rounds: fits; from the second on, increments over a window belong to its middle, where the
+            law found before puts it: the noise of the data does not enter there.
+
+    Raises InputError as fit_process does.
+    """
+    law, s = None, pairs.s
+    exact = not np.nan_to_num(pairs.noise, nan=1.0).any()
+    known = None if exact or np.isnan(pairs.noise).any() else pairs.noise
+    for _ in range(rounds if pairs.window > 0 else 1):
+        if law is not None:
+            s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
+        target = pairs.rate - (carried(pairs.K, s + IDENTITY) if kinematics else 0)
+        X = inputs(pairs.K, s)
+        processes = tuple(
+            fit_process(
+                X, target[:, place], kernel=kernel, mean=0.0,
+                noise=None if known is None else known[:, place],
+            )
+            for place in PLACES
+        )  # fmt: skip
+        law = RateLaw(processes, kinematics, outside)  # type: ignore[arg-type]
+    assert law is not None
+    return law

@@ -1,0 +1,102 @@
+"""One component of the rate in simple shear, learned from two inputs: ds_xy/dt = f(s_xy, K_xy)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from warp_peri.flow.cloud import Cloud
+from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
+from warp_peri.flow.pairs import start_pairs
+from warp_peri.flow.planar import IDENTITY
+from warp_peri.flow.protocols import Record
+
+
+@dataclass(frozen=True)
+class ShearLaw:
+    """A process of (s_xy, K_xy); other components are not known and stay as they are.
+
+    Args:
+        process: of the rate, or of what is left of it.
+        kinematics: whether K_xy is added: what shear does to a fluid whose s_yy is zero.
+        outside: "warn", "refuse" or "allow" states far from the data.
+    """
+
+    process: GaussianProcess
+    kinematics: bool
+    outside: str = "warn"
+
+    @property
+    def name(self) -> str:
+        """For tables and figures."""
+        return "learned shear rate" + (", kinematics known" if self.kinematics else "")
+
+    @property
+    def rest(self) -> np.ndarray:
+        """I."""
+        return IDENTITY
+
+    def stress(self, C: np.ndarray) -> np.ndarray:
+        """C − I."""
+        return np.asarray(C - IDENTITY)
+
+    def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """dC/dt, of which only the xy component differs from zero."""
+        rate = np.zeros_like(C)
+        rate[..., 1] = self.process(np.stack([C[..., 1], K[..., 1]], axis=-1))
+        rate[..., 1] += K[..., 1] if self.kinematics else 0
+        return rate
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Where the data are."""
+        return Cloud(self.process.X, self.process.scale)
+
+    def check(self, K: np.ndarray, C: np.ndarray) -> None:
+        """Warn or refuse outside the data."""
+        self.cloud.check(np.stack([C[..., 1], K[..., 1]], axis=-1), self.outside)
+
+
+def learn_shear(
+    record: Record,
+    window: int,
+    *,
+    kinematics: bool = True,
+    outside: str = "warn",
+    most: int = 900,
+    rounds: int = 2,
+) -> ShearLaw:
+    """Learn from dumbbells in simple shear at several rates.
+
+    Increments belong to the start of their window and have the known noise of (F16). With
+    kinematics the part of the increment that the flow makes, K_xy ⟨q_y q_y⟩, is measured on the
+    dumbbells and taken off: its fluctuation, √(2/N) of the whole for a relaxation time, is the
+    largest noise there is (theory, F21).
+
+    Args:
+        record: of simple shear.
+        window: intervals of one increment.
+        kinematics: as above.
+        outside: what happens far from the data, "warn", "refuse" or "allow".
+        most: windows used at most, evenly chosen.
+        rounds: fits; from the second on, increments belong to the middle of their windows.
+    """
+    pairs = start_pairs(record, window)
+    target = pairs.rate[:, 1]
+    if kinematics:
+        T = len(record.K) - window + 1
+        yy = np.mean([record.C[n : n + T : window, :, 2] for n in range(window + 1)], axis=0)
+        target = target - (record.K[:T:window, :, 1] * yy).reshape(-1)
+    keep = np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))
+    k, s, noise = pairs.K[keep, 1], pairs.s[keep, 1], pairs.noise[keep, 1]
+    middle, law = s, None
+    for _ in range(rounds):
+        X = np.stack([middle, k], axis=-1)
+        process = fit_process(X, target[keep], noise=noise, mean=0.0, iterations=40)
+        law = ShearLaw(process, kinematics, outside)
+        slope = process(np.stack([s, k], axis=-1)) + (k if kinematics else 0)
+        middle = s + pairs.window / 2 * slope
+    assert law is not None
+    return law
