@@ -147,6 +147,7 @@ class Elements:
         *,
         start: np.ndarray | None = None,
         steps: int = 1,
+        proportional: bool = True,
         tolerance: float = 1e-9,
     ) -> np.ndarray:
         """Displacement in equilibrium, shape [2 N], by Newton's method on a growing load.
@@ -158,6 +159,8 @@ class Elements:
             given: their displacements.
             start: where to begin; at rest where none is given.
             steps: load steps to try first; halved where one does not converge.
+            proportional: whether the load grows from zero, or is there at once (from a start under
+                a smaller one).
             tolerance: of the largest residual, relative to the largest force.
 
         Raises NotSolved when a load step below a thousandth does not converge.
@@ -168,7 +171,8 @@ class Elements:
         while done < 1 - 1e-12:
             target = min(1.0, done + step)
             prescribed = origin + target * (given - origin)
-            found = self._step(energy, target * load, free, fixed, prescribed, u, tolerance)
+            part = target if proportional else 1.0
+            found = self._step(energy, part * load, free, fixed, prescribed, u, tolerance)
             if found is None:
                 step /= 2
                 if step < 1e-3:

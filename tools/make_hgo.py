@@ -35,7 +35,8 @@ from tools.random_field import RandomField
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import locked, whole_file
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 
 NODES = 21
 """Nodes a side of the square."""
@@ -80,7 +81,7 @@ def make_hgo(
     seed: int = 1000,
     jobs: int = -1,
     progress: bool = True,
-) -> dict[str, PointSet]:
+) -> dict[str, Samples]:
     """Sets train, val and test on the square and disks; finished samples stay in the folder.
 
     Loads whose equilibrium is not found are left out and the next seed taken, so that the sets are
@@ -109,33 +110,32 @@ def make_hgo(
     ends = np.cumsum(counts[:3])[:-1]
     points = square_points()
     sets = {
-        name: PointSet(points.x, points.interior, SPACING, u=u, b=b)
+        name: Samples(points, u, b)
         for name, u, b in zip(
             ("train", "val", "test"), np.split(square[0], ends), np.split(square[1], ends)
         )
         if len(u)
     }
     if counts[3]:
-        points = disk_points()
-        sets["disks"] = PointSet(points.x, points.interior, SPACING, u=disk[0], b=disk[1])
+        sets["disks"] = Samples(disk_points(), *disk)
     return sets
 
 
-def square_points() -> PointSet:
+def square_points() -> Points:
     """The nodes of the square, row by row along y."""
     steps = np.argwhere(np.ones((NODES, NODES), bool))
     inner: np.ndarray = np.all((steps >= 2 * HORIZON) & (steps < NODES - 2 * HORIZON), axis=1)
-    return PointSet(SPACING * steps, inner, SPACING)
+    return Points(SPACING * steps, inner, SPACING)
 
 
-def disk_points() -> PointSet:
+def disk_points() -> Points:
     """The nodes of a disk of radius 0.5 and of its collar."""
     side = np.arange(-20, 21)
     steps = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
     r = SPACING * np.hypot(*steps.T)
     kept = r <= DISK_RADIUS + 2 * HORIZON * SPACING + 1e-9
     interior: np.ndarray = np.less_equal(r[kept], DISK_RADIUS + 1e-9)
-    return PointSet(SPACING * steps[kept], interior, SPACING)
+    return Points(SPACING * steps[kept], interior, SPACING)
 
 
 def solved(
@@ -277,8 +277,8 @@ def main() -> None:
         seed=given.seed,
         jobs=given.jobs,
     )
-    for name, points in sets.items():
-        print(f"{name}: {len(points)} samples on {len(points.x)} nodes")
+    for name, samples in sets.items():
+        print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from warp_peri import InputError
 from warp_peri.models.hyperelastic import FIBRES, Dictionary, Term
 from warp_peri.operator.hyperelastic import BOND_SLOPES, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
 
 
 @pytest.fixture(scope="module")
@@ -158,11 +158,11 @@ def test_the_strain_is_of_fourth_order_and_the_force_converges():
     c = np.array([0.1] * 4 + [0.07, 0.08, 0.2])
     for spacing in spacings:
         steps = np.argwhere(np.ones((13, 13), bool)) - 6
-        points = PointSet(spacing * steps, (steps == 0).all(axis=1), spacing)
+        points = Points(spacing * steps, (steps == 0).all(axis=1), spacing)
         op = HyperelasticOperator(hgo_dictionary(), points)
         errors.append(op.force(field(points.x), c)[0])
     fine = HyperelasticOperator(
-        hgo_dictionary(), PointSet(0.005 * steps, (steps == 0).all(axis=1), 0.005)
+        hgo_dictionary(), Points(0.005 * steps, (steps == 0).all(axis=1), 0.005)
     )
     limit = fine.force(field(fine.points.x), c)[0]
     sizes = np.linalg.norm(np.array(errors) - limit, axis=1)
@@ -196,8 +196,8 @@ def test_what_cannot_be_used_is_refused():
         op.force(np.zeros_like(points.x), np.zeros(6))
     everywhere = np.ones(len(points.x), bool)
     with pytest.raises(InputError, match="twice the horizon"):
-        HyperelasticOperator(hgo_dictionary(), PointSet(points.x, everywhere, 0.1))
+        HyperelasticOperator(hgo_dictionary(), Points(points.x, everywhere, 0.1))
     with pytest.raises(InputError, match="scattered"):
-        HyperelasticOperator(hgo_dictionary(), PointSet(points.x, points.interior, 0.0))
+        HyperelasticOperator(hgo_dictionary(), Points(points.x, points.interior, 0.0))
     with pytest.raises(InputError, match="kind"):
         Term("ogden")

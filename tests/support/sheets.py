@@ -3,7 +3,8 @@
 import numpy as np
 
 from warp_peri.models.hyperelastic import BONDS, KINDS, Dictionary, Term
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 
 SPACING = 0.1
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
@@ -14,8 +15,8 @@ def square(interior, *, spacing=SPACING, reach=3, u=None, b=None):
     side = interior + 4 * reach
     steps = np.argwhere(np.ones((side, side), bool))
     inner = ((steps >= 2 * reach) & (steps < side - 2 * reach)).all(axis=1)
-    fields = {name: value for name, value in (("u", u), ("b", b)) if value is not None}
-    return PointSet(spacing * steps, inner, spacing, **fields)
+    points = Points(spacing * steps, inner, spacing)
+    return points if u is None else Samples(points, u, b)
 
 
 def everything():

@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from warp_peri.errors import InputError
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
 from warp_peri.operator.hyperelastic import HyperelasticOperator
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import Samples
 
 ROWS = 4096
 """Equations that are factored at once."""
@@ -42,7 +42,7 @@ class Equations:
         return np.where(length > 0, length, 1.0)
 
 
-def equations(op: HyperelasticOperator, samples: PointSet) -> Equations:
+def equations(op: HyperelasticOperator, samples: Samples) -> Equations:
     """Forces of single energies and loads of all samples, factored as they come.
 
     Raises InputError where there are no samples, or one without load.
@@ -51,7 +51,7 @@ def equations(op: HyperelasticOperator, samples: PointSet) -> Equations:
         raise InputError("samples: expected at least one, got none")
     K = len(op.dictionary)
     stack = np.zeros((0, K + 1))
-    for u, b in zip(samples.u, samples.b[:, op.interior]):
+    for u, b in zip(samples.u, samples.loads[:, op.interior]):
         size = np.linalg.norm(b)
         if size == 0:
             raise InputError(
@@ -112,7 +112,7 @@ class EnergyFit:
 
 
 def fit_energy(
-    samples: PointSet,
+    samples: Samples,
     dictionary: Dictionary,
     *,
     positive: bool = False,
@@ -155,7 +155,7 @@ def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:
     return lower
 
 
-def largest_stretch(op: HyperelasticOperator, samples: PointSet) -> float:
+def largest_stretch(op: HyperelasticOperator, samples: Samples) -> float:
     """Largest principal stretch of the nodal strain in the samples."""
     E = op.strain(samples.u).reshape(-1, 3)
     mean, half = (E[:, 0] + E[:, 1]) / 2, np.hypot((E[:, 0] - E[:, 1]) / 2, E[:, 2] / 2)

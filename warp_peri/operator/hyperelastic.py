@@ -23,7 +23,7 @@ from warp_peri.models.hyperelastic import (
     half_family,
     strain_weights,
 )
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import PointsLike, nodes_of
 
 CHUNK = 2**26
 """Bytes of the states of single energies that are held at once."""
@@ -71,13 +71,15 @@ class LatticeBonds:
         return i, self.neighbour[i, c], c
 
 
-def lattice_bonds(points: PointSet, reach: float) -> LatticeBonds:
+def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
     """Families of `reach` spacings on a lattice.
 
     Raises InputError for scattered points, or where no interior node keeps 2δ from the edge.
     """
     if not points.spacing > 0:
         raise InputError("points: expected a lattice (spacing > 0), got scattered points")
+    if points.box is not None or points.outside is not None:
+        raise InputError("points: expected neither a box nor nodes outside of the body")
     place = (points.x - points.x.min(axis=0)) / points.spacing
     steps = np.rint(place).astype(int)
     if np.abs(place - steps).max() > 1e-6:
@@ -114,10 +116,10 @@ class HyperelasticOperator:
     """
 
     def __init__(
-        self, dictionary: Dictionary, points: PointSet, *, dtype: Any = wp.float64
+        self, dictionary: Dictionary, points: PointsLike, *, dtype: Any = wp.float64
     ) -> None:
-        self.dictionary, self.points, self.scalar = dictionary, points, dtype
-        self.bonds = lattice_bonds(points, dictionary.reach)
+        self.dictionary, self.points, self.scalar = dictionary, nodes_of(points), dtype
+        self.bonds = lattice_bonds(self.points, dictionary.reach)
         self.interior = np.flatnonzero(points.interior)
         self.of = types(dtype)
         self._lattice = self._place()

@@ -18,7 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.hyperelastic import HyperelasticSolid
 from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
-from warp_peri.points.dataset import PointSet
+from warp_peri.points.samples import PointsLike
 
 DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
@@ -307,7 +307,7 @@ class StaticProblem:
 
 
 def solve_hyperelastic(
-    solid: HyperelasticSolid, points: PointSet, b: np.ndarray | None, u: np.ndarray
+    solid: HyperelasticSolid, points: PointsLike, b: np.ndarray | None, u: np.ndarray
 ) -> Equilibrium:
     """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments."""
     return StaticProblem(HyperelasticOperator(solid.dictionary, points)).solve(
