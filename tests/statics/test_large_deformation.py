@@ -71,7 +71,7 @@ def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
 def test_a_solid_without_stiffness_is_refused(manufactured):
     op, u, b = manufactured
     solid = HyperelasticSolid(op.dictionary, -COEFFICIENTS, op.points.spacing)
-    with pytest.raises(NoEquilibrium, match="no stable equilibrium found beyond 0 %"):
+    with pytest.raises(NoEquilibrium, match="no stable equilibrium found"):
         solve_hyperelastic(solid, op.points, b, u)
     with pytest.raises(InputError, match="b: expected finite numbers"):
         solve_hyperelastic(solid, op.points, np.full_like(b, np.nan), u)

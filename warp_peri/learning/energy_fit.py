@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear, nnls
 
 from warp_peri.errors import InputError
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
@@ -68,13 +68,18 @@ def equations(op: HyperelasticOperator, samples: Samples) -> Equations:
     return Equations(wide[:K, :K], wide[:K, K], float(wide[K, K] ** 2))
 
 
-def least_squares(found: Equations, *, ridge: float = RIDGE) -> np.ndarray:
-    """Coefficients of any sign, shape [K]."""
+def least_squares(
+    found: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
+) -> np.ndarray:
+    """Coefficients of any sign, or not below `lower` (−∞ where there is no bound), shape [K]."""
     scale = found.scale
     K = len(scale)
     A = np.concatenate([found.R / scale, np.sqrt(ridge) * np.eye(K)])
     y = np.concatenate([found.y, np.zeros(K)])
-    c: np.ndarray = np.linalg.lstsq(A, y, rcond=None)[0] / scale
+    if lower is None:
+        c: np.ndarray = np.linalg.lstsq(A, y, rcond=None)[0] / scale
+    else:
+        c = lsq_linear(A, y, (lower * scale, np.inf), method="bvls").x / scale
     return c
 
 
@@ -126,7 +131,8 @@ def fit_energy(
         dictionary: of energies.
         positive: coefficients ≥ 0; asks for a dictionary whose energies are safe with them.
         stiffness: least coefficient of the deviations (or, without deviations, of the bonds within
-            two spacings), against hourglasses [stress]; only with positive.
+            two spacings), against hourglasses [stress]. Without positive it bounds the deviations
+            only, and the other coefficients have any sign.
         ridge: relative weight of the coefficients' squared length.
 
     Raises InputError for positive with a dictionary that guarantees nothing, or samples as for
@@ -139,7 +145,7 @@ def fit_energy(
     if positive:
         c = non_negative(found, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
     else:
-        c = least_squares(found, ridge=ridge)
+        c = least_squares(found, lower=deviations_only(dictionary, stiffness), ridge=ridge)
     solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch=largest_stretch(op, samples))
     return EnergyFit(solid, residual(found, c), positive)
 
@@ -152,6 +158,16 @@ def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:
         lower[first:last] = stiffness
     else:
         lower[: 4 * len(dictionary.bonds) : max(1, len(dictionary.bonds))] = stiffness
+    return lower
+
+
+def deviations_only(dictionary: Dictionary, stiffness: float) -> np.ndarray | None:
+    """Lower bounds for the deviations alone; None where there is none."""
+    first, last = dictionary.first_deviation, dictionary.first_term
+    if stiffness <= 0 or last == first:
+        return None
+    lower = np.full(len(dictionary), -np.inf)
+    lower[first:last] = stiffness
     return lower
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,6 +21,7 @@ from warp_peri.models.hyperelastic import (
     BONDS,
     KINDS,
     Dictionary,
+    Term,
     half_family,
     strain_weights,
 )
@@ -124,6 +126,12 @@ class HyperelasticOperator:
         self.of = types(dtype)
         self._lattice = self._place()
         self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
+
+    def with_terms(self, terms: Sequence[Term]) -> HyperelasticOperator:
+        """The same lattice with other strain energies."""
+        other = copy(self)
+        other.dictionary = self.dictionary.with_terms(terms)
+        return other
 
     def _place(self) -> Any:
         """The bonds as the kernels read them."""

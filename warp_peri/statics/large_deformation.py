@@ -7,7 +7,9 @@ the body folds. What is returned has a small residual and a positive tangent, or
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
-from warp_peri.models.hyperelastic import HyperelasticSolid
+from warp_peri.models.hyperelastic import HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.samples import PointsLike
@@ -107,6 +109,26 @@ class StaticProblem:
         Raises NoEquilibrium; InputError for arrays of other shapes or with values that are not
         finite on the collar.
         """
+        found = self.find(c, b, u, start=start)
+        if found is None:
+            raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
+        smallest = self.smallest_eigenvalue(c, found.u)
+        if not smallest > 0:
+            raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")
+        return replace(found, smallest_eigenvalue=smallest / self.softest)
+
+    def find(
+        self,
+        c: np.ndarray,
+        b: np.ndarray | None,
+        u: np.ndarray,
+        *,
+        start: np.ndarray | None = None,
+    ) -> Equilibrium | None:
+        """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
+
+        The tangent was positive definite in the last step all the same.
+        """
         nodes = self.op.points.x.shape
         load = np.zeros(nodes) if b is None else np.asarray(b, float)
         collar = np.where(self.op.points.interior[:, None], 0.0, np.asarray(u, float))
@@ -131,10 +153,19 @@ class StaticProblem:
                     found, used = self._newton(c, load, guess, shifts=True)
                     count += used
         if found is None:
-            raise NoEquilibrium(
-                f"no stable equilibrium found beyond {100 * done:.0f} % of load and collar"
-            )
-        return self._judge(c, load, found, count, steps, followed)
+            return None
+        f = self.op.everywhere(found, c)
+        left = load - f[self.op.interior]
+        residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
+        return Equilibrium(found, residual, np.nan, count, steps, followed)
+
+    def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
+        """The same lattice with other strain energies; what is built once is shared."""
+        other = copy(self)
+        other.op = self.op.with_terms(terms)
+        if self.pattern is not None:
+            other.pattern = replace(self.pattern, op=other.op)
+        return other
 
     def _continue(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
@@ -257,24 +288,6 @@ class StaticProblem:
                     return moved
             part /= 2
         return None
-
-    def _judge(
-        self,
-        c: np.ndarray,
-        load: np.ndarray,
-        u: np.ndarray,
-        count: int,
-        steps: int,
-        followed: bool,
-    ) -> Equilibrium:
-        """The equilibrium with its measures, or an error where it is none."""
-        f = self.op.everywhere(u, c)
-        left = load - f[self.op.interior]
-        residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
-        smallest = self.smallest_eigenvalue(c, u)
-        if not smallest > 0:
-            raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")
-        return Equilibrium(u, residual, smallest / self.softest, count, steps, followed)
 
     def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
         """Of the tangent between interior nodes at u."""
