@@ -189,8 +189,11 @@ def sample(
     key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
     path = folder / f"{shape}_{key}.npz"
     if path.exists():
-        found = read_arrays(path)
-        return (found["u"], found["b"]) if len(found["u"]) else None
+        try:
+            found = read_arrays(path)
+            return (found["u"], found["b"]) if len(found["u"]) else None
+        except (KeyError, ValueError):
+            pass  # damaged: solved again
     try:
         u, b = (
             solve_square(material, element, seed)
