@@ -1,0 +1,177 @@
+"""An anisotropic hyperelastic sheet learned from fields on a square, and tried on disks.
+
+Finite-element fields of a Holzapfel–Gasser–Ogden sheet are learned three ways: with coefficients of
+any sign, with signs that guarantee stability at rest, and as a material in few numbers. The rivals
+see the same samples: bonds alone, a sheet without fibres, and the true constants in elements on the
+same nodes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from tools.make_hgo import ELEMENTS, Material, make_hgo
+from warp_peri.files.whole import plain, write_json
+from warp_peri.learning.energy_fit import fit_energy
+from warp_peri.learning.fibres import read_material, rose
+from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
+from warp_peri.models.hyperelastic import QUADRATICS, Dictionary, HyperelasticSolid, Term
+from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.points.samples import Samples
+from warp_peri.statics.large_deformation import StaticProblem, solve_hyperelastic
+
+NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
+STIFFNESS = 0.45
+"""Least coefficient of the deviations, against hourglasses [stress of the data]."""
+QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)
+AREA = (Term("log_area"), Term("area"), Term("inverse_area"))
+MATRIX = (Term("neo_hookean"), Term("volumetric"))
+
+FREE = Dictionary(3.0, ("square", "cube", "tension"), NEAREST, (*QUADRATIC, *AREA, *rose(8)))
+SAFE = Dictionary(3.0, ("log", "tension", "tension_cube"), NEAREST, (*MATRIX, *rose(16)))
+BONDS = Dictionary(3.0, ("square", "cube", "tension", "tension_cube", "log", "compression"))
+ISOTROPIC = Dictionary(3.0, ("square", "cube"), NEAREST, (*QUADRATIC[:1], *AREA, *MATRIX))
+
+
+def learn(samples: Samples, stiffness: float) -> dict[str, tuple[HyperelasticSolid, float]]:
+    """The three models and two rivals, with the seconds each took."""
+    ways = {
+        "free signs": lambda: fit_energy(samples, FREE, stiffness=stiffness).solid,
+        "guaranteed": lambda: (
+            fit_energy(samples, SAFE, positive=True, stiffness=stiffness).solid.sparse
+        ),
+        "read out": lambda: read_material(samples, stiffness=stiffness),
+        "rival: bonds only": lambda: fit_energy(samples, BONDS).solid,
+        "rival: no fibres": lambda: fit_energy(samples, ISOTROPIC, stiffness=stiffness).solid,
+    }
+    found = {}
+    for name, way in ways.items():
+        began = time.perf_counter()
+        found[name] = way(), time.perf_counter() - began
+    return found
+
+
+def table(
+    solid: HyperelasticSolid, sets: dict[str, Samples], solved: int
+) -> dict[str, dict[str, Any]]:
+    """Errors on every set; E_u of the training set on its first samples only."""
+    found = {}
+    for name, samples in sets.items():
+        few = Samples(samples.points, samples.u[:solved], samples.loads[:solved])
+        errors = hyperelastic_errors(solid, samples, solve=False)
+        errors |= {k: v for k, v in hyperelastic_errors(solid, few).items() if k != "E_res"}
+        found[name] = {k: v for k, v in errors.items() if np.ndim(v) == 0}
+        found[name]["E_u_max"] = float(np.nanmax([*errors["displacements"], 0.0]))
+    return found
+
+
+def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
+    """Measured, predicted and difference of the displacement on the first disk."""
+    u = solve_hyperelastic(solid, disks, disks.loads[0], disks.u[0]).u
+    truth, inner = disks.u[0], disks.interior
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    shown = {
+        "finite elements": np.hypot(*truth.T),
+        "model": np.hypot(*u.T),
+        "difference": np.hypot(*(u - truth).T),
+    }
+    for ax, (title, size) in zip(axes, shown.items()):
+        at = (disks.x + truth)[inner]
+        drawn = ax.scatter(*at.T, c=size[inner], s=26, marker="s", cmap="viridis")
+        figure.colorbar(drawn, ax=ax, shrink=0.8)
+        ax.set(title=f"|u|, {title}", aspect="equal", xlabel="x", ylabel="y")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def at_rest(solid: HyperelasticSolid, samples: Samples) -> float:
+    """Smallest eigenvalue of the tangent at rest on the square, over that of the Laplacian."""
+    problem = StaticProblem(HyperelasticOperator(solid.dictionary, samples))
+    smallest = problem.smallest_eigenvalue(solid.coefficients, np.zeros_like(samples.x))
+    return smallest / problem.softest
+
+
+def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
+    """Data, fits and errors for one kind of element."""
+    material = Material(given.E, given.nu, given.k1, given.k2, given.angle)
+    began = time.perf_counter()
+    sets = make_hgo(
+        given.data,
+        material=material,
+        element=element,
+        counts=(given.samples, 25, 25, 10),
+        seed=given.seed,
+        jobs=given.jobs,
+        progress=not given.json,
+    )
+    found: dict[str, Any] = {"seconds of data": time.perf_counter() - began}
+    for name, (solid, seconds) in learn(sets["train"], given.stiffness).items():
+        found[name] = {
+            "numbers": int(np.count_nonzero(solid.coefficients)),
+            "seconds": seconds,
+            "at rest": at_rest(solid, sets["val"]),
+            **table(solid, sets, given.solved),
+        }
+        if name == "read out":
+            words = solid.dictionary.labels[solid.dictionary.first_term :]
+            values = solid.coefficients[solid.dictionary.first_term :]
+            found[name]["material"] = dict(zip(words, values))
+            solid.save(given.out / f"{element}.json")
+        if name == "guaranteed":
+            picture(solid, sets["disks"], given.out / f"{element}_disk.png")
+    return found
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--element", choices=(*ELEMENTS, "both"), default="both")
+    parser.add_argument("--samples", type=int, default=200, help="to learn from")
+    parser.add_argument("--solved", type=int, default=10, help="samples of a set solved for E_u")
+    parser.add_argument("--stiffness", type=float, default=STIFFNESS, help="of the deviations")
+    parser.add_argument("--seed", type=int, default=1000, help="of the first load")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add_argument("--data", type=Path, default=ROOT / "data" / "hgo")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hgo_square")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    for name, value in vars(Material()).items():
+        parser.add_argument(f"--{name}", type=float, default=value, help="of the sheet")
+    given = parser.parse_args()
+    chosen = ELEMENTS if given.element == "both" else (given.element,)
+    found = {element: study(given, element) for element in chosen}
+    write_json(given.out / "errors.json", found)
+    if given.json:
+        print(json.dumps(plain(found), indent=2))
+        return
+    for element, models in found.items():
+        for name, model in models.items():
+            if name == "seconds of data":
+                print(f"{element} elements, errors in %: E_res / E_u (not solved)")
+                continue
+            parts = [
+                f"{key} {100 * model[key]['E_res']:.2f} / {100 * model[key]['E_u']:.2f}"
+                f" ({model[key]['not_solved']})"
+                for key in ("train", "val", "test", "disks")
+            ]
+            print(f"  {name:18} {'  '.join(parts)}  {model['seconds']:.1f} s")
+            for word, value in model.get("material", {}).items():
+                print(f"      {word}: {value:.4f}")
+
+
+if __name__ == "__main__":
+    main()

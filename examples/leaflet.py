@@ -1,0 +1,156 @@
+"""A heart valve's leaflet learned from displacement alone, as digital image correlation sees it.
+
+Three protocols of a biaxial test are learned from, four are held out; no load is known. By default
+the leaflet is synthetic, with noise; --frames takes a folder of real frames instead, learns from
+some and predicts the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+
+from examples.leaflet_pictures import draw
+from examples.studies.leaflet_rivals import RIVALS, rival_errors
+from tools.make_leaflet import Leaflet, make_leaflet, noisy
+from warp_peri.errors import InputError
+from warp_peri.files.whole import plain, write_json
+from warp_peri.learning.fibres import families, rose
+from warp_peri.learning.from_displacement import DisplacementFit, fit_displacement
+from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
+from warp_peri.models.hyperelastic import Dictionary, Term
+from warp_peri.points.samples import Samples
+from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+
+NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
+MATRIX = (Term("plane_stress"), Term("volumetric"))
+ROSE = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(8, (2.0, 3.0, 4.0, 6.0))))
+
+
+def learn(train: Samples, *, progress: bool) -> dict[str, tuple[DisplacementFit, float]]:
+    """A fit on eight directions, then one whose directions and exponents are unknowns."""
+    began = time.perf_counter()
+    wide = fit_displacement(train, ROSE, most_steps=6, progress=progress)
+    found = {"eight directions": (wide, time.perf_counter() - began)}
+    dictionary, start = families(wide.solid)
+    if len(dictionary.terms) > len(MATRIX):
+        few = fit_displacement(
+            train, dictionary, moving=True, start=start, most_steps=20, tolerance=1e-3,
+            progress=progress,
+        )  # fmt: skip
+        found["families"] = few, time.perf_counter() - began
+    return found
+
+
+def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str, Any]:
+    """Errors of a fit on frames it never saw."""
+    errors = hyperelastic_errors(fit.solid, test, truth=truth)
+    solid = fit.solid
+    first = solid.dictionary.first_term
+    energies = zip(solid.dictionary.labels[first:], solid.coefficients[first:])
+    found = {
+        "train": fit.history[-1],
+        "held out": errors["E_u"],
+        "largest": float(np.nanmax(errors["displacements"])),
+        "not_solved": errors["not_solved"],
+        "frames": errors["displacements"],
+        "material": {word: value for word, value in energies if value > 0},
+    }
+    if "protocol" in test.arrays:
+        protocols = test.arrays["protocol"]
+        found["protocols"] = {
+            int(n): float(errors["displacements"][protocols == n].mean())
+            for n in np.unique(protocols)
+        }
+    return found
+
+
+def synthetic(given: argparse.Namespace) -> tuple[Samples, Samples, np.ndarray]:
+    """Frames to learn from, frames held out, and the latter without noise."""
+    leaflet = Leaflet(given.mu, given.k1, given.k2, given.first, given.second)
+    sets = make_leaflet(given.data, leaflet=leaflet, jobs=given.jobs, progress=not given.json)
+    train = noisy(sets["train"], given.noise, given.seed)
+    test = noisy(sets["test"], given.noise, given.seed + 1)
+    return train, test, sets["test"].u
+
+
+def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]:
+    """Real frames: of `count` spread over the test, every second is learned from."""
+    paths = sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt"))
+    frames = []
+    for path in paths:
+        try:
+            frames.append(read_frame(path, pixel=given.pixel))
+        except InputError:
+            continue  # tables of forces lie beside frames
+    if len(frames) < 4:
+        raise InputError(f"{folder}: expected at least four frames, got {len(frames)}")
+    chosen = np.unique(np.linspace(0, len(frames) - 1, given.count + 1).astype(int)[1:])
+    samples = frames_on_lattice([frames[n] for n in chosen], radius=given.smooth)
+    pick = np.arange(len(chosen)) % 2 == 1
+    return tuple(Samples(samples.points, samples.u[one]) for one in (pick, ~pick))  # type: ignore[return-value]
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--noise", type=float, default=0.002, help="of every node, in spacings")
+    parser.add_argument("--seed", type=int, default=7, help="of the noise")
+    parser.add_argument("--frames", type=Path, help="folder of real frames")
+    parser.add_argument("--other", type=Path, nargs="*", default=[], help="folders to predict too")
+    parser.add_argument("--count", type=int, default=8, help="real frames to use")
+    parser.add_argument("--pixel", type=float, default=1.0, help="length of the frames' unit")
+    parser.add_argument("--smooth", type=float, default=0.0, help="radius of local fits, spacings")
+    parser.add_argument("--rivals", nargs="*", choices=RIVALS, default=list(RIVALS))
+    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add_argument("--data", type=Path, default=ROOT / "data" / "leaflet")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "leaflet")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    for name, value in vars(Leaflet()).items():
+        parser.add_argument(f"--{name}", type=float, default=value, help="of the synthetic leaflet")
+    given = parser.parse_args()
+    if given.frames is None:
+        train, test, truth = synthetic(given)
+    else:
+        train, test = measured(given.frames, given)
+        truth = test.u
+    found: dict[str, Any] = {
+        "frames": [len(train), len(test)],
+        "interior nodes": int(train.interior.sum()),
+        "noise in spacings": noise_of(test) / test.spacing,
+    }
+    fits = learn(train, progress=not given.json)
+    for name, (fit, seconds) in fits.items():
+        found[name] = held_out(fit, test, truth) | {"seconds": seconds}
+    best = min(fits, key=lambda name: fits[name][0].history[-1])
+    for folder in given.other:
+        _, other = measured(folder, given)
+        found[folder.name] = held_out(fits[best][0], other, other.u)
+    began = time.perf_counter()
+    found["rivals"] = rival_errors(train, test, truth, given.rivals)
+    found["rivals' seconds"] = time.perf_counter() - began
+    fits[best][0].solid.save(given.out / "leaflet.json")
+    write_json(given.out / "errors.json", found)
+    draw(fits[best][0].solid, test, truth, found, given.out)
+    if given.json:
+        print(json.dumps(plain(found), indent=2))
+        return
+    for name, entry in (*found.items(), *found["rivals"].items()):
+        if isinstance(entry, dict) and "held out" in entry:
+            error, missing = 100 * entry["held out"], entry["not_solved"]
+            print(f"{name:20} held out {error:.3f} % ({missing} not solved)")
+            for word, value in entry.get("material", {}).items():
+                print(f"    {word}: {value:.4f}")
+
+
+if __name__ == "__main__":
+    main()

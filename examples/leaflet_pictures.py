@@ -1,0 +1,108 @@
+"""What a biomechanician reads: maps, stress–stretch curves, the fibre rose, errors by frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri.learning.fibres import rose_of
+from warp_peri.models.hyperelastic import HyperelasticSolid
+from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.points.samples import Samples
+from warp_peri.statics.large_deformation import StaticProblem
+
+
+def draw(
+    solid: HyperelasticSolid,
+    test: Samples,
+    truth: np.ndarray,
+    found: dict[str, Any],
+    folder: Path,
+) -> None:
+    """Write the four figures."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {
+        "maps": maps(solid, test, truth),
+        "curves": curves(solid, test),
+        "rose": fibre_rose(solid),
+        "errors": errors_by_frame(found),
+    }
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=130)
+        plt.close(figure)
+
+
+def maps(solid: HyperelasticSolid, test: Samples, truth: np.ndarray) -> Figure:
+    """Measured, predicted and difference of both components on the last held-out frame."""
+    problem = StaticProblem(HyperelasticOperator(solid.dictionary, test))
+    solved = problem.find(solid.coefficients, None, test.u[-1])
+    u = test.u[-1] if solved is None else solved.u
+    inner = test.interior
+    figure, axes = plt.subplots(2, 3, figsize=(10.5, 6.4), layout="constrained")
+    for row, component in zip(axes, (0, 1)):
+        fields = (truth[-1], u, u - truth[-1])
+        for ax, field, title in zip(row, fields, ("measured", "predicted", "difference")):
+            values = field[inner, component]
+            drawn = ax.scatter(*test.x[inner].T, c=values, s=28, marker="s", cmap="viridis")
+            figure.colorbar(drawn, ax=ax, shrink=0.8)
+            ax.set(title=f"$u_{component + 1}$, {title}", aspect="equal")
+    return figure
+
+
+def curves(solid: HyperelasticSolid, test: Samples) -> Figure:
+    """Mean membrane stress against mean stretch by protocol; bands span the middle four fifths."""
+    op = HyperelasticOperator(solid.dictionary, test)
+    protocols = test.arrays.get("protocol", np.zeros(len(test), int))
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained", sharey=True)
+    for number in np.unique(protocols):
+        points = []
+        for n in np.flatnonzero(protocols == number):
+            E, G, _ = op.states(test.u[n], solid.coefficients)
+            E, S = E[test.interior, :3], G[test.interior, :3]
+            stretch = np.sqrt(1 + 2 * E[:, :2])
+            stress = np.stack([S[:, 0] * stretch[:, 0], S[:, 1] * stretch[:, 1]], axis=1)
+            points.append(
+                (stretch.mean(axis=0), stress.mean(axis=0), np.quantile(stress, (0.1, 0.9), axis=0))
+            )
+        for axis, ax in enumerate(axes):
+            x = [1.0, *(p[0][axis] for p in points)]
+            y = [0.0, *(p[1][axis] for p in points)]
+            low, high = ([0.0, *(p[2][end][axis] for p in points)] for end in (0, 1))
+            (line,) = ax.plot(x, y, "o-", ms=3, label=f"protocol {number}")
+            ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15)
+    for ax, name in zip(axes, ("1", "2")):
+        ax.set(xlabel=f"stretch $\\lambda_{name}$", title=f"direction {name}")
+    axes[0].set_ylabel("stress / initial stiffness")
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+def fibre_rose(solid: HyperelasticSolid) -> Figure:
+    """Energy of the fibres by direction at the largest stretch of the data."""
+    figure, ax = plt.subplots(figsize=(4.2, 4.2), subplot_kw={"projection": "polar"})
+    for angle, value in rose_of(solid).items():
+        for turn in (0.0, np.pi):
+            ax.bar(angle + turn, value, width=0.08, color="tab:red")
+    ax.set(yticklabels=[], title="fibres")
+    return figure
+
+
+def errors_by_frame(found: dict[str, Any]) -> Figure:
+    """Held-out errors of every frame, and the rivals' means."""
+    figure, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
+    for name in ("eight directions", "families"):
+        if name in found:
+            ax.plot(100 * np.asarray(found[name]["frames"]), "o-", ms=3, label=name)
+    for number, (name, rival) in enumerate(found.get("rivals", {}).items()):
+        color = f"C{number + 2}"
+        ax.axhline(100 * rival["held out"], color=color, ls="--", lw=1, label=name)
+    ax.set(xlabel="held-out frame", ylabel="error of displacement [%]", yscale="log")
+    ax.legend(fontsize=8)
+    return figure

@@ -1,0 +1,154 @@
+"""Rivals for displacement-driven learning: named energies in finite elements on the same frames.
+
+Each energy is fitted like the learned solid: least squares of the solved displacement over the
+training frames. Its elements take displacement on one ring of nodes around the interior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
+from tools.hyperelastic_energies import Energy, Family, Fung, plane_stress_hgo
+from warp_peri.errors import InputError
+from warp_peri.points.samples import Samples
+
+
+class Window:
+    """Bilinear elements on the interior of the frames and one ring of nodes around it."""
+
+    def __init__(self, frames: Samples) -> None:
+        skfem = finite_elements()
+        steps = np.rint((frames.x - frames.x.min(axis=0)) / frames.spacing).astype(int)
+        inner = steps[frames.interior]
+        low, high = inner.min(axis=0), inner.max(axis=0)
+        if len(inner) != np.prod(high - low + 1):
+            raise InputError("frames: the rivals' elements need a rectangle of interior nodes")
+        lines = [frames.spacing * np.arange(a - 1, b + 2) for a, b in zip(low, high)]
+        self.mesh = Elements(skfem.MeshQuad.init_tensor(*lines), skfem.ElementQuad1(), order=3)
+        number = {tuple(step): n for n, step in enumerate(steps.tolist())}
+        places = np.rint(self.mesh.x / frames.spacing).astype(int).tolist()
+        self.nodes = np.array([number[tuple(place)] for place in places])
+        self.free = frames.interior[self.nodes]
+        fixed = np.flatnonzero(~self.free)
+        self.fixed = np.sort(np.concatenate([2 * fixed, 2 * fixed + 1]))
+
+    def solve(self, energy: Energy, u: np.ndarray) -> np.ndarray | None:
+        """Displacement of the interior from that of the ring, [I, 2]; None where not found."""
+        given = u[self.nodes].ravel()
+        nothing = np.zeros_like(given)
+        for steps in (1, 8):
+            try:
+                found = self.mesh.solve(
+                    energy, nothing, self.fixed, given[self.fixed],
+                    start=given if steps == 1 else None, steps=steps, tolerance=1e-8,
+                )  # fmt: skip
+            except NotSolved:
+                continue
+            return found.reshape(-1, 2)[self.free]
+        return None
+
+    def errors(self, energy: Energy, frames: Samples, truth: np.ndarray) -> np.ndarray:
+        """Relative errors against the truth, NaN where not solved, shape [S]."""
+        found = []
+        for u, expected in zip(frames.u, truth):
+            solved, target = self.solve(energy, u), expected[self.nodes][self.free]
+            gap = np.nan if solved is None else np.linalg.norm(solved - target)
+            found.append(gap / np.linalg.norm(target))
+        return np.array(found)
+
+
+def neo_hookean(_: np.ndarray) -> Energy:
+    return plane_stress_hgo(1.0)
+
+
+def one_family(x: np.ndarray) -> Energy:
+    return plane_stress_hgo(1.0, [Family(x[2], abs(x[0]), abs(x[1]))])
+
+
+def two_families(x: np.ndarray) -> Energy:
+    return plane_stress_hgo(
+        1.0, [Family(x[2] + sign * x[3], abs(x[0]), abs(x[1])) for sign in (1, -1)]
+    )
+
+
+RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy], Sequence[Sequence[float]]]] = {
+    "neo-Hookean": (neo_hookean, [[]]),
+    "Fung": (
+        lambda x: Fung(x.tolist()),
+        [[1.0, 1.0, 0.3, 0.5, -0.2, -0.2], [1.0, 1.0, 0.3, 0.5, 0.2, 0.2]],
+    ),
+    "HGO, one family": (one_family, [[1.5, 1.0, -0.7], [1.5, 1.0, 0.7]]),
+    "HGO, two families": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
+}
+"""Energies by their numbers, and where the fits begin; the best of a rival's starts counts."""
+
+
+def fit(
+    window: Window,
+    make: Callable[[np.ndarray], Energy],
+    start: np.ndarray,
+    frames: Samples,
+    *,
+    most_steps: int = 12,
+) -> tuple[np.ndarray, float]:
+    """Levenberg and Marquardt with differences: numbers and root mean square of the errors."""
+
+    def gaps(x: np.ndarray) -> np.ndarray | None:
+        found = []
+        for u in frames.u:
+            solved, target = window.solve(make(x), u), u[window.nodes][window.free]
+            if solved is None:
+                return None
+            found.append(((solved - target) / np.linalg.norm(target)).ravel())
+        return np.concatenate(found)
+
+    x, left, damping = start, gaps(start), 1e-3
+    if left is None:
+        return x, np.inf
+    for _ in range(most_steps if len(x) else 0):
+        columns = []
+        for n in range(len(x)):
+            step = 1e-3 * max(abs(x[n]), 0.1)
+            moved = gaps(x + step * np.eye(len(x))[n])
+            columns.append(np.zeros_like(left) if moved is None else (moved - left) / step)
+        J = np.stack(columns, axis=1)
+        square = J.T @ J
+        better = None
+        while damping < 1e4:
+            move = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-12), -J.T @ left)
+            better = gaps(x + move)
+            if better is not None and better @ better < left @ left:
+                break
+            better, damping = None, 10 * damping
+        if better is None:
+            break
+        gain = 1 - (better @ better) / (left @ left)
+        x, left, damping = x + move, better, damping / 10
+        if gain < 1e-3:
+            break
+    return x, float(np.sqrt(left @ left / len(frames.u)))
+
+
+def rival_errors(
+    train: Samples, test: Samples, truth: np.ndarray, names: Sequence[str] = tuple(RIVALS)
+) -> dict[str, dict[str, Any]]:
+    """Held-out errors of the rivals, with their numbers and errors on the training frames."""
+    window = Window(train)
+    found = {}
+    for name in names:
+        make, starts = RIVALS[name]
+        x, trained = min(
+            (fit(window, make, np.array(start), train) for start in starts), key=lambda f: f[1]
+        )
+        errors = window.errors(make(x), test, truth)
+        found[name] = {
+            "numbers": x,
+            "train": trained,
+            "held out": float(np.nanmean(errors)),
+            "not_solved": int(np.isnan(errors).sum()),
+        }
+    return found

@@ -1,0 +1,217 @@
+"""The peridynamic neural operator as printed, on the same fields as the energy dictionary.
+
+Jafarzadeh et al. 2024, equations 3.7–3.10: the force state is a network of the influence, the
+dilatation, the extension and the length of a bond, the influence a network of the bond. Trained on
+the nodes whose surroundings are data, as the dictionary is; and both on all nodes, with the paper's
+mirror rule u(v) = 2 u(b) − u(m) around the square.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import itertools
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from tools.make_hgo import ELEMENTS, HORIZON, NODES, SPACING, make_hgo
+from warp_peri.files.whole import plain, write_json
+from warp_peri.learning.energy_fit import fit_energy
+from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
+from warp_peri.models.hyperelastic import Dictionary
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+
+REACH = HORIZON
+STRETCH = 5.0
+"""Scale of the network's inputs; strains are about a fifth."""
+
+
+def network(*widths: int) -> torch.nn.Sequential:
+    """Linear layers with rectifiers between them."""
+    layers: list[torch.nn.Module] = []
+    for width, following in itertools.pairwise(widths):
+        layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
+    return torch.nn.Sequential(*layers[:-1])
+
+
+class PeridynamicOperator(torch.nn.Module):
+    """Force on the nodes whose families and whose neighbours' families are on the grid."""
+
+    def __init__(self, first: int, second: int) -> None:
+        super().__init__()
+        side = range(-REACH, REACH + 1)
+        self.steps = [(a, b) for a in side for b in side if 0 < a * a + b * b <= REACH**2]
+        self.reverse = [self.steps.index((-a, -b)) for a, b in self.steps]
+        xi = SPACING * torch.tensor(self.steps, dtype=torch.float32)
+        self.xi = torch.nn.Parameter(xi, requires_grad=False)
+        self.influence = network(2, first, second, 1)
+        self.state = network(4, second, second, 1)
+        self.scale = 1.0
+
+    def forward(self, u: torch.Tensor) -> torch.Tensor:
+        """b on [S, n − 4 REACH, m − 4 REACH, 2] of u on [S, n, m, 2]."""
+        n, m = u.shape[1:3]
+        centre = u[:, REACH : n - REACH, REACH : m - REACH]
+        moved = torch.stack(
+            [
+                u[:, REACH + a : n - REACH + a, REACH + b : m - REACH + b] - centre
+                for a, b in self.steps
+            ],
+            dim=3,
+        )
+        Y = self.xi + moved
+        length, before = Y.norm(dim=-1), self.xi.norm(dim=1)
+        extension = length - before
+        omega = self.influence(self.xi / (REACH * SPACING))[:, 0]
+        theta = (extension * omega * before).sum(-1) / (omega * before**2).sum()
+        inputs = torch.stack(
+            [
+                omega.expand_as(extension),
+                STRETCH * theta[..., None].expand_as(extension),
+                STRETCH * extension / SPACING,
+                (before / (REACH * SPACING)).expand_as(extension),
+            ],
+            dim=-1,
+        )
+        t = self.scale * self.state(inputs)[..., 0]
+        M = Y / length[..., None]
+        rows, columns = n - 4 * REACH, m - 4 * REACH
+        inner = (slice(REACH, REACH + rows), slice(REACH, REACH + columns))
+        total = torch.zeros(1)
+        for k, (a, b) in enumerate(self.steps):
+            far = t[
+                :, REACH + a : REACH + a + rows, REACH + b : REACH + b + columns, self.reverse[k]
+            ]
+            total = (
+                total - (t[:, inner[0], inner[1], k] + far)[..., None] * M[:, inner[0], inner[1], k]
+            )
+        return SPACING**2 * total
+
+
+def on_grid(samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+    """u on the whole square and b on its interior."""
+    steps = np.rint((samples.x - samples.x.min(axis=0)) / SPACING).astype(int)
+    sides = steps.max(axis=0) + 1
+    u, b = (np.zeros((len(samples), *sides, 2)) for _ in range(2))
+    u[:, steps[:, 0], steps[:, 1]], b[:, steps[:, 0], steps[:, 1]] = samples.u, samples.loads
+    edge = slice(2 * REACH, -2 * REACH)
+    return torch.tensor(u).float(), torch.tensor(b[:, edge, edge]).float()
+
+
+def relative(found: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Relative ℓ2 errors, shape [S]."""
+    return (found - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
+
+
+def train(
+    sets: dict[str, Samples], minutes: float, widths: tuple[int, int], rate: float, quiet: bool
+) -> tuple[PeridynamicOperator, dict[str, Any]]:
+    """Adam with a cosine; the weights of least validation error count."""
+    torch.manual_seed(0)
+    u, b = on_grid(sets["train"])
+    u_val, b_val = on_grid(sets["val"])
+    model = PeridynamicOperator(*widths)
+    with torch.no_grad():
+        model.scale = float(b[:20].norm() / model(u[:20]).norm())
+    adam = torch.optim.Adam(model.parameters(), lr=rate)
+    began, best, epochs = time.perf_counter(), np.inf, 0
+    kept = {key: value.clone() for key, value in model.state_dict().items()}
+    bar = tqdm(total=round(60 * minutes), unit="s", disable=quiet, leave=False)
+    while (part := (time.perf_counter() - began) / (60 * minutes)) < 1:
+        for group in adam.param_groups:
+            group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
+        for batch in torch.randperm(len(u)).split(10):
+            adam.zero_grad()
+            relative(model(u[batch]), b[batch]).mean().backward()
+            adam.step()
+        epochs += 1
+        with torch.no_grad():
+            error = float(relative(model(u_val), b_val).mean())
+        if error < best:
+            best = error
+            kept = {key: value.clone() for key, value in model.state_dict().items()}
+        bar.n = round(time.perf_counter() - began)
+        bar.set_postfix(validation=f"{100 * error:.2f} %")
+    model.load_state_dict(kept)
+    return model, {"epochs": epochs, "numbers": sum(p.numel() for p in model.parameters())}
+
+
+def mirrored(samples: Samples) -> Samples:
+    """The square with its mirrored ring, where all inner nodes carry equations."""
+    ring = 2 * REACH
+    steps = np.rint(samples.x / SPACING).astype(int)
+    u, b = (np.zeros((len(samples), NODES, NODES, 2)) for _ in range(2))
+    u[:, steps[:, 0], steps[:, 1]], b[:, steps[:, 0], steps[:, 1]] = samples.u, samples.loads
+    place = np.argwhere(np.ones((NODES + 2 * ring,) * 2, bool)) - ring
+    edge = np.clip(place, 0, NODES - 1)
+    image = 2 * edge - place
+    outside = (place != edge).any(axis=1)[None, :, None]
+    at = u[:, image[:, 0], image[:, 1]]
+    wide = np.where(outside, 2 * u[:, edge[:, 0], edge[:, 1]] - at, at)
+    loads = np.where(outside, 0.0, b[:, image[:, 0], image[:, 1]])
+    interior: np.ndarray = np.all((place > 0) & (place < NODES - 1), axis=1)
+    return Samples(Points(SPACING * place, interior, SPACING), wide, loads)
+
+
+def dictionary_errors(sets: dict[str, Samples], dictionary: Dictionary) -> dict[str, float]:
+    """E_res of the dictionary's least squares on every set."""
+    solid = fit_energy(sets["train"], dictionary).solid
+    return {
+        name: hyperelastic_errors(solid, samples, solve=False)["E_res"]
+        for name, samples in sets.items()
+    }
+
+
+def main() -> None:
+    """Run and print."""
+    from examples.hgo_square import FREE
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--element", choices=ELEMENTS, default="linear")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of training, each")
+    parser.add_argument("--widths", type=int, nargs=2, default=(32, 64))
+    parser.add_argument("--rate", type=float, default=2e-3, help="of Adam")
+    parser.add_argument("--samples", type=int, default=200)
+    parser.add_argument("--mirror", action="store_true", help="train on the mirrored squares too")
+    parser.add_argument("--jobs", type=int, default=-1)
+    parser.add_argument("--data", type=Path, default=ROOT / "data" / "hgo")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "pno_rival")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args()
+    counts = (given.samples, 25, 25, 0)
+    sets = make_hgo(given.data, element=given.element, counts=counts, jobs=given.jobs)
+    wide = {name: mirrored(samples) for name, samples in sets.items()}
+    found: dict[str, Any] = {
+        "dictionary": dictionary_errors(sets, FREE),
+        "dictionary, mirror rule": dictionary_errors(wide, FREE),
+    }
+    runs = {"network": sets, **({"network, mirror rule": wide} if given.mirror else {})}
+    for name, chosen in runs.items():
+        model, record = train(chosen, given.minutes, tuple(given.widths), given.rate, given.json)
+        with torch.no_grad():
+            found[name] = record | {
+                key: float(relative(*(model(u), b)).mean())
+                for key, (u, b) in ((key, on_grid(one)) for key, one in chosen.items())
+            }
+    write_json(given.out / f"{given.element}.json", found)
+    if given.json:
+        print(json.dumps(plain(found), indent=2))
+        return
+    for name, errors in found.items():
+        parts = [f"{key} {100 * errors[key]:.2f}" for key in ("train", "val", "test")]
+        print(f"{name:26} E_res in %: {'  '.join(parts)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Hyperelastic solids: nodal strains, energies of strains and of bonds, forces, tangents."""

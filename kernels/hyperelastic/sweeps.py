@@ -1,0 +1,251 @@
+"""A hyperelastic solid on a lattice, top to bottom: strains → stresses → forces, and the tangent.
+
+Every kernel gathers: a node reads what its bonds and their far ends hold, and writes its own place.
+The derivative in the displacement is the tangent, symmetric, and the force is linear in the
+coefficients, so no tape is needed. A state holds six numbers: the nodal strain, (H3), and the short
+one, (H4), each as E11, E22, 2 E12; `whole` tells which of them a node has (1, 2, or both as 3).
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from warp_peri.kernels.hyperelastic.energies import energies
+
+
+@cache
+def types(scalar):
+    """The types of one precision; Lattice holds the bonds of every node, Terms the energies."""
+    vec = wp.types.vector(2, scalar)
+    six = wp.types.vector(6, scalar)
+    block = wp.types.matrix((6, 6), scalar)
+
+    @wp.struct
+    class Lattice:
+        neighbour: wp.array2d(dtype=wp.int32)  # −1 where there is none, shape [N, B]
+        whole: wp.array(dtype=wp.int32)
+        xi: wp.array(dtype=vec)
+        inverse: wp.array(dtype=scalar)  # 1/|ξ|²
+        weight: wp.array(dtype=six)  # w of both strains
+        unit: wp.array(dtype=energies(scalar).vec)  # ê with ê·E = ξ·Eξ/|ξ|²
+        bond_class: wp.array(dtype=wp.int32)
+        deviation: wp.array(dtype=wp.int32)  # number of its deviation energy, or −1
+
+    @wp.struct
+    class Terms:
+        bond_kind: wp.array(dtype=wp.int32)
+        kind: wp.array(dtype=wp.int32)
+        ripple: wp.array(dtype=wp.int32)
+        angle: wp.array(dtype=scalar)
+        exponent: wp.array(dtype=scalar)
+        c: wp.array(dtype=scalar)  # all coefficients
+        first_deviation: wp.int32
+        first_term: wp.int32
+
+    return SimpleNamespace(vec=vec, six=six, block=block, Lattice=Lattice, Terms=Terms)
+
+
+@cache
+def parts(scalar):
+    """Functions that the kernels share."""
+    of, energy = types(scalar), energies(scalar)
+    vec, six, three, Lattice = of.vec, of.six, energy.vec, of.Lattice
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+
+    @wp.func
+    def bond_strain(lattice: Lattice, p: wp.int32, Y: vec):
+        """s = (|Y|²/|ξ|² − 1)/2, (H2)."""
+        return half * (wp.dot(Y, Y) * lattice.inverse[p] - one)
+
+    @wp.func
+    def first(E: six):
+        return three(E[0], E[1], E[2])
+
+    @wp.func
+    def short(E: six):
+        return three(E[3], E[4], E[5])
+
+    @wp.func
+    def seen(ripple: wp.int32, E: six):
+        """What a term acts on."""
+        if ripple == 1:
+            return first(E) - short(E)
+        return first(E)
+
+    @wp.func
+    def placed(ripple: wp.int32, g: three):
+        """A derivative by what a term acts on, as one by the state."""
+        if ripple == 1:
+            return six(g[0], g[1], g[2], -g[0], -g[1], -g[2])
+        return six(g[0], g[1], g[2], scalar(0.0), scalar(0.0), scalar(0.0))
+
+    @wp.func
+    def on_short(g: three):
+        return six(scalar(0.0), scalar(0.0), scalar(0.0), g[0], g[1], g[2])
+
+    @wp.func
+    def acts(ripple: wp.int32, whole: wp.int32):
+        """Whether a node has the strains that a term needs."""
+        return whole == 3 or (ripple == 0 and whole == 1)
+
+    @wp.func
+    def deviates(lattice: Lattice, p: wp.int32, i: wp.int32, j: wp.int32):
+        if j < 0 or lattice.deviation[p] < 0:
+            return False
+        return lattice.whole[i] >= 2 and lattice.whole[j] >= 2
+
+    @wp.func
+    def deviation(lattice: Lattice, p: wp.int32, s: scalar, Ei: six, Ej: six):
+        """d of (H6), 1/(1 + 2 s) and 1/(1 + 2 m), m the short strain of the ends along the bond."""
+        own = one + two * s
+        mean = one + wp.dot(lattice.unit[p], short(Ei) + short(Ej))
+        return three(half * wp.log(own / mean), one / own, one / mean)
+
+    return SimpleNamespace(
+        deviation=deviation,
+        bond_strain=bond_strain,
+        first=first,
+        short=short,
+        seen=seen,
+        placed=placed,
+        on_short=on_short,
+        acts=acts,
+        deviates=deviates,
+    )
+
+
+@cache
+def sweeps(scalar):
+    """Strains, stresses, forces and energies."""
+    of, energy, part = types(scalar), energies(scalar), parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
+    deviation = part.deviation
+    seen, placed, on_short, acts = part.seen, part.placed, part.on_short, part.acts
+    value, slope, bond = energy.value, energy.slope, energy.bond
+    zero, half = scalar(0.0), scalar(0.5)
+
+    @wp.kernel(enable_backward=False)
+    def strain(lattice: Lattice, u: wp.array2d(dtype=vec), E: wp.array2d(dtype=six)):
+        """Ē_i = Σ w |ξ|² s over the family, (H3) and (H4); zero where the family is not whole."""
+        s, i = wp.tid()
+        total = six()
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if j >= 0:
+                strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
+                total += (strained / lattice.inverse[p]) * lattice.weight[p]
+        if lattice.whole[i] % 2 == 0:
+            total = on_short(short(total))
+        if lattice.whole[i] < 2:
+            total = six(total[0], total[1], total[2], zero, zero, zero)
+        E[s, i] = total
+
+    @wp.kernel(enable_backward=False)
+    def stress(
+        lattice: Lattice,
+        terms: Terms,
+        u: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        G: wp.array2d(dtype=six),
+    ):
+        """G_i = ∂U/∂Ē_i of the strain energies and the deviations, (H7)."""
+        s, i = wp.tid()
+        state = E[s, i]
+        total = six()
+        for k in range(terms.kind.shape[0]):
+            if acts(terms.ripple[k], lattice.whole[i]):
+                local = slope(
+                    terms.kind[k], terms.angle[k], terms.exponent[k], seen(terms.ripple[k], state)
+                )
+                total += terms.c[terms.first_term + k] * placed(terms.ripple[k], local)
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if deviates(lattice, p, i, j):
+                strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
+                d = deviation(lattice, p, strained, state, E[s, j])
+                c = terms.c[terms.first_deviation + lattice.deviation[p]]
+                total -= half * c * d[0] * d[2] * on_short(lattice.unit[p])
+        G[s, i] = total
+
+    @wp.func
+    def tension(
+        lattice: Lattice,
+        terms: Terms,
+        p: wp.int32,
+        i: wp.int32,
+        j: wp.int32,
+        s: scalar,
+        Ei: six,
+        Ej: six,
+    ):
+        """t = ψ′ of a bond and of its deviation."""
+        slopes = scalar(0.0)
+        count = terms.bond_kind.shape[0]
+        for q in range(count):
+            c = terms.c[lattice.bond_class[p] * count + q]
+            slopes += c * bond(terms.bond_kind[q], s)[1]
+        if deviates(lattice, p, i, j):
+            d = deviation(lattice, p, s, Ei, Ej)
+            slopes += terms.c[terms.first_deviation + lattice.deviation[p]] * d[0] * d[1]
+        return slopes
+
+    @wp.kernel(enable_backward=False)
+    def force(
+        lattice: Lattice,
+        terms: Terms,
+        u: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        G: wp.array2d(dtype=six),
+        f: wp.array2d(dtype=vec),
+    ):
+        """f_i = −Σ [t/|ξ|² + w·(G_i + G_j)] Y, the derivative of the energy by u_i, (H8)."""
+        s, i = wp.tid()
+        total = vec()
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if j >= 0:
+                Y = lattice.xi[p] + u[s, j] - u[s, i]
+                strained = bond_strain(lattice, p, Y)
+                t = tension(lattice, terms, p, i, j, strained, E[s, i], E[s, j])
+                along = t * lattice.inverse[p]
+                along += wp.dot(lattice.weight[p], G[s, i] + G[s, j])
+                total -= along * Y
+        f[s, i] = total
+
+    @wp.kernel(enable_backward=False)
+    def energy_of_nodes(
+        lattice: Lattice,
+        terms: Terms,
+        u: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        U: wp.array2d(dtype=scalar),
+    ):
+        """Σ c Φ(Ē_i) and half the energy of every bond, (H1), over h²."""
+        s, i = wp.tid()
+        total = scalar(0.0)
+        for k in range(terms.kind.shape[0]):
+            if acts(terms.ripple[k], lattice.whole[i]):
+                local = value(
+                    terms.kind[k],
+                    terms.angle[k],
+                    terms.exponent[k],
+                    seen(terms.ripple[k], E[s, i]),
+                )
+                total += terms.c[terms.first_term + k] * local
+        count = terms.bond_kind.shape[0]
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if j >= 0:
+                strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
+                for q in range(count):
+                    c = terms.c[lattice.bond_class[p] * count + q]
+                    total += half * c * bond(terms.bond_kind[q], strained)[0]
+                if deviates(lattice, p, i, j):
+                    d = deviation(lattice, p, strained, E[s, i], E[s, j])
+                    c = terms.c[terms.first_deviation + lattice.deviation[p]]
+                    total += half * half * c * d[0] * d[0]
+        U[s, i] = total
+
+    return SimpleNamespace(strain=strain, stress=stress, force=force, energy=energy_of_nodes)

@@ -1,0 +1,220 @@
+"""The second derivative of the energy on a displacement, and the derivatives by coefficients."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from warp_peri.kernels.hyperelastic.energies import energies
+from warp_peri.kernels.hyperelastic.sweeps import parts, types
+
+
+@cache
+def tangents(scalar):
+    """Kernels of K v, (H10)."""
+    of, energy, part = types(scalar), energies(scalar), parts(scalar)
+    vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
+    bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
+    deviation = part.deviation
+    seen, on_short, acts = part.seen, part.on_short, part.acts
+    curve, bond = energy.curve, energy.bond
+    zero, half, two = scalar(0.0), scalar(0.5), scalar(2.0)
+
+    @wp.kernel(enable_backward=False)
+    def curvature(
+        lattice: Lattice, terms: Terms, E: wp.array2d(dtype=six), H: wp.array2d(dtype=block)
+    ):
+        """H_i = Σ c ∂²Φ/∂Ē² of the strain energies."""
+        s, i = wp.tid()
+        total = block()
+        for k in range(terms.kind.shape[0]):
+            if acts(terms.ripple[k], lattice.whole[i]):
+                ripple = terms.ripple[k]
+                local = curve(
+                    terms.kind[k], terms.angle[k], terms.exponent[k], seen(ripple, E[s, i])
+                )
+                c = terms.c[terms.first_term + k]
+                for a in range(3):
+                    for b in range(3):
+                        entry = c * local[a, b]
+                        total[a, b] += entry
+                        if ripple == 1:
+                            total[a + 3, b] -= entry
+                            total[a, b + 3] -= entry
+                            total[a + 3, b + 3] += entry
+        H[s, i] = total
+
+    @wp.kernel(enable_backward=False)
+    def strain_rate(
+        lattice: Lattice,
+        u: wp.array2d(dtype=vec),
+        v: wp.array2d(dtype=vec),
+        dE: wp.array2d(dtype=six),
+    ):
+        """The derivative of the strains along v."""
+        s, i = wp.tid()
+        total = six()
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if j >= 0:
+                Y = lattice.xi[p] + u[s, j] - u[s, i]
+                total += wp.dot(Y, v[s, j] - v[s, i]) * lattice.weight[p]
+        if lattice.whole[i] % 2 == 0:
+            total = on_short(short(total))
+        if lattice.whole[i] < 2:
+            total = six(total[0], total[1], total[2], zero, zero, zero)
+        dE[s, i] = total
+
+    @wp.kernel(enable_backward=False)
+    def stress_rate(
+        lattice: Lattice,
+        terms: Terms,
+        u: wp.array2d(dtype=vec),
+        v: wp.array2d(dtype=vec),
+        H: wp.array2d(dtype=block),
+        E: wp.array2d(dtype=six),
+        dE: wp.array2d(dtype=six),
+        dG: wp.array2d(dtype=six),
+    ):
+        """The derivative of G along v."""
+        s, i = wp.tid()
+        total = H[s, i] * dE[s, i]
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if deviates(lattice, p, i, j):
+                Y = lattice.xi[p] + u[s, j] - u[s, i]
+                unit = lattice.unit[p]
+                d = deviation(lattice, p, bond_strain(lattice, p, Y), E[s, i], E[s, j])
+                own = wp.dot(Y, v[s, j] - v[s, i]) * lattice.inverse[p] * d[1]
+                mean = half * wp.dot(unit, short(dE[s, i]) + short(dE[s, j])) * d[2]
+                rate = (own - mean - two * d[0] * mean) * d[2]
+                c = terms.c[terms.first_deviation + lattice.deviation[p]]
+                total -= half * c * rate * on_short(unit)
+        dG[s, i] = total
+
+    @wp.kernel(enable_backward=False)
+    def force_rate(
+        lattice: Lattice,
+        terms: Terms,
+        u: wp.array2d(dtype=vec),
+        v: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        dE: wp.array2d(dtype=six),
+        G: wp.array2d(dtype=six),
+        dG: wp.array2d(dtype=six),
+        df: wp.array2d(dtype=vec),
+    ):
+        """(K v)_i, the derivative of the force along v."""
+        s, i = wp.tid()
+        total = vec()
+        count = terms.bond_kind.shape[0]
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if j >= 0:
+                Y = lattice.xi[p] + u[s, j] - u[s, i]
+                y = v[s, j] - v[s, i]
+                strained = bond_strain(lattice, p, Y)
+                rate = wp.dot(Y, y) * lattice.inverse[p]
+                t, dt = scalar(0.0), scalar(0.0)
+                for q in range(count):
+                    c = terms.c[lattice.bond_class[p] * count + q]
+                    local = bond(terms.bond_kind[q], strained)
+                    t += c * local[1]
+                    dt += c * local[2] * rate
+                if deviates(lattice, p, i, j):
+                    c = terms.c[terms.first_deviation + lattice.deviation[p]]
+                    unit = lattice.unit[p]
+                    d = deviation(lattice, p, strained, E[s, i], E[s, j])
+                    own = rate * d[1]
+                    mean = half * wp.dot(unit, short(dE[s, i]) + short(dE[s, j])) * d[2]
+                    t += c * d[0] * d[1]
+                    dt += c * (own - mean - two * d[0] * own) * d[1]
+                along = t * lattice.inverse[p] + wp.dot(lattice.weight[p], G[s, i] + G[s, j])
+                turned = dt * lattice.inverse[p] + wp.dot(lattice.weight[p], dG[s, i] + dG[s, j])
+                total -= along * y + turned * Y
+        df[s, i] = total
+
+    return SimpleNamespace(
+        curvature=curvature, strain_rate=strain_rate, stress_rate=stress_rate, force_rate=force_rate
+    )
+
+
+@cache
+def features(scalar):
+    """Kernels of the forces of single energies: the derivative of (H8) by every coefficient."""
+    of, energy, part = types(scalar), energies(scalar), parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain, deviates = part.bond_strain, part.deviates
+    deviation = part.deviation
+    seen, placed, on_short, acts = part.seen, part.placed, part.on_short, part.acts
+    slope, bond = energy.slope, energy.bond
+    slope_by_angle, slope_by_exponent = energy.slope_by_angle, energy.slope_by_exponent
+    half = scalar(0.5)
+
+    @wp.kernel(enable_backward=False)
+    def stress_of_each(
+        lattice: Lattice,
+        terms: Terms,
+        by: wp.int32,
+        u: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        G: wp.array3d(dtype=six),
+    ):
+        """G of every deviation and strain energy alone, with coefficient one.
+
+        With by = 1 and 2 its derivatives by the angle and the exponent of a fibre.
+        """
+        s, i, k = wp.tid()
+        deviations = terms.first_term - terms.first_deviation
+        total = six()
+        if k >= deviations:
+            t = k - deviations
+            if acts(terms.ripple[t], lattice.whole[i]):
+                strained = seen(terms.ripple[t], E[s, i])
+                kind, angle, exponent = terms.kind[t], terms.angle[t], terms.exponent[t]
+                local = slope(kind, angle, exponent, strained)
+                if by == 1:
+                    local = slope_by_angle(kind, angle, exponent, strained)
+                if by == 2:
+                    local = slope_by_exponent(kind, angle, exponent, strained)
+                total = placed(terms.ripple[t], local)
+        else:
+            for p in range(lattice.xi.shape[0]):
+                j = lattice.neighbour[i, p]
+                if lattice.deviation[p] == k and deviates(lattice, p, i, j):
+                    own = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
+                    d = deviation(lattice, p, own, E[s, i], E[s, j])
+                    total -= half * d[0] * d[2] * on_short(lattice.unit[p])
+        G[s, i, k] = total
+
+    @wp.kernel(enable_backward=False)
+    def force_of_each(
+        lattice: Lattice,
+        terms: Terms,
+        rows: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        G: wp.array3d(dtype=six),
+        F: wp.array3d(dtype=vec),
+    ):
+        """The force of every energy alone on the nodes `rows`; its bonds once for all."""
+        s, t = wp.tid()
+        i = rows[t]
+        count = terms.bond_kind.shape[0]
+        for p in range(lattice.xi.shape[0]):
+            j = lattice.neighbour[i, p]
+            if j >= 0:
+                Y = lattice.xi[p] + u[s, j] - u[s, i]
+                strained = bond_strain(lattice, p, Y)
+                for q in range(count):
+                    along = bond(terms.bond_kind[q], strained)[1] * lattice.inverse[p]
+                    F[s, t, lattice.bond_class[p] * count + q] -= along * Y
+                if deviates(lattice, p, i, j):
+                    d = deviation(lattice, p, strained, E[s, i], E[s, j])
+                    k = terms.first_deviation + lattice.deviation[p]
+                    F[s, t, k] -= d[0] * d[1] * lattice.inverse[p] * Y
+                for k in range(G.shape[2]):
+                    along = wp.dot(lattice.weight[p], G[s, i, k] + G[s, j, k])
+                    F[s, t, terms.first_deviation + k] -= along * Y
+
+    return SimpleNamespace(stress_of_each=stress_of_each, force_of_each=force_of_each)

@@ -1,0 +1,125 @@
+"""Learning without loads: the truth up to its scale, sensitivities, and what cannot be known."""
+
+import numpy as np
+import pytest
+
+from tests.support.sheets import NEAREST, square, waves
+from warp_peri import InputError
+from warp_peri.learning.fibres import families, grouped, read_material, rose
+from warp_peri.learning.from_displacement import (
+    _Path,
+    fit_displacement,
+    initial_stiffness,
+)
+from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
+from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
+from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.points.samples import Samples
+from warp_peri.statics.large_deformation import StaticProblem
+
+TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
+
+
+def sheet(angle=TRUE_ANGLE, exponent=TRUE_EXPONENT):
+    terms = (Term("plane_stress"), Term("fibre_exponential", angle, exponent))
+    return Dictionary(3.0, (), NEAREST, terms)
+
+
+TRUTH = np.array([0.1] * 4 + [0.05, 0.15])
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Unloaded equilibria of the true sheet with bent edges."""
+    points = square(5)
+    problem = StaticProblem(HyperelasticOperator(sheet(), points))
+    stretched = points.x @ np.array([[0.25, 0.05], [0.0, 0.2]])
+    edges = [stretched + waves(points, 0.25, seed) for seed in range(3)]
+    return Samples(points, np.stack([problem.solve(TRUTH, None, u).u for u in edges]))
+
+
+def test_ratios_are_found_and_the_scale_is_one(frames):
+    fit = fit_displacement(frames, sheet(), stiffness=0.0, most_steps=20, tolerance=1e-9)
+    measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
+    assert measure @ fit.solid.coefficients == pytest.approx(1.0)
+    np.testing.assert_allclose(
+        fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
+    )
+    assert fit.errors.max() < 1e-5
+
+
+def test_direction_and_exponent_are_found(frames):
+    start = sheet(TRUE_ANGLE + 0.3, 1.0)
+    fit = fit_displacement(frames, start, stiffness=0.0, moving=True, most_steps=30, tolerance=1e-6)
+    fibre = fit.solid.dictionary.terms[1]
+    assert fibre.angle == pytest.approx(TRUE_ANGLE, abs=1e-3)
+    assert fibre.exponent == pytest.approx(TRUE_EXPONENT, abs=2e-2)
+
+
+def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
+    path = _Path(frames, sheet(1.0, 1.5), 0.0, True)
+    c = path.scaled(TRUTH)
+    path.begin(c)
+    reduced, gap = path._equations()
+    gradient = 2 * reduced.T @ gap
+    numbers = np.concatenate([c, path._numbers()])
+
+    def loss(values):
+        problem = path._moved(values[len(c) : len(c) + 1], values[len(c) + 1 :])
+        return path._solve(problem, values[: len(c)])[1].sum()
+
+    for n in range(len(numbers)):
+        step = 1e-4 * max(abs(numbers[n]), 0.1) * np.eye(len(numbers))[n]
+        slope = (loss(numbers + step) - loss(numbers - step)) / (2 * step.max())
+        assert gradient[n] == pytest.approx(slope, rel=1e-3, abs=1e-6 * np.abs(gradient).max())
+
+
+def test_what_says_nothing_is_refused(frames):
+    points = frames.points
+    affine = Samples(points, np.stack([0.1 * points.x, points.x @ [[0.2, 0.1], [0.0, 0.3]]]))
+    with pytest.raises(InputError, match="a homogeneous body of any material"):
+        fit_displacement(affine, sheet())
+    with pytest.raises(InputError, match="convex and stress-free"):
+        fit_displacement(frames, Dictionary(3.0, ("square",), (), (Term("area"),)))
+    with pytest.raises(InputError, match="with loads use fit_energy"):
+        fit_displacement(Samples(points, frames.u, np.ones_like(frames.u)), sheet())
+
+
+def test_errors_are_relative_and_counted(frames):
+    solid = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    exact = hyperelastic_errors(solid, frames)
+    assert "E_res" not in exact
+    assert exact["E_u"] < 1e-6
+    assert exact["not_solved"] == exact["left_branch"] == 0
+    shifted = hyperelastic_errors(solid, frames, truth=1.1 * frames.u)
+    assert shifted["E_u"] == pytest.approx(0.1 / 1.1, rel=1e-5)
+
+
+def test_families_come_from_a_rose():
+    dictionary = Dictionary(3.0, (), NEAREST, (Term("neo_hookean"), *rose(8, (2.0, 4.0))))
+    c = np.zeros(len(dictionary))
+    c[dictionary.first_term] = 0.07
+    for n, value in ((3, 0.2), (4, 0.1), (6, 0.3)):
+        c[dictionary.first_term + 1 + 2 * n] = value
+    solid = HyperelasticSolid(dictionary, c, 0.1, stretch=1.3)
+    apart, start = families(solid)
+    assert [round(np.rad2deg(t.angle), 1) for t in apart.terms[1:]] == [67.5, 90.0, 135.0]
+    together, _ = families(solid, within=0.4)
+    assert [round(np.rad2deg(t.angle), 1) for t in together.terms[1:]] == [75.0, 135.0]
+    assert start[dictionary.first_term] == 0.07
+    assert grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
+
+
+def test_a_material_is_read_out_of_loaded_fields():
+    points = square(6)
+    terms = (Term("neo_hookean"), Term("volumetric"), Term("fibre_exponential", 0.5, 1.5))
+    dictionary = Dictionary(3.0, (), NEAREST, terms)
+    truth = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
+    op = HyperelasticOperator(dictionary, points)
+    u = np.stack([waves(points, 0.4, seed) for seed in range(4)])
+    solid = read_material(Samples(points, u, op.everywhere(u, truth)), directions=8)
+    fibres = [t for t in solid.dictionary.terms if t.kind == "fibre_exponential"]
+    assert len(fibres) == 1
+    assert fibres[0].angle == pytest.approx(0.5, abs=1e-3)
+    assert fibres[0].exponent == pytest.approx(1.5, abs=1e-2)
+    np.testing.assert_allclose(solid.coefficients, truth, rtol=1e-2)

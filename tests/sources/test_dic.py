@@ -1,0 +1,122 @@
+"""Frames of digital image correlation: headers, missing points, lattices, noise."""
+
+import numpy as np
+import pytest
+
+from warp_peri import InputError
+from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+
+X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
+
+
+def field(x):
+    return np.stack([0.1 * x[:, 0] + 1e-4 * x[:, 1] ** 2, -0.05 * x[:, 1] + 2.0], axis=1)
+
+
+def rows(x, u, separator, extra=()):
+    return "\n".join(
+        separator.join(f"{value:.9g}" for value in (*place, *move, *extra))
+        for place, move in zip(x, u)
+    )
+
+
+def plain(x, u):
+    return "x,y,u,v\n" + rows(x, u, ",")
+
+
+def semicolons(x, u):
+    head = "x [pixel];y [pixel];x-displacement [pixel];y-displacement [pixel];Displacement [pixel]"
+    return head + "\n" + rows(x, u, ";", (1.0,))
+
+
+def dice(x, u):
+    head = "*** Digital Image Correlation Engine (DICe)\n***\n"
+    head += "SUBSET_ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,SIGMA,STATUS_FLAG\n"
+    lines = [
+        ",".join(f"{v:.9g}" for v in (n, *place, *move, 0.01, 4))
+        for n, (place, move) in enumerate(zip(x, u))
+    ]
+    return head + "\n".join(lines)
+
+
+def nodemap(x, u):
+    head = "# ARAMIS export\n# force : 3.1\n# ID; x; y; z; ux; uy; uz; exx; eyy; exy\n"
+    lines = [
+        "; ".join(f"{v:.9g}" for v in (n, *place, 0, *move, 0, 0.1, 0.2, 0.3))
+        for n, (place, move) in enumerate(zip(x, u))
+    ]
+    return head + "\n".join(lines)
+
+
+@pytest.mark.parametrize("table", [plain, semicolons, dice, nodemap])
+def test_headers_are_recognised(tmp_path, table):
+    (tmp_path / "frame.txt").write_text(table(X, field(X)))
+    frame = read_frame(tmp_path / "frame.txt", pixel=0.5)
+    np.testing.assert_allclose(frame.x, 0.5 * X)
+    np.testing.assert_allclose(frame.u, 0.5 * field(X), rtol=1e-8)
+    assert frame.name == "frame.txt"
+
+
+def test_points_without_a_number_are_left_out(tmp_path):
+    text = dice(X, field(X)).splitlines()
+    text[5] = "2,100,100,,1.0,0.01,4"
+    text[6] = "3,100,120,1.0,1.0,-1,4"
+    (tmp_path / "frame.txt").write_text("\n".join(text))
+    assert len(read_frame(tmp_path / "frame.txt").x) == len(X) - 2
+
+
+def test_points_on_a_lattice_stay_as_they_are(tmp_path):
+    (tmp_path / "frame.csv").write_text(plain(X, field(X)))
+    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")])
+    assert samples.spacing == 20.0
+    assert samples.b is None
+    np.testing.assert_allclose(samples.u[0], field(samples.x), rtol=1e-7)
+    assert samples.interior.sum() == 3 * 4
+
+
+def test_a_missing_point_takes_its_surroundings_from_the_interior(tmp_path):
+    big = np.argwhere(np.ones((25, 25), bool)) * 20.0
+    (tmp_path / "a.csv").write_text(plain(big, field(big)))
+    kept = (big != [240.0, 240.0]).any(axis=1)
+    (tmp_path / "b.csv").write_text(plain(big[kept], field(big[kept])))
+    frames = [read_frame(tmp_path / name) for name in ("a.csv", "b.csv")]
+    samples = frames_on_lattice(frames)
+    assert len(samples) == 2
+    assert len(samples.x) == 25**2 - 1
+    near = np.linalg.norm(samples.x - 240.0, axis=1) <= 2.5 * 20
+    assert not samples.interior[near].any()
+    assert samples.interior.any()
+
+
+def test_scattered_points_are_fitted_locally(tmp_path):
+    shaken = X + 4 * np.random.default_rng(0).uniform(-1, 1, X.shape)
+    shaken[0] = X[0]
+    (tmp_path / "frame.csv").write_text(plain(shaken, field(shaken)))
+    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")], spacing=20.0, radius=2.0)
+    np.testing.assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
+
+
+def test_the_noise_is_estimated(tmp_path):
+    big = np.argwhere(np.ones((30, 30), bool)) * 20.0
+    random = np.random.default_rng(1)
+    (tmp_path / "frame.csv").write_text(plain(big, field(big) + random.normal(0, 0.3, big.shape)))
+    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")])
+    assert noise_of(samples)[0] == pytest.approx(0.3, rel=0.15)
+
+
+def test_a_polygon_masks(tmp_path):
+    (tmp_path / "frame.csv").write_text(plain(X, field(X)))
+    corners = [[0, 0], [1000, 0], [1000, 350], [0, 350]]
+    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")], mask=np.array(corners))
+    assert samples.x[:, 1].max() <= 350
+
+
+def test_what_is_no_frame_is_refused(tmp_path):
+    (tmp_path / "bad.csv").write_text("time,load\n0,1\n")
+    with pytest.raises(InputError, match="expected columns x, y, u and v"):
+        read_frame(tmp_path / "bad.csv")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_frame(tmp_path / "missing.csv")
+    (tmp_path / "small.csv").write_text(plain(X[:40], field(X[:40])))
+    with pytest.raises(InputError, match="nodes a side"):
+        frames_on_lattice([read_frame(tmp_path / "small.csv")])

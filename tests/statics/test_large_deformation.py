@@ -1,0 +1,77 @@
+"""Equilibria at large deformation: found, stable, the same by factors and by gradients."""
+
+import numpy as np
+import pytest
+
+from tests.support.sheets import hgo_dictionary, square, waves
+from warp_peri import InputError
+from warp_peri.models.hyperelastic import HyperelasticSolid
+from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.statics.large_deformation import (
+    NoEquilibrium,
+    StaticProblem,
+    solve_hyperelastic,
+)
+
+COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
+
+
+@pytest.fixture(scope="module")
+def manufactured():
+    """A field and the load that it is in equilibrium with."""
+    points = square(6)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    u = waves(points, 0.25)
+    b = np.zeros_like(u)
+    b[op.interior] = op.force(u, COEFFICIENTS)
+    return op, u, b
+
+
+@pytest.mark.parametrize("direct", [0, 10**6])
+def test_a_known_equilibrium_is_found(manufactured, direct):
+    op, u, b = manufactured
+    problem = StaticProblem(op, direct=direct)
+    found = problem.solve(COEFFICIENTS, b, u)
+    assert np.abs(found.u - u).max() < 1e-6 * np.abs(u).max()
+    assert found.followed
+    assert found.residual < 1e-8
+    assert found.smallest_eigenvalue > 0
+
+
+def test_the_smallest_eigenvalue_is_that_of_the_matrix(manufactured):
+    op, u, _ = manufactured
+    problem = StaticProblem(op)
+    dense = np.linalg.eigvalsh(problem.pattern.matrix(u, COEFFICIENTS).toarray())[0]
+    assert problem.smallest_eigenvalue(COEFFICIENTS, u) == pytest.approx(dense, rel=1e-2)
+
+
+def test_continuation_leads_where_one_step_does(manufactured):
+    op, u, b = manufactured
+    problem = StaticProblem(op)
+    collar = np.where(op.points.interior[:, None], 0.0, u)
+    followed, done, steps, _ = problem._continue(COEFFICIENTS, b[op.interior], collar)
+    assert done == 1.0
+    assert steps > 1
+    np.testing.assert_allclose(followed, u, atol=1e-6 * np.abs(u).max())
+
+
+def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
+    """Compression to a third: the branch ends; what comes back says that it left it, or nothing."""
+    op, _, _ = manufactured
+    u = -0.66 * op.points.x + 1e-3 * waves(op.points)
+    problem = StaticProblem(op)
+    soft = COEFFICIENTS * ([0.01] * 4 + [1] * 3)
+    try:
+        found = problem.solve(soft, None, u)
+    except NoEquilibrium:
+        found = None
+    assert found is None or problem.smallest_eigenvalue(soft, found.u) > 0
+
+
+def test_a_solid_without_stiffness_is_refused(manufactured):
+    op, u, b = manufactured
+    solid = HyperelasticSolid(op.dictionary, -COEFFICIENTS, op.points.spacing)
+    with pytest.raises(NoEquilibrium, match="no stable equilibrium found"):
+        solve_hyperelastic(solid, op.points, b, u)
+    with pytest.raises(InputError, match="b: expected finite numbers"):
+        solve_hyperelastic(solid, op.points, np.full_like(b, np.nan), u)

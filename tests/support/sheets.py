@@ -1,0 +1,47 @@
+"""Hyperelastic sheets for tests: lattices, dictionaries with every energy, and smooth fields."""
+
+import numpy as np
+
+from warp_peri.models.hyperelastic import BONDS, KINDS, Dictionary, Term
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+
+SPACING = 0.1
+NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
+
+
+def square(interior, *, spacing=SPACING, reach=3, u=None, b=None):
+    """Interior nodes a side and the collar they need."""
+    side = interior + 4 * reach
+    steps = np.argwhere(np.ones((side, side), bool))
+    inner = ((steps >= 2 * reach) & (steps < side - 2 * reach)).all(axis=1)
+    points = Points(spacing * steps, inner, spacing)
+    return points if u is None else Samples(points, u, b)
+
+
+def everything():
+    """Every bond energy, deviation and strain energy once."""
+    angles = iter(np.linspace(0.2, 2.8, 8))
+    terms = [Term(kind) for kind in KINDS if not kind.startswith(("fibre", "along"))]
+    terms += [Term("fibre_power", next(angles), p) for p in (2.5, 3.0)]
+    terms += [Term("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
+    terms += [Term("along", next(angles)), Term("along", next(angles), ripple=True)]
+    terms += [Term("trace", ripple=True), Term("fibre_power", next(angles), 2.5, ripple=True)]
+    return Dictionary(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
+
+
+def hgo_dictionary(*, deviations=NEAREST, angle=1.2):
+    """A matrix and one exponential fibre family, with deviations against hourglasses."""
+    terms = (Term("neo_hookean"), Term("volumetric"), Term("fibre_exponential", angle, 1.5))
+    return Dictionary(3.0, (), deviations, terms)
+
+
+def waves(points, amplitude=0.1, seed=0):
+    """A smooth field with displacement gradients about as large as the amplitude, shape [N, 2]."""
+    random = np.random.default_rng(seed)
+    extent = np.ptp(points.x, axis=0).max()
+    u = np.zeros_like(points.x)
+    for k in ((1, 0), (0, 1), (1, 1), (2, -1)):
+        phase = 2 * np.pi * (points.x @ np.array(k) / extent + random.random())
+        u += np.sin(phase)[:, None] * random.normal(size=2) / np.hypot(*k)
+    return amplitude * extent / (4 * np.pi) * u

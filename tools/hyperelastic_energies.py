@@ -1,0 +1,132 @@
+"""Strain energies of plane sheets with their derivatives: what finite elements and rivals use.
+
+An energy is a function of C = FᵗF, given as c = (C11, C22, C12) of shape [..., 3]; it returns W,
+∂W/∂c and ∂²W/∂c² of shapes [...], [..., 3] and [..., 3, 3].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+Energy = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+AREA_CURVE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
+
+
+@dataclass(frozen=True)
+class Family:
+    """Fibres in one direction: k1/(2 k2) (exp(k2 ⟨I4 − 1⟩²) − 1).
+
+    Attributes:
+        angle: of the direction [rad].
+        k1: stiffness [stress].
+        k2: exponent.
+    """
+
+    angle: float
+    k1: float
+    k2: float
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """a (I1 − 2) + f(D), D = det C, with fibre families added.
+
+    Attributes:
+        linear: a [stress].
+        of_area: f, f′ and f″ of D.
+        families: of fibres.
+        tension_only: whether fibres carry no compression; false only to show what that does.
+    """
+
+    linear: float
+    of_area: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+    families: Sequence[Family] = field(default=())
+    tension_only: bool = True
+
+    def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        D = c[..., 0] * c[..., 1] - c[..., 2] ** 2
+        slope = np.stack([c[..., 1], c[..., 0], -2 * c[..., 2]], axis=-1)
+        f, first, second = self.of_area(D)
+        W = self.linear * (c[..., 0] + c[..., 1] - 2) + f
+        g = first[..., None] * slope
+        g[..., :2] += self.linear
+        H = second[..., None, None] * slope[..., :, None] * slope[..., None, :]
+        H += first[..., None, None] * AREA_CURVE
+        for family in self.families:
+            along, across = np.cos(family.angle), np.sin(family.angle)
+            m = np.array([along**2, across**2, 2 * along * across])
+            x = c @ m - 1
+            pulled = (x > 0) | (not self.tension_only)
+            x = np.where(pulled, x, 0.0)
+            growth = np.exp(family.k2 * x**2)
+            if family.k2 > 0:
+                W = W + family.k1 / (2 * family.k2) * (growth - 1)
+            else:
+                W = W + family.k1 / 2 * x**2
+            g += (family.k1 * x * growth)[..., None] * m
+            curve = family.k1 * growth * (1 + 2 * family.k2 * x**2) * pulled
+            H += curve[..., None, None] * np.outer(m, m)
+        return W, g, H
+
+
+def hgo(
+    E: float,
+    nu: float,
+    families: Sequence[Family],
+    *,
+    tension_only: bool = True,
+    bulk: float | None = None,
+) -> Matrix:
+    """The Holzapfel–Gasser–Ogden sheet of the published data.
+
+    a (I1 − 2) − 2a ln J + b ((J² − 1)/2 − ln J) with a = E/(4(1+ν)), b = E/(6(1−2ν)), and fibres.
+
+    Args:
+        E, nu: of the matrix [stress], ν < ½.
+        families: of fibres.
+        tension_only: as for Matrix.
+        bulk: b where it is not the one above [stress].
+    """
+    a = E / (4 * (1 + nu))
+    b = E / (6 * (1 - 2 * nu)) if bulk is None else bulk
+
+    def of_area(D: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        log = np.log(D)
+        f = -a * log + b * ((D - 1) / 2 - log / 2)
+        return f, -a / D + b * (0.5 - 0.5 / D), (a + 0.5 * b) / D**2
+
+    return Matrix(a, of_area, tuple(families), tension_only)
+
+
+def plane_stress_hgo(mu: float, families: Sequence[Family] = ()) -> Matrix:
+    """An incompressible sheet in plane stress: μ/2 (I1 + 1/D − 3), and fibres."""
+
+    def of_area(D: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return mu / 2 * (1 / D - 1), -mu / 2 / D**2, mu / D**3
+
+    return Matrix(mu / 2, of_area, tuple(families))
+
+
+@dataclass(frozen=True)
+class Fung:
+    """(e^Q − 1)/2 with Q = e·A e, e = (E11, E22, 2 E12), A symmetric with six numbers.
+
+    Attributes:
+        numbers: A11, A22, A12, A33, A13, A23.
+    """
+
+    numbers: Sequence[float]
+
+    def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        a11, a22, a12, a33, a13, a23 = self.numbers
+        A = np.array([[a11, a12, a13], [a12, a22, a23], [a13, a23, a33]])
+        e = np.stack([(c[..., 0] - 1) / 2, (c[..., 1] - 1) / 2, c[..., 2]], axis=-1)
+        Ae = e @ A
+        growth = np.exp(np.minimum((e * Ae).sum(axis=-1), 30.0))
+        scale = np.array([0.5, 0.5, 1.0])
+        g = growth[..., None] * Ae * scale
+        curve = A + 2 * Ae[..., :, None] * Ae[..., None, :]
+        return (growth - 1) / 2, g, growth[..., None, None] * curve * np.outer(scale, scale)

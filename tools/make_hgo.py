@@ -1,0 +1,288 @@
+"""An anisotropic hyperelastic sheet by finite elements: squares to learn from, disks to predict.
+
+The second experiment of Jafarzadeh et al. 2024: a unit square, its edge held, under random body
+forces, on 21 × 21 nodes; and disks cut from the same sheet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import joblib
+import numpy as np
+from tqdm import tqdm
+
+from tools.hyperelastic_elements import (
+    Elements,
+    NotSolved,
+    finite_elements,
+    quadrilaterals,
+    triangles,
+)
+from tools.hyperelastic_energies import Family, Matrix, hgo
+from tools.random_field import RandomField
+from warp_peri.errors import InputError
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import locked, whole_file
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+
+NODES = 21
+"""Nodes a side of the square."""
+SPACING = 0.05
+HORIZON = 3
+"""In spacings; interior nodes keep twice that from the nodes of the edge, which is the collar."""
+DISK_RADIUS = 0.5
+MESHED_RADIUS = 0.95
+"""Disks are cut from a larger one whose edge is held, so that they have a collar."""
+ELEMENTS = ("linear", "quadratic")
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the sheet is made of.
+
+    Attributes:
+        E, nu, k1, k2: of the HGO energy.
+        angle: of the fibre families, ± from the x axis [degree]; 90 is one family twice.
+    """
+
+    E: float = 0.3278
+    nu: float = 0.15
+    k1: float = 0.1
+    k2: float = 1.5
+    angle: float = 90.0
+
+    @property
+    def energy(self) -> Matrix:
+        """Its strain energy."""
+        angle = np.deg2rad(self.angle)
+        families = [Family(sign * angle, self.k1, self.k2) for sign in (1, -1)]
+        return hgo(self.E, self.nu, families)
+
+
+def make_hgo(
+    folder: str | os.PathLike[str],
+    *,
+    material: Material | None = None,
+    element: str = "linear",
+    counts: tuple[int, int, int, int] = (200, 25, 25, 10),
+    seed: int = 1000,
+    jobs: int = -1,
+    progress: bool = True,
+) -> dict[str, Samples]:
+    """Sets train, val and test on the square and disks; finished samples stay in the folder.
+
+    Loads whose equilibrium is not found are left out and the next seed taken, so that the sets are
+    the same however often the work was interrupted.
+
+    Args:
+        folder: of finished samples.
+        material: of the sheet; that of the published data where none is given.
+        element: "linear", triangles on the nodes themselves, or "quadratic".
+        counts: samples in train, val, test and disks.
+        seed: of the first load; disks count from seed + 100 000.
+        jobs: number of processes, −1 for one per core.
+        progress: show a bar on stderr.
+
+    Raises InputError for an unknown element, a missing scikit-fem, or another job in the folder.
+    """
+    if element not in ELEMENTS:
+        raise InputError(f"element: expected linear or quadratic, got {element!r}")
+    finite_elements()
+    material = Material() if material is None else material
+    folder = Path(folder)
+    with locked(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        square = solved(folder, material, element, "square", sum(counts[:3]), seed, jobs, progress)
+        disk = solved(folder, material, element, "disk", counts[3], seed + 100_000, jobs, progress)
+    ends = np.cumsum(counts[:3])[:-1]
+    points = square_points()
+    sets = {
+        name: Samples(points, u, b)
+        for name, u, b in zip(
+            ("train", "val", "test"), np.split(square[0], ends), np.split(square[1], ends)
+        )
+        if len(u)
+    }
+    if counts[3]:
+        sets["disks"] = Samples(disk_points(), *disk)
+    return sets
+
+
+def square_points() -> Points:
+    """The nodes of the square, row by row along y."""
+    steps = np.argwhere(np.ones((NODES, NODES), bool))
+    inner: np.ndarray = np.all((steps >= 2 * HORIZON) & (steps < NODES - 2 * HORIZON), axis=1)
+    return Points(SPACING * steps, inner, SPACING)
+
+
+def disk_points() -> Points:
+    """The nodes of a disk of radius 0.5 and of its collar."""
+    side = np.arange(-20, 21)
+    steps = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    r = SPACING * np.hypot(*steps.T)
+    kept = r <= DISK_RADIUS + 2 * HORIZON * SPACING + 1e-9
+    interior: np.ndarray = np.less_equal(r[kept], DISK_RADIUS + 1e-9)
+    return Points(SPACING * steps[kept], interior, SPACING)
+
+
+def solved(
+    folder: Path,
+    material: Material,
+    element: str,
+    shape: str,
+    count: int,
+    seed: int,
+    jobs: int,
+    progress: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The first `count` solvable samples: displacement and load, shapes [S, N, 2]."""
+    u: list[np.ndarray] = []
+    b: list[np.ndarray] = []
+    label = f"{element} {shape}s"
+    with (
+        tqdm(total=count, desc=label, disable=not progress, leave=False) as bar,
+        joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel,
+    ):
+        for batch in batches(count, seed):
+            work = (joblib.delayed(sample)(folder, material, element, shape, one) for one in batch)
+            for found in parallel(work):
+                if found is not None and len(u) < count:
+                    u.append(found[0])
+                    b.append(found[1])
+                    bar.update()
+            if len(u) == count:
+                break
+        else:
+            raise InputError(f"{label}: too few equilibria; the loads are too large")
+    nodes = len((square_points() if shape == "square" else disk_points()).x)
+    return np.reshape(u, (-1, nodes, 2)), np.reshape(b, (-1, nodes, 2))
+
+
+def batches(count: int, seed: int) -> Iterator[range]:
+    """As many seeds as samples are wanted, then few more at a time."""
+    yield range(seed, seed + count)
+    last = seed + count
+    for _ in range(20):
+        step = max(2, count // 10)
+        yield range(last, last + step)
+        last += step
+
+
+def sample(
+    folder: Path, material: Material, element: str, shape: str, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """One sample from the folder, or solved and put there; None where it has no equilibrium."""
+    settings = {**asdict(material), "element": element, "shape": shape, "seed": seed, "version": 1}
+    key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
+    path = folder / f"{shape}_{key}.npz"
+    if path.exists():
+        try:
+            found = read_arrays(path)
+            return (found["u"], found["b"]) if len(found["u"]) else None
+        except (KeyError, ValueError):
+            pass  # damaged: solved again
+    try:
+        u, b = (
+            solve_square(material, element, seed)
+            if shape == "square"
+            else solve_disk(material, element, seed)
+        )
+    except NotSolved:
+        u, b = np.empty((0, 2)), np.empty((0, 2))
+    with whole_file(path) as temporary:
+        np.savez(temporary, u=u, b=b)
+    return (u, b) if len(u) else None
+
+
+def solve_square(material: Material, element: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and load on the nodes of the square."""
+    rng = np.random.default_rng(seed)
+    b = RandomField(rng, rng.uniform(0.2, 1.0))
+    mesh = mesh_of("square", element)
+    load = mesh.load(b, nodal=element == "linear")
+    u = mesh.solve(material.energy, load, mesh.edge, np.zeros(len(mesh.edge)))
+    points = square_points()
+    return on_nodes(mesh, u, points.x), b(points.x)
+
+
+def solve_disk(material: Material, element: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and load on the nodes of the disk and its collar."""
+    rng = np.random.default_rng(seed)
+    b = RandomField(rng, rng.uniform(0.2, 0.8), waves=24, side=2.0, first=-1.0)
+    mesh = mesh_of("disk", element)
+    load = mesh.load(b, nodal=element == "linear")
+    u = mesh.solve(material.energy, load, mesh.edge, np.zeros(len(mesh.edge)), steps=2)
+    x = disk_points().x
+    return (on_nodes(mesh, u, x) if element == "linear" else mesh.sample(u, x)), b(x)
+
+
+_meshes: dict[tuple[str, str], Elements] = {}
+
+
+def mesh_of(shape: str, element: str) -> Elements:
+    """The mesh of a body, built once in a process."""
+    key = shape, element
+    if key not in _meshes:
+        skfem: Any = finite_elements()
+        if shape == "square":
+            linear, quadratic = triangles(NODES - 1), quadrilaterals(NODES - 1)
+            element_of = skfem.ElementQuad2()
+        else:
+            side = triangles(40, 2.0, -1.0)
+            within = (np.linalg.norm(side.p[:, side.t], axis=0) <= MESHED_RADIUS + 1e-3).all(axis=0)
+            linear = side.restrict(np.flatnonzero(within))
+            quadratic = skfem.MeshTri.init_circle(5).scaled(MESHED_RADIUS)
+            element_of = skfem.ElementTriP2()
+        if element == "linear":
+            _meshes[key] = Elements(linear, skfem.ElementTriP1(), order=2)
+        else:
+            _meshes[key] = Elements(quadratic, element_of)
+    return _meshes[key]
+
+
+def on_nodes(mesh: Elements, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The displacement at mesh nodes that lie on lattice nodes, shape [N, 2]."""
+    where = {tuple(place): n for n, place in enumerate(np.rint(mesh.x * 1e6).astype(int).tolist())}
+    nodes = [where[tuple(place)] for place in np.rint(x * 1e6).astype(int).tolist()]
+    return u.reshape(-1, 2)[nodes]
+
+
+def main() -> None:
+    """Make the data from a shell."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("data/hgo"), help="folder of samples")
+    parser.add_argument("--element", choices=ELEMENTS, default="linear")
+    parser.add_argument("--counts", type=int, nargs=4, default=(200, 25, 25, 10))
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=-1)
+    for name, value in asdict(Material()).items():
+        parser.add_argument(f"--{name}", type=float, default=value)
+    given = parser.parse_args()
+    material = Material(given.E, given.nu, given.k1, given.k2, given.angle)
+    sets = make_hgo(
+        given.out,
+        material=material,
+        element=given.element,
+        counts=tuple(given.counts),
+        seed=given.seed,
+        jobs=given.jobs,
+    )
+    for name, samples in sets.items():
+        print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""A leaflet in a biaxial test, by finite elements: displacement is seen, the load is not.
+
+A thin incompressible sheet with two families of fibres is pulled by five tines a side, in seven
+protocols, as valve leaflets are. What is kept is the displacement on a lattice in the middle, as
+digital image correlation would give it, and the pull of two sides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import joblib
+import numpy as np
+import scipy.sparse as sp
+from tqdm import tqdm
+
+from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.whole import locked, whole_file
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+
+PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
+"""Pull along x and y, as parts of the largest."""
+LEARNED = (0, 2, 4)
+"""Protocols to learn from; the others are held out."""
+LEVELS = 4
+NODES, SPACING, COLLAR = 33, 0.05, 6
+SIDE, TINES_AT, TINE, SPRING, PULL = 1.7, 0.75, 0.05, 60.0, 0.45
+
+
+@dataclass(frozen=True)
+class Leaflet:
+    """The sheet.
+
+    Attributes:
+        mu: shear modulus of the matrix [kPa].
+        k1, k2: of both fibre families [kPa, −].
+        first, second: directions of the families [degree].
+    """
+
+    mu: float = 10.0
+    k1: float = 15.0
+    k2: float = 2.0
+    first: float = -25.0
+    second: float = -65.0
+
+    @property
+    def energy(self) -> Matrix:
+        """Its strain energy."""
+        families = [Family(np.deg2rad(a), self.k1, self.k2) for a in (self.first, self.second)]
+        return plane_stress_hgo(self.mu, families)
+
+
+def make_leaflet(
+    folder: str | os.PathLike[str],
+    *,
+    leaflet: Leaflet | None = None,
+    jobs: int = -1,
+    progress: bool = True,
+) -> dict[str, Samples]:
+    """Sets train and test of frames; protocols that are done stay in the folder.
+
+    Every set has the arrays protocol, level and force (pull along x and y [kPa × length]) by frame.
+    The interior is 21 × 21 nodes; the six layers around it are the collar.
+    """
+    leaflet = Leaflet() if leaflet is None else leaflet
+    folder = Path(folder)
+    with locked(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator")
+        work = (joblib.delayed(protocol)(folder, leaflet, n) for n in range(len(PROTOCOLS)))
+        found = list(
+            tqdm(
+                parallel(work),
+                total=len(PROTOCOLS),
+                desc="protocols",
+                disable=not progress,
+                leave=False,
+            )
+        )
+    steps = np.argwhere(np.ones((NODES, NODES), bool))
+    inner: np.ndarray = np.all((steps >= COLLAR) & (steps < NODES - COLLAR), axis=1)
+    points = Points(SPACING * (steps - NODES // 2), inner, SPACING)
+    sets = {}
+    for name, held in (("train", False), ("test", True)):
+        chosen = [n for n in range(len(PROTOCOLS)) if (n not in LEARNED) == held]
+        arrays = {
+            "protocol": np.repeat(chosen, LEVELS),
+            "level": np.tile(np.arange(1, LEVELS + 1) / LEVELS, len(chosen)),
+            "force": np.concatenate([found[n][1] for n in chosen]),
+        }
+        u = np.concatenate([found[n][0] for n in chosen])
+        sets[name] = Samples(points, u, arrays=arrays)
+    return sets
+
+
+def protocol(folder: Path, leaflet: Leaflet, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frames and pulls of one protocol, from the folder or solved and put there."""
+    settings = {**asdict(leaflet), "protocol": PROTOCOLS[number], "levels": LEVELS, "version": 1}
+    key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
+    path = folder / f"protocol_{key}.npz"
+    if path.exists():
+        held = read_arrays(path)
+        return held["u"], held["force"]
+    frames, pulls = pull(leaflet, PROTOCOLS[number])
+    with whole_file(path) as temporary:
+        np.savez(temporary, u=frames, force=pulls)
+    return frames, pulls
+
+
+def pull(leaflet: Leaflet, parts: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement on the lattice and pull of two sides at every level."""
+    mesh = Elements(quadrilaterals(34, SIDE, -SIDE / 2))
+    sides = [(axis, sign, tines(mesh, axis, sign)) for axis in (0, 1) for sign in (1, -1)]
+    mesh.springs = sum((springs for _, _, springs in sides[1:]), sides[0][2]).tocsr()
+    line = SPACING * (np.arange(NODES) - NODES // 2)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    u = np.zeros(2 * mesh.nodes)
+    nothing = np.zeros(0, int)
+    frames, pulls = [], []
+    for level in range(1, LEVELS + 1):
+        targets = []
+        for axis, sign, _ in sides:
+            target = np.zeros(2 * mesh.nodes)
+            target[axis::2] = sign * PULL * parts[axis] * level / LEVELS
+            targets.append(target)
+        load = sum(springs @ target for (_, _, springs), target in zip(sides, targets))
+        u = mesh.solve(leaflet.energy, load, nothing, np.zeros(0), start=u, proportional=False)
+        frames.append(mesh.sample(u, x))
+        pulls.append([(sides[n][2] @ (targets[n] - u))[sides[n][0] :: 2].sum() for n in (0, 2)])
+    return np.array(frames), np.array(pulls)
+
+
+def tines(mesh: Elements, axis: int, sign: int) -> sp.csr_matrix:
+    """The springs of five tines on one side, each a Gaussian patch, shape [2 N, 2 N]."""
+    density = np.zeros(mesh.dx.shape)
+    for place in np.linspace(-0.5, 0.5, 5):
+        centre = np.array([sign * TINES_AT, place])[:: 1 if axis == 0 else -1]
+        patch = np.exp(-((mesh.quadrature - centre) ** 2).sum(axis=-1) / (2 * TINE**2))
+        density += SPRING * patch / (patch * mesh.dx).sum()
+    local = np.einsum("eqa,eqb,eq->eab", mesh.N, mesh.N, mesh.dx * density, optimize=True)
+    width = mesh.cells.shape[1]
+    rows = np.repeat(mesh.cells, width, axis=1).ravel()
+    columns = np.tile(mesh.cells, (1, width)).ravel()
+    scalar = sp.coo_matrix((local.ravel(), (rows, columns)), shape=2 * [mesh.nodes])
+    return sp.kron(scalar, sp.eye(2)).tocsr()
+
+
+def noisy(frames: Samples, level: float, seed: int = 7) -> Samples:
+    """The frames with independent normal noise of so many spacings on every node and component."""
+    rng = np.random.default_rng(seed)
+    noise = level * frames.spacing * rng.standard_normal(frames.u.shape)
+    return Samples(frames.points, frames.u + noise, arrays=frames.arrays)
+
+
+def main() -> None:
+    """Make the frames from a shell."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--out", type=Path, default=Path("data/leaflet"), help="folder of protocols"
+    )
+    parser.add_argument("--jobs", type=int, default=-1)
+    for name, value in asdict(Leaflet()).items():
+        parser.add_argument(f"--{name}", type=float, default=value)
+    given = parser.parse_args()
+    leaflet = Leaflet(given.mu, given.k1, given.k2, given.first, given.second)
+    for name, frames in make_leaflet(given.out, leaflet=leaflet, jobs=given.jobs).items():
+        print(f"{name}: {len(frames)} frames on {len(frames.x)} nodes")
+
+
+if __name__ == "__main__":
+    main()

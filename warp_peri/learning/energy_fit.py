@@ -1,0 +1,178 @@
+"""Coefficients of an energy dictionary from displacement and load: least squares, or with signs.
+
+The force is linear in the coefficients, so both fits have one optimum, found in one factorisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear, nnls
+
+from warp_peri.errors import InputError
+from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
+from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.points.samples import Samples
+
+ROWS = 4096
+"""Equations that are factored at once."""
+RIDGE = 1e-9
+"""Of the squared length of the scaled coefficients, relative to the data."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """The equations of all samples, each divided by its load, reduced to one triangle (H11).
+
+    Attributes:
+        R: triangular factor of the forces of single energies, shape [K, K].
+        y: the loads on its rows, shape [K].
+        rest: what no coefficients can explain: squared, per sample.
+    """
+
+    R: np.ndarray
+    y: np.ndarray
+    rest: float
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Length of each column; one where it is zero."""
+        length = np.linalg.norm(self.R, axis=0)
+        return np.where(length > 0, length, 1.0)
+
+
+def equations(op: HyperelasticOperator, samples: Samples) -> Equations:
+    """Forces of single energies and loads of all samples, factored as they come.
+
+    Raises InputError where there are no samples, or one without load.
+    """
+    if len(samples) == 0:
+        raise InputError("samples: expected at least one, got none")
+    K = len(op.dictionary)
+    stack = np.zeros((0, K + 1))
+    for u, b in zip(samples.u, samples.loads[:, op.interior]):
+        size = np.linalg.norm(b)
+        if size == 0:
+            raise InputError(
+                "samples: expected a load on the interior of each, got one without; "
+                "without loads learn from displacement alone"
+            )
+        rows = np.concatenate([op.features(u).reshape(-1, K), b.reshape(-1, 1)], axis=1) / size
+        stack = np.concatenate([stack, rows])
+        if len(stack) > ROWS:
+            stack = np.asarray(np.linalg.qr(stack, mode="r"))
+    factor = np.linalg.qr(stack, mode="r") / np.sqrt(len(samples))
+    wide = np.zeros((K + 1, K + 1))
+    wide[: len(factor)] = factor
+    return Equations(wide[:K, :K], wide[:K, K], float(wide[K, K] ** 2))
+
+
+def least_squares(
+    found: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
+) -> np.ndarray:
+    """Coefficients of any sign, or not below `lower` (−∞ where there is no bound), shape [K]."""
+    scale = found.scale
+    K = len(scale)
+    A = np.concatenate([found.R / scale, np.sqrt(ridge) * np.eye(K)])
+    y = np.concatenate([found.y, np.zeros(K)])
+    if lower is None:
+        c: np.ndarray = np.linalg.lstsq(A, y, rcond=None)[0] / scale
+    else:
+        c = lsq_linear(A, y, (lower * scale, np.inf), method="bvls").x / scale
+    return c
+
+
+def non_negative(
+    found: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
+) -> np.ndarray:
+    """Coefficients not below `lower`, zero where none is given, shape [K] (Lawson and Hanson)."""
+    scale = found.scale
+    K = len(scale)
+    least = np.zeros(K) if lower is None else lower
+    A = np.concatenate([found.R / scale, np.sqrt(ridge) * np.eye(K)])
+    y = np.concatenate([found.y - found.R @ least, np.zeros(K)])
+    c: np.ndarray = least + nnls(A, y, maxiter=50 * K)[0] / scale
+    return c
+
+
+def residual(found: Equations, c: np.ndarray) -> float:
+    """Root of the mean squared relative residual over the samples."""
+    return float(np.sqrt(((found.R @ c - found.y) ** 2).sum() + found.rest))
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyFit:
+    """A fitted solid.
+
+    Attributes:
+        solid: dictionary and coefficients.
+        residual: root mean squared relative residual on the training samples.
+        guaranteed: whether no coefficient is below its bound, so that (H9) holds.
+    """
+
+    solid: HyperelasticSolid
+    residual: float
+    guaranteed: bool
+
+
+def fit_energy(
+    samples: Samples,
+    dictionary: Dictionary,
+    *,
+    positive: bool = False,
+    stiffness: float = 0.0,
+    ridge: float = RIDGE,
+) -> EnergyFit:
+    """Fit the coefficients of a dictionary.
+
+    Args:
+        samples: displacements and loads on a lattice.
+        dictionary: of energies.
+        positive: coefficients ≥ 0; asks for a dictionary whose energies are safe with them.
+        stiffness: least coefficient of the deviations (or, without deviations, of the bonds within
+            two spacings), against hourglasses [stress]. Without positive it bounds the deviations
+            only, and the other coefficients have any sign.
+        ridge: relative weight of the coefficients' squared length.
+
+    Raises InputError for positive with a dictionary that guarantees nothing, or samples as for
+    equations().
+    """
+    if positive and not dictionary.guaranteed:
+        raise InputError("positive: expected energies that are convex and stress-free at rest only")
+    op = HyperelasticOperator(dictionary, samples)
+    found = equations(op, samples)
+    if positive:
+        c = non_negative(found, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
+    else:
+        c = least_squares(found, lower=deviations_only(dictionary, stiffness), ridge=ridge)
+    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch=largest_stretch(op, samples))
+    return EnergyFit(solid, residual(found, c), positive)
+
+
+def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:
+    """Least coefficients: `stiffness` for what keeps hourglasses away, zero for the rest."""
+    lower = np.zeros(len(dictionary))
+    first, last = dictionary.first_deviation, dictionary.first_term
+    if last > first:
+        lower[first:last] = stiffness
+    else:
+        lower[: 4 * len(dictionary.bonds) : max(1, len(dictionary.bonds))] = stiffness
+    return lower
+
+
+def deviations_only(dictionary: Dictionary, stiffness: float) -> np.ndarray | None:
+    """Lower bounds for the deviations alone; None where there is none."""
+    first, last = dictionary.first_deviation, dictionary.first_term
+    if stiffness <= 0 or last == first:
+        return None
+    lower = np.full(len(dictionary), -np.inf)
+    lower[first:last] = stiffness
+    return lower
+
+
+def largest_stretch(op: HyperelasticOperator, samples: Samples) -> float:
+    """Largest principal stretch of the nodal strain in the samples."""
+    E = op.strain(samples.u).reshape(-1, 3)
+    mean, half = (E[:, 0] + E[:, 1]) / 2, np.hypot((E[:, 0] - E[:, 1]) / 2, E[:, 2] / 2)
+    return float(np.sqrt(1 + 2 * (mean + half).max()))

@@ -1,0 +1,356 @@
+"""A hyperelastic solid on a lattice: force, energy, tangent, forces of single energies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from torch.autograd.function import once_differentiable
+
+from warp_peri.errors import InputError
+from warp_peri.kernels.hyperelastic.sweeps import sweeps, types
+from warp_peri.kernels.hyperelastic.tangent import features, tangents
+from warp_peri.launch import empty, floats, ints, launch, zeros
+from warp_peri.models.hyperelastic import (
+    BONDS,
+    KINDS,
+    Dictionary,
+    Term,
+    half_family,
+    strain_weights,
+)
+from warp_peri.points.samples import PointsLike, nodes_of
+
+CHUNK = 2**26
+"""Bytes of the states of single energies that are held at once."""
+SHORT_REACH = 2**0.5
+"""Horizon of the short strain in spacings, (H4)."""
+SMALLEST_AREA = 0.02
+"""Of the nodal strain, det C: below it a solve treats a field as folded."""
+
+BOND_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
+    "square": lambda s: (s, np.ones_like(s)),
+    "cube": lambda s: (s**2, 2 * s),
+    "tension": lambda s: (np.maximum(s, 0), (s > 0) * 1.0),
+    "tension_cube": lambda s: (np.maximum(s, 0) ** 2, 2 * np.maximum(s, 0)),
+    "log": lambda s: (1 - 1 / (1 + 2 * s), 2 / (1 + 2 * s) ** 2),
+    "compression": lambda s: (np.minimum(s, 0), (s < 0) * 1.0),
+}
+"""ψ′ and ψ″, for the sparse tangent; a test holds them to the kernels'."""
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeBonds:
+    """Whole families on the nodes of a square lattice, bonds ξ and −ξ of one class.
+
+    Attributes:
+        steps: bond vectors in lattice steps, those of the half family first, shape [2 C, 2].
+        neighbour: far end of every bond, −1 where there is none, shape [N, 2 C].
+        whole: which strains a node has: 1 the strain, 2 the short strain, 3 both, shape [N].
+        spacing: of the lattice [length].
+    """
+
+    steps: np.ndarray
+    neighbour: np.ndarray
+    whole: np.ndarray
+    spacing: float
+
+    @property
+    def classes(self) -> int:
+        """Number of bond classes C."""
+        return len(self.steps) // 2
+
+    @cached_property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Every bond once: its ends i and j and its class."""
+        i, c = np.nonzero(self.neighbour[:, : self.classes] >= 0)
+        return i, self.neighbour[i, c], c
+
+
+def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
+    """Families of `reach` spacings on a lattice.
+
+    Raises InputError for scattered points, or where no interior node keeps 2δ from the edge.
+    """
+    if not points.spacing > 0:
+        raise InputError("points: expected a lattice (spacing > 0), got scattered points")
+    if points.box is not None or points.outside is not None:
+        raise InputError("points: expected neither a box nor nodes outside of the body")
+    place = (points.x - points.x.min(axis=0)) / points.spacing
+    steps = np.rint(place).astype(int)
+    if np.abs(place - steps).max() > 1e-6:
+        raise InputError("points: expected nodes on a square lattice along the axes")
+    half = half_family(reach)
+    family = np.concatenate([half, -half])
+    pad = int(np.abs(family).max())
+    number = np.full(steps.max(axis=0) + 1 + 2 * pad, -1)
+    number[tuple((steps + pad).T)] = np.arange(len(steps))
+    neighbour = np.stack([number[tuple((steps + pad + step).T)] for step in family], axis=1)
+    near = (family**2).sum(axis=1) <= SHORT_REACH**2 + 1e-9
+    whole: np.ndarray = np.all(neighbour >= 0, axis=1).astype(int)
+    whole = whole + 2 * np.all(neighbour[:, near] >= 0, axis=1)
+    inner = (neighbour[points.interior] >= 0).all(axis=1)
+    far = neighbour[points.interior][inner]
+    if not inner.all() or not (whole[far] % 2 == 1).all():
+        raise InputError("points: interior nodes need complete families out to twice the horizon")
+    return LatticeBonds(family, neighbour, whole, points.spacing)
+
+
+class HyperelasticOperator:
+    """The internal force of a dictionary of energies on a lattice; equals b in equilibrium.
+
+    Args:
+        dictionary: the energies.
+        points: a lattice whose interior has the 2δ collar.
+        dtype: wp.float64 or wp.float32.
+
+    ``op.force(u, c)`` is differentiable in both for torch tensors; the other functions take and
+    give NumPy arrays. Displacements have shape [S, N, 2] or [N, 2]. Forces are per volume of the
+    reference, (H8).
+
+    Raises InputError for points without the collar.
+    """
+
+    def __init__(
+        self, dictionary: Dictionary, points: PointsLike, *, dtype: Any = wp.float64
+    ) -> None:
+        self.dictionary, self.points, self.scalar = dictionary, nodes_of(points), dtype
+        self.bonds = lattice_bonds(self.points, dictionary.reach)
+        self.interior = np.flatnonzero(points.interior)
+        self.of = types(dtype)
+        self._lattice = self._place()
+        self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
+
+    def with_terms(self, terms: Sequence[Term]) -> HyperelasticOperator:
+        """The same lattice with other strain energies."""
+        other = copy(self)
+        other.dictionary = self.dictionary.with_terms(terms)
+        return other
+
+    def _place(self) -> Any:
+        """The bonds as the kernels read them."""
+        bonds, h, C = self.bonds, self.bonds.spacing, self.bonds.classes
+        real = np.float64 if self.scalar == wp.float64 else np.float32
+        xi = h * bonds.steps
+        square = (xi**2).sum(axis=1)
+        short = np.zeros((C, 3))
+        near = (bonds.steps[:C] ** 2).sum(axis=1) <= SHORT_REACH**2 + 1e-9
+        short[near] = strain_weights(SHORT_REACH, 2)
+        weight = np.concatenate([strain_weights(self.dictionary.reach, 4), short], axis=1) / h**2
+        self.weight = weight
+        self.unit = (
+            np.stack([xi[:, 0] ** 2, xi[:, 1] ** 2, xi[:, 0] * xi[:, 1]], axis=1) / square[:, None]
+        )
+        deviation = np.full(C, -1)
+        for number, step in enumerate(self.dictionary.deviations):
+            deviation[(bonds.steps[:C] == step).all(axis=1)] = number
+        self.deviation = deviation
+        lattice = self.of.Lattice()
+        lattice.neighbour = ints(bonds.neighbour)
+        lattice.whole = ints(bonds.whole)
+        lattice.xi = floats(xi.astype(real), self.of.vec)
+        lattice.inverse = floats((1 / square).astype(real), self.scalar)
+        lattice.weight = floats(np.tile(weight, (2, 1)).astype(real), self.of.six)
+        lattice.unit = floats(self.unit.astype(real), wp.types.vector(3, self.scalar))
+        lattice.bond_class = ints(np.tile(np.arange(C), 2))
+        lattice.deviation = ints(np.tile(deviation, 2))
+        return lattice
+
+    def _terms(self, c: np.ndarray, terms: Sequence[Any] | None = None) -> Any:
+        """The energies as the kernels read them."""
+        dictionary = self.dictionary
+        terms = dictionary.terms if terms is None else terms
+        real = np.float64 if self.scalar == wp.float64 else np.float32
+        found = self.of.Terms()
+        found.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
+        found.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
+        found.ripple = ints(np.array([term.ripple for term in terms], int))
+        found.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
+        found.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
+        found.c = floats(np.ascontiguousarray(c, real), self.scalar)
+        found.first_deviation = dictionary.first_deviation
+        found.first_term = dictionary.first_term
+        return found
+
+    def _field(self, u: np.ndarray) -> Any:
+        """A displacement as the kernels read it, shape [S, N]."""
+        u = np.asarray(u)
+        n = len(self.points.x)
+        if u.ndim not in (2, 3) or u.shape[-2:] != (n, 2):
+            raise InputError(f"u: expected shape [S, {n}, 2] or [{n}, 2], got {list(u.shape)}")
+        real = np.float64 if self.scalar == wp.float64 else np.float32
+        return floats(np.ascontiguousarray(u.reshape(-1, n, 2), real), self.of.vec)
+
+    def _coefficients(self, c: np.ndarray) -> np.ndarray:
+        c = np.asarray(c, float)
+        if c.shape != (len(self.dictionary),):
+            raise InputError(
+                f"c: expected {len(self.dictionary)} coefficients, got shape {list(c.shape)}"
+            )
+        return c
+
+    def _states(self, field: Any, terms: Any) -> tuple[Any, Any]:
+        """Strains and their stresses."""
+        kernels = sweeps(self.scalar)
+        E, G = (empty(*field.shape, dtype=self.of.six) for _ in range(2))
+        launch(kernels.strain, field.shape, [self._lattice, field], [E])
+        launch(kernels.stress, field.shape, [self._lattice, terms, field, E], [G])
+        return E, G
+
+    def strain(self, u: np.ndarray) -> np.ndarray:
+        """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
+        field = self._field(u)
+        E = empty(*field.shape, dtype=self.of.six)
+        launch(sweeps(self.scalar).strain, field.shape, [self._lattice, field], [E])
+        found: np.ndarray = E.numpy()[..., :3].reshape(*np.shape(u)[:-1], 3)
+        return found
+
+    def smallest_area(self, u: np.ndarray) -> float:
+        """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
+        E = self.strain(u).reshape(-1, 3)
+        return float(((1 + 2 * E[:, 0]) * (1 + 2 * E[:, 1]) - E[:, 2] ** 2).min())
+
+    def energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """U, (H1), for every sample [stress × area], shape [S] or []."""
+        field, terms = self._field(u), self._terms(self._coefficients(c))
+        E, _ = self._states(field, terms)
+        U = empty(*field.shape, dtype=self.scalar)
+        launch(sweeps(self.scalar).energy, field.shape, [self._lattice, terms, field, E], [U])
+        total: np.ndarray = U.numpy().sum(axis=1) * self.bonds.spacing**2
+        return total.reshape(np.shape(u)[:-2])
+
+    def force(
+        self, u: np.ndarray | torch.Tensor, c: np.ndarray | torch.Tensor
+    ) -> np.ndarray | torch.Tensor:
+        """The force (H8) on the interior nodes [stress / length], shape [..., I, 2]."""
+        if isinstance(u, torch.Tensor) or isinstance(c, torch.Tensor):
+            u, c = torch.as_tensor(u), torch.as_tensor(c)
+            return _everywhere(self, u, c)[..., self.interior, :]
+        return self.everywhere(u, c)[..., self.interior, :]
+
+    def everywhere(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """The derivative of U by every node's displacement over h², shape [..., N, 2]."""
+        field, terms = self._field(u), self._terms(self._coefficients(c))
+        E, G = self._states(field, terms)
+        f = empty(*field.shape, dtype=self.of.vec)
+        launch(sweeps(self.scalar).force, field.shape, [self._lattice, terms, field, E, G], [f])
+        found: np.ndarray = f.numpy().reshape(np.shape(u))
+        return found
+
+    def product(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
+        field, along = self._field(u), self._field(v)
+        terms, kernels = self._terms(self._coefficients(c)), tangents(self.scalar)
+        E, G = self._states(field, terms)
+        H = empty(*field.shape, dtype=self.of.block)
+        dE, dG = (empty(*field.shape, dtype=self.of.six) for _ in range(2))
+        df = empty(*field.shape, dtype=self.of.vec)
+        shape, lattice = field.shape, self._lattice
+        launch(kernels.curvature, shape, [lattice, terms, E], [H])
+        launch(kernels.strain_rate, shape, [lattice, field, along], [dE])
+        launch(kernels.stress_rate, shape, [lattice, terms, field, along, H, E, dE], [dG])
+        launch(kernels.force_rate, shape, [lattice, terms, field, along, E, dE, G, dG], [df])
+        found: np.ndarray = df.numpy().reshape(np.shape(u))
+        return found
+
+    def features(self, u: np.ndarray, *, by: str = "coefficient") -> np.ndarray:
+        """The force of every energy with coefficient one, shape [..., I, 2, K].
+
+        Args:
+            u: displacements.
+            by: "angle" or "exponent" for the derivative of that force by the fibre's number; the
+                other columns are then zero.
+        """
+        which = {"coefficient": 0, "angle": 1, "exponent": 2}[by]
+        fields = np.asarray(u).reshape(-1, len(self.points.x), 2)
+        found = self._features(fields, which, self._rows)
+        if which:
+            found[..., : self.dictionary.first_term] = 0.0
+        return found.reshape(*np.shape(u)[:-2], len(self.interior), 2, len(self.dictionary))
+
+    def _features(self, fields: np.ndarray, which: int, rows: Any) -> np.ndarray:
+        """Forces of single energies on some nodes, chunk by chunk of samples."""
+        terms = self._terms(np.zeros(len(self.dictionary)))
+        kernels, K = features(self.scalar), len(self.dictionary)
+        states = K - self.dictionary.first_deviation
+        chunk = max(1, CHUNK // (48 * max(states, 1) * len(self.points.x)))
+        found = np.empty((len(fields), len(rows), 2, K))
+        for first in range(0, len(fields), chunk):
+            field = self._field(fields[first : first + chunk])
+            E = empty(*field.shape, dtype=self.of.six)
+            launch(sweeps(self.scalar).strain, field.shape, [self._lattice, field], [E])
+            G = zeros(*field.shape, states, dtype=self.of.six)
+            inputs = [self._lattice, terms, which, field, E]
+            launch(kernels.stress_of_each, G.shape, inputs, [G])
+            F = zeros(len(field), len(rows), K, dtype=self.of.vec)
+            inputs = [self._lattice, terms, rows, field, E, G]
+            launch(kernels.force_of_each, F.shape[:2], inputs, [F])
+            found[first : first + chunk] = F.numpy().transpose(0, 1, 3, 2)
+        return found
+
+    def pairing(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Σ f_k·v over samples and nodes for every energy k with coefficient one, shape [K]."""
+        fields = np.asarray(u).reshape(-1, len(self.points.x), 2)
+        seeds = np.asarray(v).reshape(fields.shape)
+        found = np.zeros(len(self.dictionary))
+        for field, seed in zip(fields, seeds):
+            F = self._features(field[None], 0, self._all)[0]
+            found += np.einsum("idk,id->k", F, seed)
+        return found
+
+    def bond_slopes(
+        self, s: np.ndarray, c: np.ndarray, k: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Σ c ψ′ and Σ c ψ″ of bonds of strain s and class k, (H2)."""
+        slopes, curves = np.zeros_like(s), np.zeros_like(s)
+        count = len(self.dictionary.bonds)
+        for q, name in enumerate(self.dictionary.bonds):
+            stiffness = c[k * count + q]
+            slope, curve = BOND_SLOPES[name](s)
+            slopes += stiffness * slope
+            curves += stiffness * curve
+        return slopes, curves
+
+    def states(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Strains, their stresses and curvatures of one field, shapes [N, 6], [N, 6], [N, 6, 6]."""
+        field, terms = self._field(u), self._terms(self._coefficients(c))
+        E, G = self._states(field, terms)
+        H = empty(*field.shape, dtype=self.of.block)
+        launch(tangents(self.scalar).curvature, field.shape, [self._lattice, terms, E], [H])
+        return E.numpy()[0], G.numpy()[0], H.numpy()[0]
+
+
+class _Everywhere(torch.autograd.Function):
+    """The force on all nodes; backward is the symmetric tangent, and the forces of each energy."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, op: HyperelasticOperator, u: torch.Tensor, c: torch.Tensor
+    ) -> torch.Tensor:
+        ctx.op = op
+        ctx.save_for_backward(u, c)
+        return torch.from_numpy(op.everywhere(u.detach().numpy(), c.detach().numpy())).to(u.dtype)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        u, c = ctx.saved_tensors
+        seed = upstream[0].detach().numpy()
+        by_u = by_c = None
+        if ctx.needs_input_grad[1]:
+            by_u = torch.from_numpy(
+                ctx.op.product(u.detach().numpy(), c.detach().numpy(), seed)
+            ).to(u.dtype)
+        if ctx.needs_input_grad[2]:
+            found = ctx.op.pairing(u.detach().numpy(), seed)
+            by_c = torch.from_numpy(found).to(c.dtype)
+        return None, by_u, by_c
+
+
+_everywhere: Callable[..., torch.Tensor] = _Everywhere.apply

@@ -1,0 +1,221 @@
+"""Frames of digital image correlation: tables of many programs, onto one lattice.
+
+A frame is a table of points with positions in the reference and displacements. Its columns are
+recognised by their header: a plain x, y, u, v; DICe's solution files; ARAMIS' nodemap.txt; tables
+with units in brackets. Separators are commas, semicolons, tabs or blanks.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+
+NAMES = {
+    "x": ("x", "coordinatex", "xcoordinate", "xundef", "coorx", "xpixel", "xmm"),
+    "y": ("y", "coordinatey", "ycoordinate", "yundef", "coory", "ypixel", "ymm"),
+    "u": ("u", "ux", "displacementx", "xdisplacement", "dispx", "dx"),
+    "v": ("v", "uy", "displacementy", "ydisplacement", "dispy", "dy"),
+}
+"""Names of the columns, in small letters and without units or signs."""
+NODEMAP = {"x": 1, "y": 2, "u": 4, "v": 5}
+"""Columns of a nodemap.txt, whose header is a comment: number, x, y, z, ux, uy, uz and strains."""
+LARGEST_FILE = 2**28
+ON_LATTICE = 0.02
+"""Points this near to lattice nodes, in spacings, are taken as those nodes."""
+FOURTH = 70**0.5
+"""Standard deviation of a fourth difference of independent noise of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame.
+
+    Attributes:
+        x: positions in the reference, shape [P, 2].
+        u: displacement, shape [P, 2]; points without one are left out.
+        name: of the file.
+    """
+
+    x: np.ndarray
+    u: np.ndarray
+    name: str
+
+
+def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> Frame:
+    """Read one frame.
+
+    Args:
+        path: a table with a header.
+        pixel: length of the table's unit; positions and displacements are multiplied by it.
+
+    Points are left out where a number is missing or not finite, or where DICe's SIGMA is negative
+    (the correlation failed). Raises InputError for a table without the columns, or without points.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{path}: expected at most {LARGEST_FILE} bytes")
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    body = [line for line in lines if line.strip() and not line.startswith(("#", "***"))]
+    if not body:
+        raise InputError(f"{path}: expected a table of points, got none")
+    columns = columns_of(split(body[0]))
+    if columns:
+        body = body[1:]
+    elif any(line.startswith("#") for line in lines) and len(split(body[0])) >= 6:
+        columns = NODEMAP
+    else:
+        raise InputError(f"{path}: expected columns x, y, u and v, got {body[0][:80]!r}")
+    table = np.array([numbers(split(line), columns) for line in body], float).reshape(-1, 5)
+    good = np.isfinite(table[:, :4]).all(axis=1) & ~(table[:, 4] < 0)
+    if not good.any():
+        raise InputError(f"{path}: expected points with finite numbers, got none")
+    return Frame(pixel * table[good, :2], pixel * table[good, 2:4], path.name)
+
+
+def split(line: str) -> list[str]:
+    """Fields of a line; a decimal comma is not one beside semicolons or tabs."""
+    for separator in (";", "\t", ","):
+        if separator in line:
+            fields = line.rstrip().rstrip(separator).split(separator)
+            if separator != ",":
+                fields = [field.replace(",", ".") for field in fields]
+            return [field.strip().strip('"') for field in fields]
+    return line.split()
+
+
+def columns_of(header: Sequence[str]) -> dict[str, int]:
+    """Places of x, y, u, v, and of sigma where there is one; empty where one is missing."""
+    plain = [re.sub(r"[^a-z]", "", re.sub(r"\[.*?\]|\(.*?\)", "", h.lower())) for h in header]
+    found = {}
+    for name, known in NAMES.items():
+        places = [n for n, field in enumerate(plain) if field in known]
+        if not places:
+            return {}
+        found[name] = places[0]
+    if "sigma" in plain:
+        found["sigma"] = plain.index("sigma")
+    return found
+
+
+def numbers(fields: Sequence[str], columns: dict[str, int]) -> list[float]:
+    """x, y, u, v and sigma of a line; NaN for what is missing, 0 for a sigma that no one gave."""
+    found = []
+    for name in ("x", "y", "u", "v"):
+        try:
+            found.append(float(fields[columns[name]]))
+        except (IndexError, ValueError):
+            found.append(np.nan)
+    sigma = columns.get("sigma")
+    try:
+        found.append(0.0 if sigma is None else float(fields[sigma]))
+    except (IndexError, ValueError):
+        found.append(-1.0)
+    return found
+
+
+def frames_on_lattice(
+    frames: Sequence[Frame],
+    *,
+    spacing: float | None = None,
+    radius: float = 0.0,
+    reach: int = 3,
+    mask: np.ndarray | None = None,
+) -> Samples:
+    """All frames on the nodes that every frame has, with the collar that a model needs.
+
+    Args:
+        frames: with positions in one reference.
+        spacing: of the lattice; that of the points where none is given.
+        radius: of the local quadratic fits that smooth, in spacings; 0 keeps points that lie on
+            nodes as they are, and takes 1.6 for others.
+        reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
+        mask: polygon, shape [M, 2], whose inside alone is used.
+
+    Raises InputError where points are too few or no node has its surroundings.
+    """
+    if not frames:
+        raise InputError("frames: expected at least one, got none")
+    first = frames[0].x
+    step = spacing_of(first) if spacing is None else float(spacing)
+    origin = first.min(axis=0)
+    counts = np.floor((np.ptp(first, axis=0)) / step + 1 + ON_LATTICE).astype(int)
+    if counts.min() < 4 * reach + 1 or counts.prod() > 10**7:
+        raise InputError(
+            f"frames: expected at least {4 * reach + 1} nodes a side, got {counts[0]} × {counts[1]}"
+        )
+    nodes = np.argwhere(np.ones(counts, bool))
+    x = origin + step * nodes
+    fields = np.stack([on_nodes(frame, x, step, radius) for frame in frames])
+    there = np.isfinite(fields).all(axis=(0, 2))
+    if mask is not None:
+        from matplotlib.path import Path as Polygon
+
+        there &= Polygon(np.asarray(mask, float)).contains_points(x, radius=1e-9 * step)
+    grid = there.reshape(counts)
+    a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
+    ball = a**2 + b**2 <= reach**2
+    interior = binary_erosion(binary_erosion(grid, ball), ball).ravel()[there]
+    if not interior.any():
+        raise InputError(f"frames: no node has all nodes within {2 * reach} spacings around it")
+    return Samples(Points(x[there], interior, step), fields[:, there])
+
+
+def spacing_of(x: np.ndarray) -> float:
+    """Median distance to the nearest other point."""
+    if len(x) < 2:
+        raise InputError("frames: expected points on a lattice, got fewer than two")
+    distance, _ = cKDTree(x).query(x, 2)
+    return float(np.median(distance[:, 1]))
+
+
+def on_nodes(frame: Frame, x: np.ndarray, step: float, radius: float) -> np.ndarray:
+    """Displacement on nodes, NaN where there are too few points, shape [N, 2]."""
+    tree = cKDTree(frame.x)
+    distance, nearest = tree.query(x)
+    found = np.full(x.shape, np.nan)
+    near = distance <= ON_LATTICE * step
+    if radius <= 0:
+        found[near] = frame.u[nearest[near]]
+        if near.sum() >= 0.5 * len(frame.x):
+            return found
+        radius = 1.6
+    for n, members in enumerate(tree.query_ball_point(x, radius * step * (1 + 1e-9))):
+        if len(members) < 8:
+            continue
+        local = (frame.x[members] - x[n]) / step
+        weight = np.exp(-(local**2).sum(axis=1) / radius**2)
+        p, q = local.T
+        design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1)
+        scaled = design * weight[:, None]
+        if np.linalg.matrix_rank(scaled, tol=1e-6) == 6:
+            found[n] = np.linalg.lstsq(scaled, frame.u[members] * weight[:, None], rcond=None)[0][0]
+    return found
+
+
+def noise_of(samples: Samples) -> np.ndarray:
+    """Standard deviation of the noise of every frame, from fourth differences, shape [S].
+
+    In units of the displacement. It takes the noise of neighbours as independent; subsets that
+    overlap make it less, and the estimate too small.
+    """
+    steps = np.rint((samples.x - samples.x.min(axis=0)) / samples.spacing).astype(int)
+    grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)
+    grid[:, steps[:, 0], steps[:, 1]] = samples.u
+    fourth = [np.diff(grid, 4, axis=axis).reshape(len(samples), -1) for axis in (1, 2)]
+    both = np.abs(np.concatenate(fourth, axis=1))
+    found: np.ndarray = np.nanmedian(both, axis=1) / 0.6745 / FOURTH
+    return found

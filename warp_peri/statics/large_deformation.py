@@ -1,0 +1,369 @@
+"""Hyperelastic solids at rest: the stable equilibrium, its residual and how stable it is.
+
+The total potential U − Σ b·u h² is minimised by Newton's method: a tangent that is not positive
+definite is shifted until it is, and a step is shortened until the potential falls and no part of
+the body folds. What is returned has a small residual and a positive tangent, or an error is raised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from warp_peri.errors import InputError
+from warp_peri.models.hyperelastic import HyperelasticSolid, Term
+from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
+from warp_peri.operator.hyperelastic_tangent import TangentPattern
+from warp_peri.points.samples import PointsLike
+
+DIRECT = 12_000
+"""Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
+SMALLEST_STEP = 1 / 64
+"""Of the load, in continuation."""
+
+
+class NoEquilibrium(RuntimeError):
+    """No stable equilibrium was found; the message says how far the load was followed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A stable equilibrium.
+
+    Attributes:
+        u: displacement on all nodes, shape [N, 2].
+        residual: largest residual over the largest force.
+        smallest_eigenvalue: of the tangent between interior nodes, over that of the five-point
+            Laplacian on them: positive where the equilibrium is stable [stress].
+        iterations: Newton steps.
+        load_steps: 1 where no continuation was needed.
+        followed: whether it lies on the branch of stable equilibria that begins at rest, as far as
+            the steps tell; false for another minimum, found by going down from where that ended.
+    """
+
+    u: np.ndarray
+    residual: float
+    smallest_eigenvalue: float
+    iterations: int
+    load_steps: int
+    followed: bool
+
+
+class StaticProblem:
+    """Equilibria of one dictionary on one lattice, for many coefficients, loads and collars.
+
+    Args:
+        op: the operator.
+        tolerance: of the residual, relative to the largest force.
+        direct: unknowns up to which the tangent is factorised.
+    """
+
+    def __init__(
+        self, op: HyperelasticOperator, *, tolerance: float = 1e-8, direct: int = DIRECT
+    ) -> None:
+        self.op, self.tolerance = op, tolerance
+        self.direct = 2 * len(op.interior) <= direct
+        self.pattern = TangentPattern.of(op) if self.direct else None
+        self._laplacian, self._to_collar = laplacian(op)
+        self._laplace = splu(self._laplacian.tocsc())
+        self.softest = float(
+            eigsh(
+                self._laplacian,
+                1,
+                sigma=0,
+                OPinv=_inverse(self._laplace),
+                v0=_start(len(op.interior)),
+                return_eigenvectors=False,
+                tol=1e-4,
+            )[0]
+        )
+
+    def lift(self, u: np.ndarray) -> np.ndarray:
+        """u with its interior replaced by the harmonic extension of the collar."""
+        found = u.copy()
+        found[self.op.interior] = self._laplace.solve(-(self._to_collar @ u))
+        return found
+
+    def solve(
+        self,
+        c: np.ndarray,
+        b: np.ndarray | None,
+        u: np.ndarray,
+        *,
+        start: np.ndarray | None = None,
+    ) -> Equilibrium:
+        """The stable equilibrium under a load with displacement given on the collar.
+
+        Args:
+            c: coefficients, shape [K].
+            b: body force on all nodes [stress / length], shape [N, 2]; none for no load.
+            u: displacement, shape [N, 2]; read on the collar only.
+            start: where to begin; at the harmonic extension of the collar where none is given.
+
+        Raises NoEquilibrium; InputError for arrays of other shapes or with values that are not
+        finite on the collar.
+        """
+        found = self.find(c, b, u, start=start)
+        if found is None:
+            raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
+        smallest = self.smallest_eigenvalue(c, found.u)
+        if not smallest > 0:
+            raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")
+        return replace(found, smallest_eigenvalue=smallest / self.softest)
+
+    def find(
+        self,
+        c: np.ndarray,
+        b: np.ndarray | None,
+        u: np.ndarray,
+        *,
+        start: np.ndarray | None = None,
+    ) -> Equilibrium | None:
+        """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
+
+        The tangent was positive definite in the last step all the same.
+        """
+        nodes = self.op.points.x.shape
+        load = np.zeros(nodes) if b is None else np.asarray(b, float)
+        collar = np.where(self.op.points.interior[:, None], 0.0, np.asarray(u, float))
+        for name, value in (("b", load), ("u", collar)):
+            if value.shape != nodes or not np.isfinite(value).all():
+                raise InputError(f"{name}: expected finite numbers of shape {list(nodes)}")
+        load = load[self.op.interior]
+        first = (
+            self.lift(collar)
+            if start is None
+            else np.where(self.op.points.interior[:, None], start, collar)
+        )
+        steps, followed = 1, True
+        found, count = self._newton(c, load, first)
+        if found is None:
+            branch, done, steps, used = self._continue(c, load, collar)
+            count, followed = count + used, done == 1.0
+            found = branch if followed else None
+            for guess in (branch * (1.0 / done if done else 1.0), first):
+                if found is None:
+                    guess = np.where(self.op.points.interior[:, None], guess, collar)
+                    found, used = self._newton(c, load, guess, shifts=True)
+                    count += used
+        if found is None:
+            return None
+        f = self.op.everywhere(found, c)
+        left = load - f[self.op.interior]
+        residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
+        return Equilibrium(found, residual, np.nan, count, steps, followed)
+
+    def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
+        """The same lattice with other strain energies; what is built once is shared."""
+        other = copy(self)
+        other.op = self.op.with_terms(terms)
+        if self.pattern is not None:
+            other.pattern = replace(self.pattern, op=other.op)
+        return other
+
+    def _continue(
+        self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
+    ) -> tuple[np.ndarray, float, int, int]:
+        """Follow load and collar from rest: the last field, how far, load and Newton steps."""
+        done, step, steps, count = 0.0, 0.25, 0, 0
+        found = before = np.zeros_like(collar)
+        last = 0.0
+        while done < 1 and step >= SMALLEST_STEP:
+            target = min(1.0, done + step)
+            if done > last:
+                guess = found + (target - done) / (done - last) * (found - before)
+            else:
+                guess = self.lift(target * collar)
+            field, used = self._newton(c, target * load, guess)
+            count += used
+            if field is None:
+                step /= 2
+            else:
+                before, last, found, done, steps = found, done, field, target, steps + 1
+        return found, done, steps, count
+
+    def _newton(
+        self, c: np.ndarray, load: np.ndarray, u: np.ndarray, *, shifts: bool = False
+    ) -> tuple[np.ndarray | None, int]:
+        """Minimise the potential from u; None where that does not end in an equilibrium.
+
+        Without shifts it also ends where the tangent is not positive definite: the branch of
+        stable equilibria that u lies near has been left.
+        """
+        if self.op.smallest_area(u) <= SMALLEST_AREA:
+            return None, 0
+        for count in range(60 if shifts else 15):
+            f = self.op.everywhere(u, c)
+            residual = load - f[self.op.interior]
+            scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
+            if not np.isfinite(scale):
+                return None, count
+            step, shift = self._direction(c, u, residual, shifts)
+            if shift > 0 and not shifts:
+                return None, count
+            if np.abs(residual).max() <= self.tolerance * scale and shift == 0.0:
+                return u, count
+            moved = self._search(c, load, u, step, residual, scale)
+            if moved is None:
+                return None, count
+            u = moved
+        return None, count
+
+    def _direction(
+        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray, shifts: bool
+    ) -> tuple[np.ndarray, float]:
+        """A direction of descent, and the shift that makes the tangent positive definite."""
+        if self.pattern is None:
+            return self._krylov(c, u, residual)
+        K = self.pattern.matrix(u, c)
+        shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
+        for _ in range(12):
+            factor = factorised(K + shift * sp.eye(K.shape[0]) if shift else K)
+            if factor is not None:
+                step: np.ndarray = factor.solve(residual.ravel()).reshape(residual.shape)
+                return step, shift
+            shift = size if shift == 0 else 4 * shift
+            if not shifts:
+                break
+        return residual / size, size
+
+    def _krylov(
+        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """The same by conjugate gradients that stop at negative curvature (Steihaug)."""
+        inner = self.op.interior
+        x, r = np.zeros_like(residual), residual.copy()
+        z = self._laplace.solve(r)
+        p, rz, first = z.copy(), float((r * z).sum()), np.linalg.norm(r)
+        if first == 0:
+            return x, 0.0
+        v = np.zeros_like(u)
+        for _ in range(500):
+            v[inner] = p
+            Kp = self.op.product(u, c, v)[inner]
+            curvature = float((p * Kp).sum())
+            if curvature <= 0:
+                return (x if x.any() else z), 1.0
+            step = rz / curvature
+            x += step * p
+            r -= step * Kp
+            if np.linalg.norm(r) < 1e-4 * first:
+                break
+            z = self._laplace.solve(r)
+            rz, before = float((r * z).sum()), rz
+            p = z + rz / before * p
+        return x, 0.0
+
+    def _search(
+        self,
+        c: np.ndarray,
+        load: np.ndarray,
+        u: np.ndarray,
+        step: np.ndarray,
+        residual: np.ndarray,
+        scale: float,
+    ) -> np.ndarray | None:
+        """u after the longest step that lowers the potential, or the residual near the end."""
+        inner = self.op.interior
+        area = self.op.bonds.spacing**2
+        before = float(self.op.energy(u, c)) - area * float((load * u[inner]).sum())
+        slope = -area * float((residual * step).sum())
+        size = np.linalg.norm(residual)
+        part = 1.0
+        while part > 1e-4:
+            moved = u.copy()
+            moved[inner] += part * step
+            if self.op.smallest_area(moved) > SMALLEST_AREA:
+                after = float(self.op.energy(moved, c)) - area * float((load * moved[inner]).sum())
+                if np.isfinite(after) and after <= before + 1e-4 * part * slope:
+                    return moved
+                left = load - self.op.everywhere(moved, c)[inner]
+                if np.linalg.norm(left) < 0.5 * size or np.abs(left).max() < self.tolerance * scale:
+                    return moved
+            part /= 2
+        return None
+
+    def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
+        """Of the tangent between interior nodes at u."""
+        if self.pattern is not None:
+            K = self.pattern.matrix(u, c)
+            factor = splu(K)
+            values = eigsh(
+                K, 1, sigma=0, OPinv=_inverse(factor), v0=_start(K.shape[0]),
+                return_eigenvectors=False, tol=1e-3,
+            )  # fmt: skip
+            return float(values[0])
+        inner, v = self.op.interior, np.zeros_like(u)
+
+        def product(p: np.ndarray) -> np.ndarray:
+            v[inner] = p.reshape(-1, 2)
+            found: np.ndarray = self.op.product(u, c, v)[inner].ravel()
+            return found
+
+        size = 2 * len(inner)
+        K = LinearOperator((size, size), product, dtype=float)
+        L = sp.kron(self._laplacian, sp.eye(2)).tocsr()
+        inverse = LinearOperator(
+            (size, size), lambda p: self._laplace.solve(p.reshape(-1, 2)).ravel(), dtype=float
+        )
+        values = eigsh(
+            K, 1, M=L, Minv=inverse, which="SA", v0=_start(size), return_eigenvectors=False,
+            tol=1e-2, maxiter=2000,
+        )  # fmt: skip
+        return float(values[0]) * self.softest
+
+
+def solve_hyperelastic(
+    solid: HyperelasticSolid, points: PointsLike, b: np.ndarray | None, u: np.ndarray
+) -> Equilibrium:
+    """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments."""
+    return StaticProblem(HyperelasticOperator(solid.dictionary, points)).solve(
+        solid.coefficients, b, u
+    )
+
+
+def laplacian(op: HyperelasticOperator) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+    """The five-point Laplacian between interior nodes, and from the collar (columns: all nodes)."""
+    steps = op.bonds.steps
+    near = np.flatnonzero(np.abs(steps).sum(axis=1) == 1)
+    far = op.bonds.neighbour[op.interior][:, near]
+    number = np.full(len(op.points.x), -1)
+    number[op.interior] = np.arange(len(op.interior))
+    rows = np.repeat(np.arange(len(op.interior)), len(near))
+    square = op.bonds.spacing**2
+    whole = sp.csr_matrix(
+        (np.full(len(rows), -1 / square), (rows, far.ravel())),
+        shape=(len(op.interior), len(op.points.x)),
+    )
+    inside = op.points.interior
+    own = whole[:, inside] + sp.eye(len(op.interior)) * (len(near) / square)
+    collar = whole @ sp.diags((~inside).astype(float))
+    return own.tocsr(), collar.tocsr()
+
+
+def factorised(K: sp.spmatrix) -> Any:
+    """The factors of a symmetric matrix where it is positive definite, else None."""
+    try:
+        factor = splu(
+            K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )  # fmt: skip
+    except RuntimeError:  # exactly singular
+        return None
+    symmetric = np.array_equal(factor.perm_r, factor.perm_c)
+    return factor if symmetric and (factor.U.diagonal() > 0).all() else None
+
+
+def _inverse(factor: Any) -> LinearOperator:
+    return LinearOperator(factor.shape, factor.solve, dtype=float)
+
+
+def _start(size: int) -> np.ndarray:
+    """A fixed start of Lanczos iterations, so that results repeat."""
+    return np.random.default_rng(0).standard_normal(size)
