@@ -127,14 +127,14 @@ def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:
 def energy_release(
     model: Model, body: Body, held: np.ndarray, u: np.ndarray, cracks: Sequence[Sequence[ArrayLike]]
 ) -> float:
-    """G per tip by energies: of two cracks, one shorter and one longer, at given displacement (C11).
+    """G by energies of two cracks, one shorter and one longer, at given displacement (C11).
 
     Args:
         model, body, held: as for CutSolid.
         u: with the given components, shape [N, 2].
         cracks: the shorter and the longer polylines; what the longer ones add is the new area.
 
-    Returns what is released per length added [stress · length].
+    Returns what is released length added [stress · length]; with two tips, of each.
     """
     energies, lengths = [], []
     for polylines in cracks:
@@ -148,7 +148,7 @@ def energy_release(
 def contour_integral(
     model: Model, body: Body, u: np.ndarray, tip: tuple[float, float], radii: tuple[float, float]
 ) -> float:
-    """J around the tip of a crack that comes from the left along y = tip's, as a domain integral (C12).
+    """J around the tip of a crack that comes from the left, as a domain integral (C12).
 
     Gradients are differences on a full rectangle of nodes, one-sided across the crack; the weight
     falls from 1 to 0 between two squares about the tip.
@@ -196,9 +196,7 @@ def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) ->
     return np.stack([by_x, by_y], axis=-1)
 
 
-def westergaard(
-    x: np.ndarray, half: float, stress: float, lam: float, mu: float
-) -> np.ndarray:
+def westergaard(x: np.ndarray, half: float, stress: float, lam: float, mu: float) -> np.ndarray:
     """Displacement around a crack |x| < half on y = 0 in a plane under equal tension, shape [N, 2].
 
     Plane stress with the two-dimensional λ and μ; H. M. Westergaard, 1939.
