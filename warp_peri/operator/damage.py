@@ -97,17 +97,22 @@ def cut_matrix(
         excess: λ − μ, one or by node [N].
     """
     d, place = stretch_matrix(body, neighbour)
-    node, bond = np.divmod(place, neighbour.shape[1])
+    bond = place % neighbour.shape[1]
     along = mu if np.ndim(mu) == 0 else np.ravel(mu)[place]
     stiffness = 8 * along * weights[bond] / body.r[bond] ** 2
-    nodes = len(neighbour)
-    gather = sp.csr_array(
-        (2 * weights[bond], (node, np.arange(len(place)))), shape=(nodes, len(place))
-    )
-    theta = gather @ d
+    theta = dilatation_matrix(body, weights, neighbour)
     total = d.T @ (sp.diags_array(stiffness) @ d)
-    total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, nodes)) @ theta)
+    total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, len(neighbour))) @ theta)
     return sp.csr_array(total)
+
+
+def dilatation_matrix(body: Body, weights: np.ndarray, neighbour: np.ndarray) -> sp.csr_array:
+    """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, 2N]."""
+    d, place = stretch_matrix(body, neighbour)
+    node, bond = np.divmod(place, neighbour.shape[1])
+    shape = (len(neighbour), len(place))
+    gather = sp.csr_array((2 * weights[bond], (node, np.arange(len(place)))), shape=shape)
+    return sp.csr_array(gather @ d)
 
 
 class CutOperator:
