@@ -17,8 +17,8 @@ import warp as wp
 
 from warp_peri.kernels.bonds import load
 
-TABLE = 5
-"""Numbers per bond in the table of the ball."""
+TABLE, SHORT_TABLE = 5, 4
+"""Numbers per bond in the table of the ball, and in that of the bond-based sweep, without a."""
 
 STRETCH, ENERGY = 0, 1
 """Criteria: d beyond its limit; the bond's energy density beyond its limit."""
@@ -71,10 +71,10 @@ def sweeps(tension_only: bool):
         lost_p = wp.int32(0)
         lost_q = wp.int32(0)
         for b in range(bonds):
-            x0 = float_at(table, TABLE * b)
-            x1 = float_at(table, TABLE * b + 1)
-            k = float_at(table, TABLE * b + 3)
-            limit = float_at(table, TABLE * b + 4)
+            x0 = float_at(table, SHORT_TABLE * b)
+            x1 = float_at(table, SHORT_TABLE * b + 1)
+            k = float_at(table, SHORT_TABLE * b + 2)
+            limit = float_at(table, SHORT_TABLE * b + 3)
             j = int_at(neighbour, at_p + b)
             if j >= 0:
                 d = x0 * (float_at(u, 2 * j) - up0) + x1 * (float_at(u, 2 * j + 1) - up1)

@@ -6,6 +6,7 @@ the energy is a sum of squares of stretches that any breaking leaves positive wh
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import warp as wp
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.launch import floats, ints, launch_slices, zeros
+from warp_peri.launch import floats, ints, launch_slices, recorded_slices, threads, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.body import Body
@@ -149,6 +150,8 @@ class CutOperator:
         stiffness = 16 * model.mu * self.weights / r**2
         table = np.column_stack([body.xi, 2 * self.weights, stiffness, self.limits])
         self._table = floats(np.ascontiguousarray(table).ravel())
+        self._short_table = floats(np.ascontiguousarray(table[:, [0, 1, 3, 4]]).ravel())
+        self._recorded: dict[tuple[int, ...], Callable[[], None]] = {}
         flags: np.ndarray = np.zeros(self.places, np.uint8)
         flags[: self.nodes] = False if no_fail is None else no_fail
         self._no_fail: wp.array[Any] = wp.array(flags, dtype=wp.uint8, device="cpu")
@@ -156,6 +159,7 @@ class CutOperator:
         self._all = ints(np.arange(self.nodes))
         self.theta = zeros(self.places)
         self.lost = zeros(self.places, dtype=wp.int32)
+        self._lost = self.lost.numpy()  # shares its memory
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
         """A table of neighbours [N, B] as the sweeps take it, a copy of its own."""
@@ -176,18 +180,27 @@ class CutOperator:
 
         Force and energy are of all bonds that were there before.
         """
-        flat = _flat(u)
         if self.bond_based and breaking:
-            launch_slices(
-                self._kernels.bond_based,
-                self.places // 2,
-                (flat, self.bonds, self._table, self._no_fail),
-                (force, energy, self.lost, links),
-            )
+            arrays = (u, links, force, energy)
+            key = (threads(), *(array.ptr for array in arrays))
+            if key not in self._recorded:
+                self._recorded = {key: self._record(*arrays)}
+            self._recorded[key]()
         else:
             criterion = self._criterion if breaking else -1
-            self._state_based(flat, links, self._all, self._all, criterion, force, energy)
-        return np.flatnonzero(self.lost.numpy()) if breaking else np.empty(0, np.int64)
+            self._state_based(_flat(u), links, self._all, self._all, criterion, force, energy)
+        return np.flatnonzero(self._lost) if breaking else np.empty(0, np.int64)
+
+    def _record(
+        self, u: wp.array[Any], links: wp.array[Any], force: wp.array[Any], energy: wp.array[Any]
+    ) -> Callable[[], None]:
+        """The bond-based sweep over these arrays, packed."""
+        return recorded_slices(
+            self._kernels.bond_based,
+            self.places // 2,
+            (_flat(u), self.bonds, self._short_table, self._no_fail),
+            (force, energy, self.lost, links),
+        )
 
     def again(
         self,
