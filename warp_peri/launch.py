@@ -100,6 +100,32 @@ def launch_slices(
     at_once([job(first, last) for first, last in pairwise(ends)])
 
 
+def recorded_slices(
+    kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any]
+) -> Callable[[], None]:
+    """What `launch_slices` does, packed once, to be called again and again on the same arrays.
+
+    Packing arguments takes longer than a sweep over a thousand nodes. The number of threads is that
+    of now.
+    """
+    device = outputs[0].device
+    slices = max(1, min(_count, count // SLICE)) if device.is_cpu else 1
+    ends = [count * n // slices for n in range(slices + 1)]
+    kernel.module.load(device)
+    jobs = [
+        wp.launch(
+            kernel,
+            dim=last - first,
+            inputs=[first, *inputs],
+            outputs=list(outputs),
+            device=device,
+            record_cmd=True,
+        ).launch
+        for first, last in pairwise(ends)
+    ]
+    return jobs[0] if len(jobs) == 1 else lambda: at_once(jobs)
+
+
 def zeros(
     *shape: int, dtype: Any = wp.float64, gradient: bool = False, device: str = DEVICE
 ) -> wp.array[Any]:

@@ -1,0 +1,143 @@
+"""A pre-cracked glass plate under a sudden pull: the crack runs, and branches.
+
+The plate is 100 × 40 mm, E 72 GPa, ρ 2440 kg/m³, G_c 135 J/m², pulled at 12 MPa; SI units. Also
+Kalthoff and Winkler's plate with two notches that a projectile hits between them (--kalthoff).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri import Model
+from warp_peri.dynamics.breaking import BreakingBody
+from warp_peri.dynamics.crack_run import CrackRun
+from warp_peri.models.damage import BrittleSolid
+from warp_peri.points.body import lattice_body, rectangle
+
+DAMAGED = 0.35
+"""φ from which a node counts as on a crack."""
+
+
+def rayleigh(lam: float, mu: float, density: float) -> float:
+    """Speed of surface waves, by Viktorov's fit [m/s]."""
+    nu = lam / (2 * (lam + mu))
+    return float(np.sqrt(mu / density) * (0.862 + 1.14 * nu) / (1 + nu))
+
+
+def glass(h: float, ratio: float, stress: float, toughness: float = 135.0):
+    """The plate, and the crack that it starts with."""
+    mu = 72e9 * 3 / 8  # λ = μ: ν = 1/3 in plane stress
+    model = Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    solid = BrittleSolid(model, 2440.0, toughness=toughness)
+    x = rectangle(0.1, 0.04, h)
+    edge = np.abs(x[:, 1]) > 0.02 - h
+    load = np.where(edge[:, None], np.sign(x) * (0.0, stress / h), 0.0)
+    no_fail = np.abs(x[:, 1]) > 0.02 - ratio * h
+    body = BreakingBody(solid, lattice_body(x, h, model.horizon), load=load, no_fail=no_fail)
+    return body, [[(-0.051, 0.0), (0.0, 0.0)]]
+
+
+def steel(h: float, ratio: float, speed: float = 16.5):
+    """Kalthoff and Winkler's plate, its notches, and the velocity of the part that is hit."""
+    E, nu = 190e9, 0.25  # plane strain, bond-based
+    mu = E / (2 * (1 + nu))
+    model = Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    solid = BrittleSolid(model, 8000.0, toughness=2.213e4)
+    x = rectangle(0.1, 0.2, h)
+    hit = (x[:, 0] < -0.05 + h) & (np.abs(x[:, 1]) < 0.025)
+    held = np.column_stack([hit, np.zeros(len(x), bool)])
+    grip = np.where(held, speed, 0.0)
+    body = BreakingBody(solid, lattice_body(x, h, model.horizon), held=held, grip=grip)
+    return body, [[(-0.051, y), (0.0, y)] for y in (-0.025, 0.025)]
+
+
+def tip(body: BreakingBody, phi: np.ndarray) -> float:
+    """How far to the right the damage has come."""
+    x = body.body.x[(phi > DAMAGED) & (np.abs(body.body.x[:, 0]) < 0.0499), 0]
+    return float(x.max()) if len(x) else 0.0
+
+
+def march(body: BreakingBody, cracks: list, time: float, share: float, progress: bool, out=None):
+    """The run, its end, and where the tip was at each record."""
+    dt = share * body.longest_step
+    steps = round(time / dt)
+    every = max(1, steps // 100)
+    run = CrackRun(body, dt, every=every, series=out)
+    state = body.start(cracks=cracks)
+    tips = []
+    for count in range(every, steps + 1, every):
+        state = run.march(state, count, progress=False)
+        tips.append((state.time, tip(body, body.damage(state))))
+        if progress:
+            print(f"\r{100 * count // steps} %", end="", file=sys.stderr)
+    return run, state, np.array(tips)
+
+
+def branch_point(x: np.ndarray, phi: np.ndarray, h: float) -> float | None:
+    """Where the damage first lies in two bands a millimetre apart, NaN where it does not."""
+    for column in np.unique(np.round(x[:, 0], 9)):
+        there = np.abs(x[:, 0] - column) < h / 4
+        y = np.sort(x[there & (phi > DAMAGED), 1])
+        if column > 0 and len(y) > 1 and np.diff(y).max() > 1.5e-3:
+            return float(column)
+    return None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--spacing", type=float, default=0.5e-3, help="[m]")
+    parser.add_argument("--ratio", type=float, default=4.0, help="horizon over spacing")
+    parser.add_argument("--time", type=float, default=45e-6, help="[s]")
+    parser.add_argument("--share", type=float, default=0.4, help="of the longest step")
+    parser.add_argument("--kalthoff", action="store_true", help="the plate that is hit, instead")
+    parser.add_argument("--series", action="store_true", help="write files for ParaView")
+    parser.add_argument("--progress", action="store_true", help="show how far it is")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "branching")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    h = args.spacing
+    body, cracks = steel(h, args.ratio) if args.kalthoff else glass(h, args.ratio, 12e6)
+    series = args.out / "series" if args.series else None
+    run, state, tips = march(body, cracks, args.time, args.share, args.progress, series)
+    x, phi = body.body.x, body.damage(state)
+    numbers: dict[str, float | None] = {
+        "nodes": len(x),
+        "steps": state.steps,
+        "ledger": run.history.missing,
+    }
+    if args.kalthoff:
+        new = (phi > DAMAGED) & (x[:, 0] > 2 * h) & (x[:, 1] > 0.025)
+        slope = float(np.polyfit(x[new, 0], x[new, 1], 1)[0])
+        numbers["angle"] = float(np.degrees(np.arctan(slope)))
+    else:
+        numbers["branch"] = branch_point(x, phi, h)
+        model = body.solid.model
+        runs = tips[(tips[:, 1] > 2e-3) & (tips[:, 1] < 0.045)]
+        width = max(3, len(runs) // 8)
+        windows = (runs[k : k + width] for k in range(len(runs) - width + 1))
+        slopes = [float(np.polyfit(part[:, 0], part[:, 1], 1)[0]) for part in windows]
+        speed = max(slopes, default=float("nan"))
+        numbers["speed_over_rayleigh"] = speed / rayleigh(model.lam, model.mu, body.solid.density)
+    args.out.mkdir(parents=True, exist_ok=True)
+    figure = Figure(figsize=(4, 6) if args.kalthoff else (8, 3.6), layout="constrained")
+    ax = figure.subplots()
+    shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
+    ax.set(aspect="equal", xlabel="[mm]", title=f"damage after {state.time * 1e6:.0f} µs")
+    figure.colorbar(shown, ax=ax)
+    figure.savefig(args.out / "damage.png", dpi=120)
+    print(json.dumps(numbers, indent=None if args.json else 1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+"""Nonlocal diffusion: orders on lattices and scattered points, a jump, a microstructure, coupling.
+
+Exact solutions are given on the collar; the microstructure is held to finite elements.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri import Model, Points
+from warp_peri.models.diffusion import Conductor
+from warp_peri.operator.diffusion import DiffusionOperator
+from warp_peri.points.body import lattice_body
+from warp_peri.statics.coupled import Coupled
+from warp_peri.statics.diffusion import steady
+
+RATIO = 3.0
+"""Horizon over spacing on lattices; 3.5 on scattered points."""
+LAM, MU, COUPLING, STORAGE = 1.5, 1.0, 0.7, 0.3
+
+
+def square(cells: int, reach: float, shift: float = 0.0, seed: int = 0) -> Points:
+    """The square |x| < 1 and its collar, 1/cells apart, moved at random by shift spacings."""
+    h, pad = 1 / cells, int(np.ceil(reach + 2 * shift + 1))
+    steps = np.argwhere(np.ones(2 * [2 * (cells + pad)])) - (cells + pad) + 0.5
+    inside = (np.abs(steps) < cells).all(axis=1)
+    if shift:
+        steps = steps + np.random.default_rng(seed).uniform(-shift, shift, steps.shape)
+    return Points(h * steps, inside, 0.0 if shift else h)
+
+
+def error(points: Points, ratio: float, cells: int, kappa: Any, exact: np.ndarray, g: Any) -> float:
+    """Relative l2 error of a steady solution with the source g [N]."""
+    operator = DiffusionOperator(Conductor(ratio / cells), points, kappa=kappa)
+    rows = operator.rows
+    found = steady(operator, exact, np.broadcast_to(g, exact.shape)[rows])
+    return float(np.linalg.norm((found - exact)[rows]) / np.linalg.norm(exact[rows]))
+
+
+def smooth(cells: int, shift: float) -> float:
+    """sin(x + 0.2) cos(2 y) with uniform conductivity."""
+    ratio = 3.5 if shift else RATIO
+    points = square(cells, ratio, shift)
+    exact = np.sin(points.x[:, 0] + 0.2) * np.cos(2 * points.x[:, 1])
+    return error(points, ratio, cells, 1.0, exact, 5 * exact)
+
+
+def jump(cells: int, along: bool = True) -> float:
+    """Conductivity 1 left and 10 right of x = 0, in series along bonds or by harmonic means."""
+    points = square(cells, RATIO)
+    x, y = points.x.T
+
+    def kappa(place: np.ndarray) -> np.ndarray:
+        return np.where(place[..., 0] < 0, 1.0, 10.0)
+
+    exact = np.sin(y + 0.3) * (np.cosh(x) + np.sinh(x) / kappa(points.x))
+    return error(points, RATIO, cells, kappa if along else kappa(points.x), exact, 0.0)
+
+
+def coupled(cells: int) -> tuple[float, float]:
+    """Errors of u and φ after two steps of a solution that grows linearly in time."""
+    points = square(cells, 2 * RATIO)
+    x, y = points.x.T
+    h = points.spacing
+    u = np.column_stack([np.sin(x) * np.sin(y) + 0.3 * x * x, np.cos(x) * np.cos(y)])
+    phi = np.exp(x) * np.cos(y) + 0.2 * x * x
+    gradient = np.column_stack([np.exp(x) * np.cos(y) + 0.4 * x, -np.exp(x) * np.sin(y)])
+    laplacian = np.column_stack([-2 * u[:, 0] + 0.6 * (1 + x * x), -2 * u[:, 1]])
+    rise = np.column_stack([np.full_like(x, 0.6), 0 * x])  # gradient of div u = 0.6 x
+    load = -MU * laplacian - (LAM + MU) * rise - COUPLING * gradient
+    model = Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
+    body = lattice_body(points.x, h, RATIO * h)
+    system = Coupled(
+        model,
+        body,
+        DiffusionOperator(Conductor(RATIO * h), points),
+        coupling=COUPLING,
+        storage=STORAGE,
+    )
+    state, dt = (0 * u, 0 * phi), 0.5
+    for time in (dt, 2 * dt):
+        source = STORAGE * phi - COUPLING * 0.6 * x - 0.4 * time
+        state = system.step(state, (time * u, time * phi), dt, b=time * load, source=source)
+    free = points.interior
+    pairs = ((state[0], u), (state[1], phi))
+    return tuple(  # type: ignore[return-value]
+        float(np.linalg.norm((a - b)[free]) / np.linalg.norm(b[free])) for a, b in pairs
+    )
+
+
+def microstructure(cells: int, grains: int = 12, seed: int = 0) -> tuple[float, Any]:
+    """Random round grains, 20 times the matrix, against quadratic finite elements."""
+    from skfem import Basis, BilinearForm, ElementQuad2, MeshQuad, condense, solve
+    from skfem.helpers import dot, grad
+
+    random = np.random.default_rng(seed)
+    middle, radius = random.uniform(-0.9, 0.9, (grains, 2)), random.uniform(0.1, 0.25, grains)
+
+    def kappa(place: np.ndarray) -> np.ndarray:
+        away = np.linalg.norm(place[..., None, :] - middle, axis=-1)
+        return np.where((away < radius).any(axis=-1), 20.0, 1.0)
+
+    mesh = MeshQuad.init_tensor(*2 * [np.linspace(-1.5, 1.5, 12 * cells // 4 + 1)])
+    basis = Basis(mesh, ElementQuad2(), intorder=6)
+
+    @BilinearForm
+    def conduction(u, v, w):
+        return kappa(np.moveaxis(np.asarray(w.x), 0, -1)) * dot(grad(u), grad(v))
+
+    phi = basis.doflocs[0] * 1.0  # φ = x on the outer edge
+    phi = solve(*condense(conduction.assemble(basis), x=phi, D=basis.get_dofs()))
+    points = square(cells, RATIO)
+    exact = basis.probes(points.x.T) @ phi
+    operator = DiffusionOperator(Conductor(RATIO / cells), points, kappa=kappa)
+    found = steady(operator, exact)
+    free = points.interior
+    off = np.linalg.norm((found - exact)[free]) / np.linalg.norm(exact[free])
+    return float(off), (points.x, kappa(points.x), found, free)
+
+
+def order(cells: list[int], errors: list[float]) -> float:
+    """Fitted order of an error in the spacing."""
+    return float(-np.polyfit(np.log(cells), np.log(errors), 1)[0])
+
+
+def study(cells: list[int], run: Callable[[int], float]) -> dict[str, Any]:
+    """Errors by spacing and their order."""
+    errors = [run(n) for n in cells]
+    return {"errors": dict(zip(map(str, cells), errors)), "order": order(cells, errors)}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add_argument("--microstructure", type=int, default=32, help="its cells, 0 for none")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "diffusion")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    cells = args.cells
+    numbers: dict[str, Any] = {
+        "smooth": study(cells, lambda n: smooth(n, 0.0)),
+        "smooth, scattered": study(cells, lambda n: smooth(n, 0.2)),
+        "jump, series": study(cells, jump),
+        "jump, harmonic": study(cells, lambda n: jump(n, along=False)),
+    }
+    both = [coupled(n) for n in cells]
+    for place, name in enumerate(("coupled, u", "coupled, φ")):
+        errors = [pair[place] for pair in both]
+        numbers[name] = {
+            "errors": dict(zip(map(str, cells), errors)),
+            "order": order(cells, errors),
+        }
+    if args.microstructure:
+        numbers["microstructure"], (x, kappa, found, free) = microstructure(args.microstructure)
+        figure = Figure(figsize=(9, 4), layout="constrained")
+        for ax, values, title in zip(figure.subplots(1, 2), (kappa, found), ("κ", "φ")):
+            shown = ax.scatter(*x[free].T, c=values[free], s=3, cmap="viridis")
+            ax.set(aspect="equal", title=title)
+            figure.colorbar(shown, ax=ax)
+        args.out.mkdir(parents=True, exist_ok=True)
+        figure.savefig(args.out / "diffusion.png", dpi=120)
+    print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

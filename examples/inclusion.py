@@ -1,0 +1,94 @@
+"""A round inclusion of another material in a plane under equal strain: errors and orders.
+
+Bonds add the compliances of μ along them, balls those of λ − μ; the exact field is on the collar.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri import Model
+from warp_peri.operator.damage import bond_weights
+from warp_peri.points.body import lattice_body, rectangle
+from warp_peri.statics.inclusions import (
+    MEANS,
+    ball_excess,
+    bond_modulus,
+    mixed_matrix,
+    solve_mixed,
+)
+
+RADIUS, RATIO = 0.5, 3.0
+CASES = {
+    "stiff in soft": ((30.0, 10.0), (1.5, 1.0)),
+    "soft in stiff": ((1.5, 1.0), (30.0, 10.0)),
+    "nearly incompressible inside": ((500.0, 1.0), (1.5, 1.0)),
+    "nearly incompressible outside": ((1.5, 1.0), (500.0, 1.0)),
+    "nearly incompressible both": ((500.0, 1.0), (500.0, 2.0)),
+}
+"""(λ, μ) inside and outside."""
+
+
+def inclusion(cells: int, inside: tuple, outside: tuple, mean: str = "series", ball: bool = True):
+    """Relative l2 error of the displacement at spacing 1/cells, nodes, and displacement."""
+    h = 1 / cells
+    side = 2 * (1 + 2 * RATIO * h)
+    x = rectangle(side, side, h)
+    body = lattice_body(x, h, RATIO * h)
+    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
+    w = bond_weights(model, body.classes)
+
+    def field(a: float, b: float):
+        return lambda place: np.where(np.hypot(place[..., 0], place[..., 1]) < RADIUS, a, b)
+
+    excess = field(inside[0] - inside[1], outside[0] - outside[1])
+    values = ball_excess(body, w, excess) if ball else excess(x)
+    matrix = mixed_matrix(body, w, bond_modulus(body, field(inside[1], outside[1]), mean), values)
+    bulk, shear = sum(inside), outside[1]
+    core = (sum(outside) + shear) / (bulk + shear)
+    radial = np.hypot(*x.T)
+    exact = x * field(core, 1.0)(x)[:, None]
+    exact += np.where(radial < RADIUS, 0, (core - 1) * RADIUS**2 / radial**2)[:, None] * x
+    held = (np.abs(x) > 1).any(axis=1)
+    u = solve_mixed(matrix, held, exact)
+    off = np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
+    return float(off), x, u - exact
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "inclusion")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    numbers: dict = {}
+    figure = Figure(figsize=(5, 4), layout="constrained")
+    ax = figure.subplots()
+    for name, materials in CASES.items():
+        numbers[name] = {}
+        ways = [("series, ball", "series", True), *((mean, mean, False) for mean in MEANS)]
+        for label, mean, ball in ways:
+            errors = [inclusion(n, *materials, mean, ball)[0] for n in args.cells]
+            order = -np.polyfit(np.log(args.cells), np.log(errors), 1)[0]
+            numbers[name][label] = {"errors": errors, "order": float(order)}
+        ax.loglog(args.cells, numbers[name]["series, ball"]["errors"], "o-", label=name)
+    ax.set(xlabel="nodes per unit length", ylabel="relative error of u")
+    ax.legend(frameon=False, fontsize=8)
+    args.out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(args.out / "inclusion.png", dpi=120)
+    print(json.dumps(numbers, indent=None if args.json else 1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""A crack at rest in a plane under tension: opening, energy release and J against the exact ones.
+
+Westergaard's field is given on the collar; the bonds across the crack are cut.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from warp_peri import Model
+from warp_peri.points.body import lattice_body, rectangle
+from warp_peri.statics.cracked import CutSolid, contour_integral, energy_release, westergaard
+from warp_peri.statics.growth import apparent_toughness
+
+HALF = 0.5
+"""Half the crack's length; the square is 2 × 2."""
+
+
+def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float], tuple]:
+    """Relative errors at spacing 1/cells and horizon ratio/cells, and what the picture needs."""
+    h = 1 / cells
+    model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    side = 2 * (1 + 2 * int(np.ceil(ratio)) * h)
+    x = rectangle(side, side, h)
+    body = lattice_body(x, h, model.horizon)
+    held = (np.abs(x) > 1).any(axis=1)
+    exact = westergaard(x, HALF, 1.0, lam, 1.0)
+    u = CutSolid(model, body, held, cracks=[[(-HALF, 0), (HALF, 0)]]).solve(exact)
+    longer, shorter = ([[(-HALF - d, 0), (HALF + d, 0)]] for d in (h, -h))
+    G = energy_release(model, body, held, exact, (shorter, longer))
+    J = contour_integral(model, body, u, (HALF, 0.0), (0.2, 0.4))
+    face = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < 0.8 * HALF)
+    expected = np.pi * HALF / model.E
+    off = np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
+    numbers = {
+        "displacement": float(off),
+        "G": G / expected - 1,
+        "J": J / expected - 1,
+        "opening": float(np.mean(u[face, 1] / exact[face, 1])) - 1,
+    }
+    return numbers, (x, u, exact, h)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add_argument("--ratio", type=float, default=3.0, help="horizon over spacing")
+    parser.add_argument("--lam", type=float, default=1.0, help="λ, with μ = 1")
+    parser.add_argument("--growth", action="store_true", help="also what a growing crack spends")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "static_crack")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    table = {}
+    for cells in args.cells:
+        table[f"L/{cells}"], (x, u, exact, h) = static_crack(cells, args.ratio, args.lam)
+    if args.growth:
+        model = Model(lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio)
+        table["growth"] = {"apparent_toughness": apparent_toughness(model, 1.0)}
+    print(json.dumps(table) if args.json else json.dumps(table, indent=1))
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shown = left.scatter(*(x + 0.1 * u).T, c=u[:, 1], s=2, cmap="RdBu")
+    left.set(aspect="equal", title="displacement u₂, drawn 0.1 times")
+    figure.colorbar(shown, ax=left)
+    row = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < 1)
+    right.plot(x[row, 0], u[row, 1], "o", markersize=3, label="peridynamic")
+    right.plot(x[row, 0], exact[row, 1], "k", linewidth=0.8, label="Westergaard")
+    right.set(xlabel="x₁", ylabel="u₂ above the crack", title=f"L/{args.cells[-1]}")
+    right.legend(frameon=False)
+    args.out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(args.out / "crack.png", dpi=120)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

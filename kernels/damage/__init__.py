@@ -1,0 +1,1 @@
+"""Solids whose bonds break: dilatation, force and energy over unbroken bonds, and motion."""

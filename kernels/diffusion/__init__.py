@@ -1,0 +1,1 @@
+"""Nonlocal diffusion: the flux along bonds and its adjoint."""

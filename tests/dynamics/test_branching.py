@@ -1,0 +1,28 @@
+"""The example of a crack that branches, coarse and short."""
+
+import json
+
+import pytest
+
+from examples.branching import main
+
+
+def test_a_short_run_prints_and_draws(tmp_path, capsys):
+    command = ["--spacing", "1e-3", "--ratio", "3", "--time", "2e-5", "--json"]
+    assert main([*command, "--out", str(tmp_path), "--series"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["nodes"] == 4000
+    assert (tmp_path / "damage.png").stat().st_size > 5000
+    assert (tmp_path / "series" / "motion.pvd").exists()
+
+
+@pytest.mark.slow
+def test_the_glass_plate_branches_and_its_ledger_closes_better_with_shorter_steps(tmp_path, capsys):
+    found = []
+    for share in ("0.4", "0.2"):
+        assert main(["--share", share, "--json", "--out", str(tmp_path)]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert 0.013 < found[0]["branch"] < 0.022  # 63 to 72 mm from the left
+    assert 0.5 < found[0]["speed_over_rayleigh"] < 0.62
+    assert found[0]["ledger"] < 1e-3
+    assert found[1]["ledger"] < found[0]["ledger"] / 3

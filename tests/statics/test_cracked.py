@@ -1,0 +1,83 @@
+"""Cut bodies at rest: rates of a crack's opening, G and J, growth, and what is refused."""
+
+import numpy as np
+import pytest
+
+from examples.static_crack import main, static_crack
+from tests.support.bodies import plate, random_breaking, solid
+from tests.support.problems import fitted_order, kernel
+from warp_peri import InputError
+from warp_peri.statics.cracked import CutSolid, contour_integral
+from warp_peri.statics.growth import apparent_toughness, grow
+
+SPACINGS = np.array([1 / 8, 1 / 12, 1 / 16])
+
+
+@pytest.mark.parametrize("lam", [1.0, -0.28])
+def test_a_crack_converges(lam):
+    rows = [static_crack(round(1 / h), 3.0, lam)[0] for h in SPACINGS]
+    assert fitted_order(SPACINGS, [row["displacement"] for row in rows]) > 0.95
+    assert fitted_order(SPACINGS, [abs(row["G"]) for row in rows]) > 1.4
+    assert abs(rows[-1]["J"]) < 0.01
+    assert abs(rows[-1]["opening"]) < 0.015
+
+
+@pytest.mark.slow
+def test_the_numbers_of_a_thirty_second_of_the_plate():
+    numbers, _ = static_crack(32, 3.0, 1.0)
+    assert abs(numbers["G"]) < 0.002
+    assert abs(numbers["opening"]) < 0.01
+    assert abs(numbers["J"]) < 0.003
+
+
+def test_an_affine_field_stays_affine_in_a_whole_body():
+    body = plate(20, 20)
+    u = body.x @ [[0.01, 0.002], [0.004, -0.003]]
+    held = (np.abs(body.x) > 3).any(axis=1)
+    found = CutSolid(solid(0.4).model, body, held).solve(u)
+    np.testing.assert_allclose(found, u, atol=1e-14)
+    assert contour_integral(solid(0.4).model, body, u, (0.0, 0.0), (3.0, 6.0)) == pytest.approx(0)
+
+
+def test_a_crack_that_cuts_a_body_in_two_is_refused():
+    body = plate(10, 8)
+    below = body.x[:, 1] < -3
+    with pytest.raises(InputError, match="40 nodes, node .* is held against 0 of its 3 rigid"):
+        CutSolid(solid().model, body, below, cracks=[[(-9, 0), (9, 0)]])
+    only_x = np.column_stack([np.ones(len(below), bool), below])
+    with pytest.raises(InputError, match="against 2 of its 3"):
+        CutSolid(solid().model, body, only_x, cracks=[[(-9, 0), (9, 0)]])
+
+
+def test_a_sign_changing_model_cracks_only_where_it_stays_definite():
+    model, body = kernel("sign-changing", 3.0), plate(16, 16)
+    held = (np.abs(body.x) > 5).any(axis=1)
+    CutSolid(model, body, held)
+    CutSolid(model, body, held, cracks=[[(-4, 0), (4, 0)]])
+    at_random = random_breaking(body, np.random.default_rng(0), 0.2)
+    with pytest.raises(InputError, match="negative eigenvalues"):
+        CutSolid(model, body, held, neighbour=at_random)
+    with pytest.raises(InputError, match="changes sign"):
+        grow(model, body, held, body.x, 1)
+
+
+def test_growth_breaks_the_most_stretched_bonds_and_loses_energy():
+    body = plate(20, 16)
+    held = np.abs(body.x[:, 1]) > 5
+    u = body.x * (0.0, 0.01)
+    growth = grow(solid().model, body, held, u, 12, cracks=[[(-3, 0), (3, 0)]])
+    assert (np.diff(growth.energy) < 0).all()
+    assert (growth.neighbour < 0).sum() > (body.neighbour < 0).sum()
+    node = np.flatnonzero(((growth.neighbour < 0) & (body.neighbour >= 0)).any(axis=1))
+    assert np.abs(body.x[node, 1]).max() < 3  # along the crack
+
+
+def test_a_growing_crack_spends_more_than_a_straight_cut():
+    found = apparent_toughness(solid().model, 1.0, cells=10, length=2)
+    assert 1.1 < found < 1.9
+
+
+def test_the_example_prints_and_draws(tmp_path, capsys):
+    assert main(["--cells", "8", "--json", "--out", str(tmp_path)]) == 0
+    assert '"G"' in capsys.readouterr().out
+    assert (tmp_path / "crack.png").stat().st_size > 5000

@@ -1,0 +1,71 @@
+"""Inclusions and pressurised cracks against exact fields."""
+
+import numpy as np
+import pytest
+
+from examples import inclusion as inclusions
+from examples import pressurised_crack
+from tests.support.bodies import plate, solid
+from warp_peri import InputError
+from warp_peri.operator.damage import bond_weights, cut_matrix
+from warp_peri.points.body import cracked
+from warp_peri.statics.inclusions import ball_excess, bond_modulus, mixed_matrix
+from warp_peri.statics.pressurised import crack_load
+
+CELLS = np.array([8, 12, 16])
+
+
+@pytest.mark.parametrize("name", ["stiff in soft", "nearly incompressible both"])
+def test_inclusions_converge_and_series_beats_arithmetic_means(name):
+    materials = inclusions.CASES[name]
+    errors = [inclusions.inclusion(n, *materials)[0] for n in CELLS]
+    assert -np.polyfit(np.log(CELLS), np.log(errors), 1)[0] > 0.95
+    if name == "stiff in soft":
+        assert errors[-1] < inclusions.inclusion(16, *materials, "arithmetic", False)[0] / 10
+
+
+def test_one_material_is_the_plain_operator():
+    body, model = plate(8, 8), solid(3.0).model
+    w = bond_weights(model, body.classes)
+    uniform = lambda value: lambda place: np.full(place.shape[:-1], value)
+    excess = ball_excess(body, w, uniform(2.0))
+    matrix = mixed_matrix(body, w, bond_modulus(body, uniform(1.0)), excess)
+    assert abs(matrix - cut_matrix(body, w, body.neighbour, 1.0, 2.0)).max() < 1e-13
+    with pytest.raises(InputError, match="of one sign"):
+        ball_excess(body, w, lambda place: place[..., 0])
+    with pytest.raises(InputError, match="mean: expected one of"):
+        bond_modulus(body, np.ones(64), "geometric")
+    with pytest.raises(InputError, match="mu: expected values > 0"):
+        bond_modulus(body, -np.ones(64))
+
+
+def test_a_pressurised_crack_opens_as_sneddons():
+    numbers = [pressurised_crack.opening(n)[0] for n in (8, 16)]
+    assert abs(numbers[1]["opening"] - 1) < 0.01
+    assert abs(numbers[1]["volume"] - 1) < 0.002
+    assert abs(numbers[1]["opening"] - 1) < abs(numbers[0]["opening"] - 1)
+
+
+def test_the_load_of_a_crack_undoes_it():
+    body, model = plate(16, 16), solid(0.4).model
+    neighbour = cracked(body, [[(-3, 0.5), (4, 2.2)]])
+    stress = np.array([[0.3, 0.1], [0.1, -0.2]])
+    load = crack_load(model, body, neighbour, stress)
+    assert np.abs(load.sum(axis=0)).max() < 1e-13
+    strain = (stress - 0.4 / 2.8 * 0.1 * np.eye(2)) / 2
+    w = bond_weights(model, body.classes)
+    forces = [
+        cut_matrix(body, w, table, 1.0, -0.6) @ (body.x @ strain).ravel()
+        for table in (body.neighbour, neighbour)
+    ]
+    np.testing.assert_allclose(forces[1] + load.ravel(), forces[0], atol=1e-13)
+
+
+def test_examples_print_and_draw(tmp_path, capsys):
+    command = ["--cells", "6", "8", "--json", "--out", str(tmp_path)]
+    assert inclusions.main(command) == 0
+    assert pressurised_crack.main([*command, "--growth", "8"]) == 0
+    out = capsys.readouterr().out
+    assert "series, ball" in out
+    assert "over Sneddon" in out
+    assert {path.name for path in tmp_path.iterdir()} == {"inclusion.png", "opening.png"}

@@ -1,0 +1,45 @@
+"""Small lattice bodies and solids that break, shared by the tests of damage."""
+
+import numpy as np
+
+from warp_peri import Model
+from warp_peri.dynamics.breaking import BreakingBody
+from warp_peri.models.damage import BrittleSolid
+from warp_peri.points.body import lattice_body, rectangle
+
+
+def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, **criterion):
+    """K = 1/r and one criterion, a stretch by default."""
+    model = Model(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon)
+    return BrittleSolid(model, density, **(criterion or {"critical_stretch": 0.01}))
+
+
+def plate(width=16, height=12, horizon=3.0):
+    """A rectangle of unit cells."""
+    return lattice_body(rectangle(width, height, 1.0), 1.0, horizon)
+
+
+def pulled(lam=1.0, width=24, height=16, **criterion):
+    """A plate whose upper and lower rows are pulled apart by a load."""
+    body = plate(width, height)
+    y = body.x[:, 1]
+    load = np.zeros_like(body.x)
+    edge = np.abs(y) > height / 2 - 1
+    load[edge, 1] = 0.02 * np.sign(y[edge])
+    return BreakingBody(
+        solid(lam, **criterion), body, load=load, no_fail=np.abs(y) > height / 2 - 3
+    )
+
+
+def random_breaking(body, random, share):
+    """The body's neighbours with a random share of its bonds broken, both directions at once."""
+    neighbour = body.neighbour.copy()
+    node, bond = np.nonzero(neighbour >= 0)
+    far = neighbour[node, bond]
+    first = node < far
+    node, bond, far = (part[first] for part in (node, bond, far))
+    chosen = random.random(len(node)) < share
+    node, bond, far = (part[chosen] for part in (node, bond, far))
+    neighbour[node, bond] = -1 - far
+    neighbour[far, body.opposite[bond]] = -1 - node
+    return neighbour

@@ -1,0 +1,277 @@
+"""A framed graphene sheet with cracks, pulled to the fold: critical strains by LAMMPS at 0 K.
+
+The potential's stock cut-off stiffens bonds just before they break and makes the sheet 2.8 times
+too strong. Here the switch starts at 2.6 Å, and pairs of one sublattice, which the longer cut-off
+would reach, are excluded; so are the bonds that a crack cuts.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+from scipy.sparse.csgraph import breadth_first_order
+
+from tools.graphene import bond_length, sheet
+from tools.hessian import ColouredHessian
+from tools.lammps_session import (
+    CARBON_MASS,
+    LammpsSession,
+    _lammps_class,
+    _lammps_words,
+    potential_file,
+)
+from tools.statics import find_bonds
+
+SWITCH, WIDTH = 2.7, 0.1
+"""Middle and half width of the cut-off [Å]."""
+FRAME = 7.0
+"""Width of the rim whose displacement is given [Å]."""
+HALF = 100.0
+"""Half side of the square inside the rim [Å]."""
+OPEN = SWITCH - WIDTH
+"""A bond this long is broken [Å]."""
+PLACE = 1e-4
+"""Largest force at rest [eV/Å]."""
+
+
+def longer_cutoff(folder: Path) -> Path:
+    """The wheel's potential with the cut-off moved, one carbon, as a file in a folder."""
+    for line in potential_file().read_text().splitlines():
+        words = line.split()
+        if words[:3] == ["C", "C", "C"]:
+            words[13], words[14] = str(SWITCH), str(WIDTH)
+            path = folder / "carbon.tersoff"
+            path.write_text(" ".join(words) + "\n")
+            return path
+    raise LookupError("the potential has no line for carbon")
+
+
+@dataclass(frozen=True)
+class CrackedSheet:
+    """Atoms, what is held, and the bonds that cracks cut.
+
+    Attributes:
+        positions: at rest [Å], shape [A, 2].
+        bonds: pairs of atoms, shape [bonds, 2].
+        cut: which bonds are cut, shape [bonds] bool.
+        held: atoms of the rim, shape [A] bool.
+        step: width of a hexagon along the zigzag direction [Å].
+    """
+
+    positions: np.ndarray
+    bonds: np.ndarray
+    cut: np.ndarray
+    held: np.ndarray
+    step: float
+
+
+def cracked_sheet(
+    cracks: Sequence[np.ndarray], *, half: float = HALF, armchair: bool = False
+) -> CrackedSheet:
+    """A square sheet with straight cracks.
+
+    Args:
+        cracks: ends of each [Å], shape [2, 2]; y = 0 runs through the middle of bonds when the
+            crack runs along the zigzag direction, x = 0 midway between two of them.
+        half: half side of the part that moves [Å].
+        armchair: the x axis is the armchair direction instead of the zigzag direction.
+    """
+    bond = bond_length()
+    step = np.sqrt(3) * bond
+    width = half + FRAME
+    cells = (2 * int(width / step) + 8, 2 * int(width / (3 * bond)) + 8)
+    positions, _ = sheet(bond, cells=cells)
+    pairs = find_bonds(positions, None)
+    middle = positions[pairs].mean(axis=1)
+    upright = np.abs(np.diff(positions[pairs], axis=1)[:, 0, 0]) < 0.1
+    centre = middle[upright][np.argmin((middle[upright] ** 2).sum(axis=1))]
+    positions = positions - centre + (step / 2, 0.0)
+    if armchair:
+        positions = positions[:, ::-1].copy()
+    positions = positions[(np.abs(positions) < width).all(axis=1)]
+    while True:
+        pairs = find_bonds(positions, None)
+        enough = np.bincount(pairs.ravel(), minlength=len(positions)) >= 2
+        if enough.all():
+            break
+        positions = positions[enough]
+    cut = np.zeros(len(pairs), bool)
+    for start, end in cracks:
+        cut |= _crossing(positions[pairs], np.asarray(start, float), np.asarray(end, float))
+    return CrackedSheet(positions, pairs, cut, (np.abs(positions) > half).any(axis=1), step)
+
+
+def _crossing(ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    along = end - start
+    normal = np.array([-along[1], along[0]])
+    height = (ends - start) @ normal
+    share = height[:, 0] / (height[:, 0] - height[:, 1] + 1e-300)
+    meet = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
+    place = (meet - start) @ along / (along @ along)
+    crossing: np.ndarray = (height[:, 0] * height[:, 1] < 0) & (place > 0) & (place < 1)
+    return crossing
+
+
+class CutSession(LammpsSession):
+    """Forces of a cracked sheet: pairs of one sublattice and cut bonds do not see each other.
+
+    Types are sublattice × (no cut bond, above a crack, below it); pairs above–below are excluded,
+    bonds around a tip that would be caught by it excepted, which is checked.
+    """
+
+    def __init__(self, body: CrackedSheet, potential: Path) -> None:
+        positions = body.positions
+        self.atoms, self._height_over_bar = len(positions), 0.0
+        self._xyz = np.zeros((self.atoms, 3))
+        self._xyz[:, :2] = positions
+        types = 1 + _sublattice(body) + 2 * _sides(body)
+        low, high = positions.min(axis=0) - 40, positions.max(axis=0) + 40
+        with _lammps_words():
+            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+            for line in (
+                "units metal",
+                "atom_style atomic",
+                "atom_modify map array sort 0 0",
+                "boundary f f p",
+                f"region cell block {low[0]} {high[0]} {low[1]} {high[1]} -10 10",
+                "create_box 6 cell",
+                f"mass * {CARBON_MASS}",
+            ):
+                self._lammps.command(line)
+            ids = list(range(1, self.atoms + 1))
+            self._lammps.create_atoms(self.atoms, ids, types.tolist(), self._xyz.ravel().tolist())
+            pairs = [(a, b) for a in range(1, 7) for b in range(a, 7) if (a - b) % 2 == 0]
+            pairs += [(3, 6), (4, 5)]
+            for line in (
+                "pair_style tersoff",
+                f'pair_coeff * * "{potential}" C C C C C C',
+                "neighbor 0.05 bin",
+                *(f"neigh_modify exclude type {a} {b}" for a, b in pairs),
+                "thermo_modify lost error norm no",
+            ):
+                self._lammps.command(line)
+
+
+def _sublattice(body: CrackedSheet) -> np.ndarray:
+    """0 or 1, so that every bond joins the two."""
+    count = len(body.positions)
+    i, j = np.concatenate([body.bonds, body.bonds[:, ::-1]]).T
+    order, before = breadth_first_order(sp.csr_array((np.ones(len(i)), (i, j)), (count, count)), 0)
+    colour = np.zeros(count, dtype=int)
+    for atom in order[1:]:
+        colour[atom] = 1 - colour[before[atom]]
+    if (colour[body.bonds[:, 0]] == colour[body.bonds[:, 1]]).any():
+        raise ValueError("sheet: a ring of odd length has no sublattices")
+    return colour
+
+
+def _sides(body: CrackedSheet) -> np.ndarray:
+    """0 away from cracks, 1 above and 2 below them; raises ValueError for a bond caught by it."""
+    ends = body.bonds[body.cut]
+    side = np.zeros(len(body.positions), dtype=int)
+    upper = body.positions[ends[:, 0], 1] > body.positions[ends[:, 1], 1]
+    side[np.where(upper, ends[:, 0], ends[:, 1])] = 1
+    side[np.where(upper, ends[:, 1], ends[:, 0])] = 2
+    pairs = side[body.bonds]
+    caught = (pairs.min(axis=1) == 1) & (pairs.max(axis=1) == 2) & ~body.cut
+    if caught.any():
+        raise ValueError(f"crack: {caught.sum()} bonds at its tips would be cut too; move its ends")
+    return side
+
+
+class Pulled:
+    """Equilibria of a cracked sheet under a growing strain along y, the rim held to it."""
+
+    def __init__(self, body: CrackedSheet, session: CutSession) -> None:
+        self.body, self.session = body, session
+        self._hessian = ColouredHessian(body.bonds, len(body.positions))
+        self._free = np.repeat(~body.held, 2)
+        self._factors: spla.SuperLU | None = None
+        self.negative = 0
+
+    def factorise(self, x: np.ndarray) -> None:
+        """Factors of the Hessian at x, and how many of its eigenvalues are negative."""
+        inner = self._hessian(self.session.forces, x)[self._free][:, self._free].tocsc()
+        options = {"SymmetricMode": True}
+        self._factors = spla.splu(
+            sp.csc_matrix(inner), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
+        )
+        self.negative = int(np.count_nonzero(self._factors.U.diagonal() < 0))
+
+    def rest(self, x: np.ndarray, steps: int = 30) -> tuple[np.ndarray, bool]:
+        """Atoms at rest near x, the rim held, by modified Newton, and whether they were found."""
+        x = x.copy()
+        force = self.session.forces(x).ravel()[self._free]
+        fresh = self._factors is None
+        if fresh:
+            self.factorise(x)
+        for _ in range(steps):
+            if np.abs(force).max() < PLACE:
+                return x, True
+            assert self._factors is not None
+            move = self._factors.solve(force)
+            move *= min(1.0, 0.15 / np.abs(move).max())
+            trial = x.copy()
+            trial.reshape(-1)[self._free] += move
+            after = self.session.forces(trial).ravel()[self._free]
+            if np.linalg.norm(after) > 0.5 * np.linalg.norm(force) and not fresh:
+                self.factorise(x)
+                fresh = True
+                if self.negative:
+                    return x, False
+                continue
+            if not np.linalg.norm(after) < 1.5 * np.linalg.norm(force):
+                return x, False
+            x, force, fresh = trial, after, False
+        return x, False
+
+    def longest(self, x: np.ndarray) -> float:
+        """Longest bond that is not cut [Å]."""
+        ends = x[self.body.bonds[~self.body.cut]]
+        return float(np.hypot(*(ends[:, 1] - ends[:, 0]).T).max())
+
+    def critical_strain(self, expected: float) -> tuple[float, float]:
+        """The last strain at which the sheet held, and the one at which it did not.
+
+        Args:
+            expected: a guess from below the truth is safe; steps are in parts of it.
+        """
+        rest, rim = self.body.positions, self.body.held
+        x, strain, step = rest.copy(), 0.0, 0.6 * expected
+        while step > 0.004 * expected:
+            to = strain + step
+            trial = rest + (x - rest) * (to / strain) if strain else rest * (1, 1 + to)
+            trial[rim] = rest[rim] * (1, 1 + to)
+            trial, found = self.rest(trial)
+            if found and self.longest(trial) < OPEN:
+                x, strain, step = trial, to, min(step, 0.08 * expected)
+            else:
+                step, self._factors = step / 2, None
+        return strain, strain + 2 * step
+
+
+def critical_strain(
+    cracks: Sequence[np.ndarray], expected: float, *, half: float = HALF, armchair: bool = False
+) -> dict[str, float]:
+    """Critical strain of a sheet with cracks, and what it took."""
+    began = time.perf_counter()
+    body = cracked_sheet(cracks, half=half, armchair=armchair)
+    with tempfile.TemporaryDirectory() as folder:
+        potential = longer_cutoff(Path(folder))
+        with CutSession(body, potential) as session:
+            low, high = Pulled(body, session).critical_strain(expected)
+    return {
+        "strain": (low + high) / 2,
+        "low": low,
+        "high": high,
+        "cut_bonds": int(body.cut.sum()),
+        "atoms": len(body.positions),
+        "seconds": time.perf_counter() - began,
+    }

@@ -1,0 +1,78 @@
+"""Steady and transient diffusion with φ given on the collar (theory.md, D1 and D4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from warp_peri.errors import InputError
+from warp_peri.operator.diffusion import DiffusionOperator
+
+RESIDUAL = 1e-9
+
+
+def steady(
+    operator: DiffusionOperator, phi: np.ndarray, source: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """φ with L φ = source on the interior, given on all other nodes.
+
+    Args:
+        operator: the operator.
+        phi: holds the given values, shape [N].
+        source: g, one or by interior node, shape [I].
+
+    Raises InputError when the matrix is singular, as of a piece that nothing touches.
+    """
+    matrix = operator.matrix()
+    inner = sp.csc_matrix(matrix[:, operator.rows])
+    found = np.array(phi, dtype=float)
+    found[operator.rows] = 0
+    right = np.broadcast_to(source, len(operator.rows)) - matrix @ found
+    try:
+        x = splu(inner).solve(right)
+    except RuntimeError as error:
+        raise InputError(f"diffusion: the problem has no one solution ({error})") from None
+    if np.linalg.norm(inner @ x - right) > RESIDUAL * np.linalg.norm(right):
+        raise InputError("diffusion: the solve lost its digits")
+    found[operator.rows] = x
+    return found
+
+
+def transient(
+    operator: DiffusionOperator,
+    phi: np.ndarray,
+    step: float,
+    steps: int,
+    *,
+    source: np.ndarray | float = 0.0,
+    collar: Callable[[float], np.ndarray] | None = None,
+) -> np.ndarray:
+    """∂φ/∂t = −L φ + source by Crank–Nicolson; φ at every step, shape [steps + 1, N].
+
+    Args:
+        operator: the operator.
+        phi: at the start, shape [N].
+        step: Δt > 0, any length is stable.
+        steps: number of steps.
+        source: g, one or by interior node, shape [I].
+        collar: φ of all nodes at a time, of which those off the interior are taken; unchanged by
+            default.
+    """
+    if not step > 0:
+        raise InputError(f"step: expected a number > 0, got {step}")
+    matrix, rows = operator.matrix(), operator.rows
+    inner = sp.csc_matrix(matrix[:, rows])
+    factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * inner))
+    now = np.array(phi, dtype=float)
+    kept = [now]
+    for number in range(1, steps + 1):
+        later = now.copy() if collar is None else np.array(collar(number * step), dtype=float)
+        later[rows] = 0
+        right = now[rows] - step / 2 * (matrix @ now + matrix @ later) + step * source
+        later[rows] = factors.solve(right)
+        now = later
+        kept.append(now)
+    return np.stack(kept)

@@ -1,0 +1,119 @@
+"""A fluid that presses on a crack: minus the force that its missing bonds would carry (C13)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.models.lps import Model
+from warp_peri.operator.damage import bond_weights, cut_matrix
+from warp_peri.points.body import Body, cracked
+from warp_peri.statics.cracked import CutSolid
+
+
+def crack_load(model: Model, body: Body, neighbour: np.ndarray, stress: np.ndarray) -> np.ndarray:
+    """Body force density [stress / length] that presses on what has been cut, shape [N, 2].
+
+    The bonds that are missing between `body` and `neighbour` would carry some force in a body
+    under the uniform stress; this is minus that force, so that a crack with it in a body pulled by
+    the stress is as if it were not there (C13).
+
+    Args:
+        model: of the solid.
+        body: with its whole bonds.
+        neighbour: with broken bonds, shape [N, B].
+        stress: symmetric, shape [2, 2]; p n⊗n for a pressure on faces with normal n.
+    """
+    lam, mu = model.lam, model.mu
+    stress = np.asarray(stress, dtype=float)
+    strain = (stress - lam / (2 * (lam + mu)) * np.trace(stress) * np.eye(2)) / (2 * mu)
+    u = (body.x @ strain).ravel()
+    w = bond_weights(model, body.classes)
+    matrices = (cut_matrix(body, w, table, mu, lam - mu) for table in (body.neighbour, neighbour))
+    whole, cut = (matrix @ u for matrix in matrices)
+    load: np.ndarray = (whole - cut).reshape(-1, 2)
+    return load
+
+
+def opening_volume(
+    body: Body, u: np.ndarray, neighbour: np.ndarray, normal: tuple[float, float] = (0.0, 1.0)
+) -> float:
+    """Area between the faces of cracks with one normal [length²], from the bonds across them.
+
+    Each broken bond of one spacing along the normal is a column of the opening; cracks along a
+    row of nodes.
+    """
+    step = np.flatnonzero((body.classes.steps == np.rint(normal)).all(axis=1))[0]
+    node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
+    far = body.neighbour[node, step]
+    return float(body.spacing * ((u[far] - u[node]) @ normal).sum())
+
+
+@dataclass(frozen=True)
+class Injection:
+    """A crack that a fluid drives through a body.
+
+    Attributes:
+        half: its half length at each stage, shape [K].
+        pressure: at which it is about to grow [stress], shape [K].
+        volume: of the fluid in it then [length²], shape [K].
+        pumped: volume pumped at each stage, leaks included, shape [K].
+    """
+
+    half: np.ndarray
+    pressure: np.ndarray
+    volume: np.ndarray
+    pumped: np.ndarray
+
+
+def inject(
+    model: Model,
+    body: Body,
+    held: np.ndarray,
+    halves: Sequence[float],
+    toughness: float,
+    *,
+    leak: float = 0.0,
+    compressibility: float = 0.0,
+) -> Injection:
+    """Slow growth of a crack |x| < a on y = 0 by pressure, with the fluid's balance (C14).
+
+    At each half length the pressure is that of G = G_c; G of unit pressure is p² half the change of
+    the opening's volume with the crack's length.
+
+    Args:
+        model, body, held: as for CutSolid.
+        halves: half lengths in rising order, multiples of the spacing.
+        toughness: G_c [stress · length].
+        leak: volume lost per length of new face [length].
+        compressibility: of the fluid [1 / stress].
+    """
+    h, stress = body.spacing, np.array([[0.0, 0.0], [0.0, 1.0]])
+
+    def volume(half: float) -> float:
+        neighbour = cracked(body, [[(-half, 0.0), (half, 0.0)]])
+        solid = CutSolid(model, body, held, neighbour=neighbour)
+        u = solid.solve(np.zeros_like(body.x), crack_load(model, body, neighbour, stress))
+        return opening_volume(body, u, neighbour)
+
+    rows = []
+    for half in halves:
+        here, longer, shorter = (volume(half + d) for d in (0.0, h, -h))
+        released = (longer - shorter) / (2 * h) / 4  # per tip, at unit pressure: ½ dV/d(2a)
+        pressure = float(np.sqrt(toughness / released))
+        open_volume = pressure * here
+        pumped = open_volume * (1 + compressibility * pressure) + leak * 4 * half
+        rows.append((half, pressure, open_volume, pumped))
+    return Injection(*np.array(rows).T)
+
+
+def sneddon_opening(
+    x: ArrayLike, half: float, pressure: float, lam: float, mu: float
+) -> np.ndarray:
+    """Half the opening of a crack |x| < half under pressure in a plane; I. N. Sneddon, 1946."""
+    inside = np.sqrt(np.maximum(half**2 - np.square(x), 0.0))
+    found: np.ndarray = pressure * (lam + 2 * mu) / (2 * mu * (lam + mu)) * inside
+    return found
