@@ -10,7 +10,7 @@ import torch
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri import InputError, LPSOperator, PointSet, set_threads
+from warp_peri import InputError, LPSOperator, Points, set_threads
 from warp_peri.launch import threads
 from warp_peri.operator.nonlinear import (
     GradientSweeps,
@@ -56,11 +56,10 @@ def test_stress_is_the_derivative_of_the_energy():
 
 
 def test_the_force_is_the_gradient_of_the_energy():
-    points, box = periodic((7, 8))
+    points, _ = periodic((7, 8))
     model = solid("energy")
     op, linear = (
-        one(part, points, box=box)
-        for one, part in ((NonlinearOperator, model), (LPSOperator, model.linear))
+        one(part, points) for one, part in ((NonlinearOperator, model), (LPSOperator, model.linear))
     )
     u = strained(points)
     directions = noise(points, 5, seed=2)
@@ -77,8 +76,8 @@ def test_the_force_is_the_gradient_of_the_energy():
 
 @pytest.mark.parametrize("form", FORMS)
 def test_momentum_is_balanced_on_periodic_lattices(form):
-    points, box = periodic((7, 8))
-    force = NonlinearOperator(solid(form), points, box=box)(strained(points))
+    points, _ = periodic((7, 8))
+    force = NonlinearOperator(solid(form), points)(strained(points))
     assert np.abs(force.sum(axis=0)).max() <= ROUNDING * np.abs(force).sum()
 
 
@@ -116,7 +115,7 @@ def test_a_turned_lattice_and_crystal_give_the_turned_force(form):
     """q³ turns by three times the angle of q, which is twice that of the crystal."""
     points, model, angle = lattice(3, HORIZON), solid(form), 0.21
     turn = rotation(angle)
-    turned = PointSet(points.x @ turn.T, points.interior, points.spacing)
+    turned = Points(points.x @ turn.T, points.interior, points.spacing)
     u = strained(points)
     force = NonlinearOperator(model, points)(u)
     crystal = replace(model, axis=model.axis + angle)
@@ -187,7 +186,7 @@ def test_gradient_against_differences(form, radius):
     for name, found in problem.gradient().items():
         at = problem.leaves[name].ravel()
         if name == "u":
-            directions = noise(PointSet(at.reshape(-1, 2), np.ones(len(at) // 2, bool), 0.0), 3)
+            directions = noise(Points(at.reshape(-1, 2), np.ones(len(at) // 2, bool), 0.0), 3)
             directions = directions.reshape(3, -1)
             value = lambda amounts, name=name, at=at, d=directions: problem.value(
                 name, at + amounts @ d

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from warp_peri.models.lps import (
     read_content,
 )
 from warp_peri.models.smoothing import Smoothing
-from warp_peri.points.families import BondClasses
+
+if TYPE_CHECKING:  # families load Warp
+    from warp_peri.points.families import BondClasses
 
 KIND = "nonlinear"
 CUBIC = ("t3", "tq2", "q3")
@@ -91,7 +93,9 @@ class NonlinearModel:
 
     def proven_strain(self, spacing: float) -> float:
         """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
-        return float(self.proven.get(f"{spacing:g}", {}).get("strain", 0.0))
+        return float(
+            self.proven.get(f"{self.linear.nominal_spacing(spacing):g}", {}).get("strain", 0.0)
+        )
 
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, a lattice spacing [Å] that the linear part is not certified for.

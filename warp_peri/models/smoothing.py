@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import j0
 
 from warp_peri.errors import InputError
-from warp_peri.points.families import BondClasses
+
+if TYPE_CHECKING:  # families load Warp
+    from warp_peri.points.families import BondClasses
 
 GRID = 41
 """Wave vectors along each axis of the square that weights are fitted on."""

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_peri.errors import InputError
 from warp_peri.kernels.nonlinear.sweeps import sweeps
 from warp_peri.launch import DEVICE, at_once, floats, ints, launch, launch_slices, zeros
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import BondClasses, families_of
+from warp_peri.points.samples import PointsLike
 
 BLOCKS = 8
 """Parts in which the nodes are summed over, whatever the number of threads."""
@@ -21,9 +22,8 @@ class GradientSweeps:
     """The launches of (N1–N9) over the interior nodes of a lattice.
 
     Args:
-        points: a lattice.
+        points: a lattice, all of it in the body.
         horizon: δ [Å].
-        box: periods (Lx, Ly) [Å] when the points are periodic.
 
     Attributes:
         classes: bond classes of the lattice.
@@ -31,14 +31,14 @@ class GradientSweeps:
         full: nodes within δ of them, which have complete families.
         xi: bond vectors of a family [Å], shape [B, 2].
 
-    Raises InputError for what families_of refuses, and for scattered points.
+    Raises InputError for what families_of refuses, scattered points and broken bonds.
     """
 
-    def __init__(
-        self, points: PointSet, horizon: float, *, box: tuple[float, float] | None = None
-    ) -> None:
-        families = families_of(points, horizon, box=box)
+    def __init__(self, points: PointsLike, horizon: float) -> None:
+        families = families_of(points, horizon)
         self.classes: BondClasses = families.classes
+        if len(families.cut):
+            raise InputError("points: Ψ is not made for bodies with broken bonds")
         self.kernels = sweeps(wp.float64)
         self.rows, self.full = families.rows, families.whole
         self.nodes, self.xi = len(points.x), families.pattern

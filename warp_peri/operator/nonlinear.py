@@ -17,9 +17,10 @@ from warp_peri.launch import floats
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.gradient_sweeps import GradientSweeps
+from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.operator.tangent import TangentMatrices
-from warp_peri.points.dataset import PointSet
 from warp_peri.points.families import BondClasses
+from warp_peri.points.samples import PointsLike
 
 
 class _Force(torch.autograd.Function):
@@ -136,7 +137,6 @@ class NonlinearOperator:
     Args:
         model: the model.
         points: a lattice, whose interior has the 2δ collar.
-        box: periods (Lx, Ly) [Å] when the points are periodic.
         radius: largest |H| that the stress sees, projected to it from beyond (theory.md, N10); 0
             for none.
         allow_uncertified: warn instead of raising when the linear part holds no certificate for
@@ -153,15 +153,14 @@ class NonlinearOperator:
     def __init__(
         self,
         model: NonlinearModel,
-        points: PointSet,
+        points: PointsLike,
         *,
-        box: tuple[float, float] | None = None,
         radius: float = 0.0,
         allow_uncertified: bool = False,
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
         self.model, self.radius = model, float(radius)
-        self.sweeps = GradientSweeps(points, model.horizon, box=box)
+        self.sweeps = GradientSweeps(on_nominal_lattice(model.linear, points), model.horizon)
         linear = model.linear
         mu, alpha, D, D_dilatation = (
             torch.tensor(value, dtype=torch.float64)
