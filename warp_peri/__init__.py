@@ -19,13 +19,17 @@ if TYPE_CHECKING:
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.fit import fit
     from warp_peri.learning.methods import Bernstein, Constrained, Optimum, TwoStage
+    from warp_peri.learning.nonlinear import NonlinearFit, fit_nonlinear
     from warp_peri.learning.result import Fit
     from warp_peri.learning.sweep import Sweep, sweep
     from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
     from warp_peri.models.lps import Model, load_model
+    from warp_peri.models.nonlinear import NonlinearModel, load_nonlinear
     from warp_peri.models.shapes import InfluenceFunction
+    from warp_peri.models.smoothing import Smoothing
     from warp_peri.models.solid import Solid
     from warp_peri.operator.lps import LPSOperator
+    from warp_peri.operator.nonlinear import NonlinearOperator
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.dataset_file import load_dataset, save_dataset
     from warp_peri.points.points import Points
@@ -34,7 +38,9 @@ if TYPE_CHECKING:
     from warp_peri.stability.certificate import Certificate, certify
     from warp_peri.stability.conditions import Conditions
     from warp_peri.stability.solvability import Solvability, solvability
+    from warp_peri.stability.uniqueness import Uniqueness, uniqueness
     from warp_peri.statics.equilibrium import equilibrium
+    from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
     from warp_peri.statics.solve import solve, solve_periodic
 
 __version__ = "0.1.0"
@@ -52,15 +58,21 @@ __all__ = [
     "LPSOperator",
     "Model",
     "Motion",
+    "NonlinearFit",
+    "NonlinearModel",
+    "NonlinearOperator",
+    "NonlinearRecord",
     "Optimum",
     "Points",
     "Samples",
     "Scene",
+    "Smoothing",
     "Solid",
     "Solvability",
     "Sweep",
     "TwoStage",
     "Uncertainty",
+    "Uniqueness",
     "certify",
     "choose_model",
     "coarse_grain",
@@ -68,16 +80,20 @@ __all__ = [
     "equilibrium",
     "evaluate",
     "fit",
+    "fit_nonlinear",
     "fit_uncertainty",
     "load_dataset",
     "load_model",
+    "load_nonlinear",
     "save_dataset",
     "set_threads",
     "smoothing_matrix",
     "solvability",
     "solve",
+    "solve_nonlinear",
     "solve_periodic",
     "sweep",
+    "uniqueness",
     "velocity_verlet",
 ]
 
@@ -90,9 +106,12 @@ _NAMES = {
     "learning.fit": ("fit",),
     "learning.methods": ("Bernstein", "Constrained", "Optimum", "TwoStage"),
     "learning.result": ("Fit",),
+    "learning.nonlinear": ("NonlinearFit", "fit_nonlinear"),
     "learning.sweep": ("Sweep", "sweep"),
     "learning.uncertainty": ("Uncertainty", "fit_uncertainty"),
     "models.lps": ("Model", "load_model"),
+    "models.nonlinear": ("NonlinearModel", "load_nonlinear"),
+    "models.smoothing": ("Smoothing",),
     "models.shapes": ("InfluenceFunction",),
     "models.solid": ("Solid",),
     "operator.lps": ("LPSOperator",),
@@ -100,11 +119,14 @@ _NAMES = {
     "points.dataset_file": ("load_dataset", "save_dataset"),
     "points.points": ("Points",),
     "points.samples": ("Samples",),
+    "operator.nonlinear": ("NonlinearOperator",),
     "sources.coarse_graining": ("coarse_grain", "smoothing_matrix"),
     "stability.certificate": ("Certificate", "certify"),
     "stability.conditions": ("Conditions",),
     "stability.solvability": ("Solvability", "solvability"),
+    "stability.uniqueness": ("Uniqueness", "uniqueness"),
     "statics.equilibrium": ("equilibrium",),
+    "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
     "statics.solve": ("solve", "solve_periodic"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

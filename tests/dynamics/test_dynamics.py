@@ -47,7 +47,7 @@ def test_no_cell_holds_more_than_its_bound(name, lam, monkeypatch):
     point = stiffnesses(model, classes)
     bound = proof._cells_above(classes, *point, middle, half)[1]
     assert (found <= bound).all()
-    monkeypatch.setattr(proof, "_second_derivative", lambda *_: 0.0)
+    monkeypatch.setattr(proof, "second_derivative", lambda *_: 0.0)
     straight = proof._cells_above(classes, *point, middle, half)[1]
     assert (found > straight).any()  # without the curvature it is no bound
 

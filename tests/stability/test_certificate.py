@@ -117,10 +117,10 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     for k in random.uniform(-np.pi, np.pi, (20, 2)):
 
         def entries(at):
-            d, _ = proof._affine(classes, *point, c, at[None])
+            d, _ = proof.affine_part(classes, *point, c, at[None])
             return d[:, 0]
 
-        _, slopes = proof._affine(classes, *point, c, k[None])
+        _, slopes = proof.affine_part(classes, *point, c, k[None])
         expected = difference(entries, k, 0.01)
         np.testing.assert_allclose(slopes[:, :, 0], expected, atol=1e-9)
         step, (e, n) = 1e-3, random.normal(size=(2, 2))
@@ -130,7 +130,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
         form = np.array([e[0] ** 2, e[1] ** 2, 2 * e[0] * e[1]])
         bend = entries(k + step * n) - 2 * entries(k) + entries(k - step * n)
         steepest = max(steepest, abs(form @ bend) / step**2)
-    bound = proof._second_derivative(classes, *point) + 2 * c
+    bound = proof.second_derivative(classes, *point) + 2 * c
     assert 0.01 * bound < steepest <= bound
 
 
@@ -139,7 +139,7 @@ def test_the_proof_sets_the_curvature_aside(monkeypatch):
     point = stiffnesses(kernel("1/r", 2.0), classes)
     assert proven_bound(classes, *point, 0.5) > 0
     monkeypatch.setattr(proof, "MOST_CELLS", 5000)
-    monkeypatch.setattr(proof, "_second_derivative", lambda *_: 1e6)
+    monkeypatch.setattr(proof, "second_derivative", lambda *_: 1e6)
     assert proven_bound(classes, *point, 0.5) == 0
 
 

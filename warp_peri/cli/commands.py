@@ -19,6 +19,7 @@ from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.whole import destination, locked, write_json
 from warp_peri.models.lps import Model, load_model
+from warp_peri.models.nonlinear import load_any
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
@@ -203,7 +204,7 @@ def run_certify(given: argparse.Namespace) -> Result:
 
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
-    model, data = load_model(given.model), load_dataset(given.data)
+    model, data = load_any(given.model), load_dataset(given.data)
     tables: dict[str, dict[str, Any]] = {}
     for name in given.sets or data:
         points = data[name]

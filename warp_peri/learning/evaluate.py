@@ -8,25 +8,34 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.lps import LPSOperator
+from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
+from warp_peri.statics.nonlinear import solve_nonlinear
 from warp_peri.statics.solve import solve
 
 
 def residual_errors(
-    model: Model, points: Samples, *, allow_uncertified: bool = False
+    model: Model | NonlinearModel, points: Samples, *, allow_uncertified: bool = False
 ) -> np.ndarray:
     """‖L u − b‖₂ and ‖b‖₂ of each sample on the interior [TPa/Å], shape [2, S]."""
-    operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
+    operator: LPSOperator | NonlinearOperator
+    if isinstance(model, NonlinearModel):
+        operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
+    else:
+        operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
     b = points.loads[:, points.interior]
     return np.array([_norms(operator(points.u) - b), _norms(b)])
 
 
-def evaluate(model: Model, points: Samples, *, allow_uncertified: bool = False) -> dict[str, Any]:
+def evaluate(
+    model: Model | NonlinearModel, points: Samples, *, allow_uncertified: bool = False
+) -> dict[str, Any]:
     """Errors on every sample of a set and their means.
 
     Args:
-        model: the model, certified for the spacing of the points.
+        model: the model, linear or nonlinear, certified for the spacing of the points.
         points: samples with displacement and load.
         allow_uncertified: warn about an uncertified spacing instead of raising.
 
@@ -42,7 +51,11 @@ def evaluate(model: Model, points: Samples, *, allow_uncertified: bool = False) 
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
     residual, load = residual_errors(model, points, allow_uncertified=allow_uncertified)
-    solved = solve(model, points, points.loads, points.u, allow_uncertified=allow_uncertified)
+    fields = (points.loads, points.u)
+    if isinstance(model, NonlinearModel):
+        solved = solve_nonlinear(model, points, *fields, allow_uncertified=allow_uncertified)
+    else:
+        solved = solve(model, points, *fields, allow_uncertified=allow_uncertified)
     size = _norms(points.u[:, points.interior])
     for name, norm in (("b", load), ("u", size)):
         if not (norm > 0).all():

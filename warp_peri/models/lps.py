@@ -178,52 +178,68 @@ class Model:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
-        content: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
-            "length_unit": "angstrom",
-            "stress_unit": "TPa",
-        }
-        content |= {key: getattr(self, name) for key, name in _NUMBERS.items()}
-        content |= {"degree": self.degree, "D": self.D, "D_dilatation": self.D_dilatation}
-        content["quadrature"] = QUADRATURE
-        content |= {key: getattr(self, key) for key in ("trained_on", "certified_on", *_RECORDS)}
-        if self.trained_strain is not None:
-            content["trained_strain"] = self.trained_strain
-        content["sha256"] = _content_hash(content)
-        write_json(path, content)
+        write_json(path, model_content(self))
 
 
-def load_model(path: str | os.PathLike[str]) -> Model:
-    """Read a model file.
+def model_content(model: Model) -> dict[str, Any]:
+    """What the file of a model holds."""
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "length_unit": "angstrom",
+        "stress_unit": "TPa",
+    }
+    content |= {key: getattr(model, name) for key, name in _NUMBERS.items()}
+    content |= {"degree": model.degree, "D": model.D, "D_dilatation": model.D_dilatation}
+    content["quadrature"] = QUADRATURE
+    content |= {key: getattr(model, key) for key in ("trained_on", "certified_on", *_RECORDS)}
+    if model.trained_strain is not None:
+        content["trained_strain"] = model.trained_strain
+    content["sha256"] = content_hash(content)
+    return content
 
-    Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
-    missing or unknown keys, numbers out of range, contents that are not what was written.
-    """
+
+def read_content(path: str | os.PathLike[str]) -> Any:
+    """The JSON of a model file; InputError where there is none."""
     try:
         with open(path, "rb") as file:
             raw = file.read(LARGEST_FILE + 1)
         if len(raw) > LARGEST_FILE:
             raise InputError(f"{path}: expected a model file of at most {LARGEST_FILE} bytes")
-        content = json.loads(raw.decode("utf-8"))
+        return json.loads(raw.decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such model file") from None
     except InputError:
         raise
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a readable JSON file ({error})") from None
+
+
+def load_model(path: str | os.PathLike[str]) -> Model:
+    """Read the file of a linear model.
+
+    Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
+    missing or unknown keys, numbers out of range, contents that are not what was written.
+    """
+    content = read_content(path)
     try:
-        return _model(content)
+        return model_from(content)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _model(content: Any) -> Model:
+def model_from(content: Any) -> Model:
+    """The model of a file's content, as `load_model`."""
     if not isinstance(content, dict):
         raise InputError(f"expected a JSON object, got {type(content).__name__}")
     for key, expected in {"format": FORMAT, "version": VERSION}.items():
         if content.get(key) != expected:
             raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r}")
+    if "kind" in content:
+        raise InputError(
+            f"kind: expected a linear model, got a {content['kind']!r:.50} one; "
+            "warp_peri.load_nonlinear reads nonlinear models"
+        )
     if missing := sorted(_KEYS - set(content)):
         raise InputError(f"missing keys: {', '.join(missing)}")
     if unknown := sorted(set(content) - _KEYS - _OPTIONAL):
@@ -251,14 +267,14 @@ def _model(content: Any) -> Model:
             f"degree: expected {model.degree} for {len(model.D)} coefficients, "
             f"got {content['degree']!r}"
         )
-    if "sha256" in content and content["sha256"] != _content_hash(content):
+    if "sha256" in content and content["sha256"] != content_hash(content):
         raise InputError(
             "sha256: the contents are not what was written; remove this key to accept them"
         )
     return model
 
 
-def _content_hash(content: dict[str, Any]) -> str:
+def content_hash(content: dict[str, Any]) -> str:
     """SHA-256 of everything else in a model file."""
     kept = {key: value for key, value in content.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()

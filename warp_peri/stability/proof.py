@@ -51,19 +51,19 @@ def taylor_radius(
     classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: float
 ) -> float:
     """Radius |k| [1/Å] inside which the long-wave moduli prove D ≥ c s; 0 if they do not (33)."""
-    slowest = _slowest(*long_wave_moduli(classes, v, kappa))
+    least = slowest(*long_wave_moduli(classes, v, kappa))
     mu = classes.count @ (v * classes.r**2)
     fourth_v, fourth_z = (classes.count @ (np.abs(x) * classes.r**4) for x in (v, z))
-    # slowest − c − a k² − b k⁴ ≥ 0
+    # least − c − a k² − b k⁴ ≥ 0
     a = 2 / 3 * (fourth_v + abs(kappa * mu) * fourth_z)
     b = abs(kappa) * fourth_z**2 / 9
-    if slowest <= c:
+    if least <= c:
         return 0.0
-    square = (-a + np.sqrt(a**2 + 4 * b * (slowest - c))) / (2 * b) if b > 0 else (slowest - c) / a
+    square = (-a + np.sqrt(a**2 + 4 * b * (least - c))) / (2 * b) if b > 0 else (least - c) / a
     return float(np.sqrt(square))
 
 
-def _slowest(C11: float, C12: float, C44: float) -> float:
+def slowest(C11: float, C12: float, C44: float) -> float:
     """Smallest eigenvalue of the acoustic tensor over all directions.
 
     Its trace does not depend on the direction and its determinant is linear in n₁²n₂², so that
@@ -76,7 +76,7 @@ def _slowest(C11: float, C12: float, C44: float) -> float:
     return trace / 2 - math.sqrt(max(trace**2 / 4 - determinant, 0.0))
 
 
-def _second_derivative(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> float:
+def second_derivative(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> float:
     """Bound of |d²/dt² eᵗD(k + t n)e| over unit e, n and all k [TPa] (34)."""
     second_v = classes.count @ (np.abs(v) * classes.r**2)
     first, second, third = (classes.count @ (np.abs(z) * classes.r**power) for power in (1, 2, 3))
@@ -91,7 +91,7 @@ def _holds(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: 
     ball = taylor_radius(classes, v, z, kappa, c)
     if ball == 0:
         return False
-    curvature = _second_derivative(classes, v, z, kappa) + 2 * c  # |s″| ≤ 2
+    curvature = second_derivative(classes, v, z, kappa) + 2 * c  # |s″| ≤ 2
     slack = ROUNDING * 32 * (classes.count @ np.abs(v))
     half = edge / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
@@ -103,7 +103,7 @@ def _holds(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: 
         work += len(middle)
         if work > MOST_CELLS:
             return False
-        d, slopes = _affine(classes, v, z, kappa, c, middle)
+        d, slopes = affine_part(classes, v, z, kappa, c, middle)
         bound = np.full(len(middle), np.inf)
         for corner in half * corners:
             e11, e22, e12 = d + np.einsum("a,aek->ek", corner, slopes)
@@ -117,7 +117,7 @@ def _holds(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: 
     return True
 
 
-def _affine(
+def affine_part(
     classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: float, k: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Entries 11, 22, 12 of D − c s, shape [3, K], and their derivatives to k, [2, 3, K]."""
@@ -180,13 +180,13 @@ def _cells_above(
     half: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Λmax D at the middle of square cells, and its bound over each cell (50); shape [K] each."""
-    d, slopes = _affine(classes, v, z, kappa, 0.0, middle)
+    d, slopes = affine_part(classes, v, z, kappa, 0.0, middle)
     corners = np.array([(0, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)])
     values = []
     for shift in half * corners:
         e11, e22, e12 = d + np.einsum("a,aek->ek", shift, slopes)
         values.append((e11 + e22) / 2 + np.hypot((e11 - e22) / 2, e12))
-    curvature = _second_derivative(classes, v, z, kappa)
+    curvature = second_derivative(classes, v, z, kappa)
     slack = ROUNDING * 32 * (classes.count @ np.abs(v))
     # ½ · curvature · (√2 half)²
     return values[0], np.max(values, axis=0) + curvature * half**2 + slack

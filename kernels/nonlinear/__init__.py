@@ -1,0 +1,1 @@
+"""The nonlinear solid: energy of a nodal displacement gradient, force, adjoint, tangent."""

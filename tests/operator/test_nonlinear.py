@@ -1,0 +1,243 @@
+"""The nonlinear solid: its energy, invariants, gradient and tangent."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.clouds import cloud
+from tests.support.nonlinear import FORMS, psi, rotation, solid
+from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
+from warp_peri import InputError, LPSOperator, Points, set_threads
+from warp_peri.launch import threads
+from warp_peri.operator.nonlinear import (
+    GradientSweeps,
+    NonlinearOperator,
+    class_tables,
+    nonlinear_force,
+)
+
+HORIZON = 3.0
+DIFFERENCES = 1e-8
+
+
+def strained(points, size=0.05, seed=0):
+    """A rough field of displacement gradients of about `size`."""
+    return size * noise(points, seed=seed)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_linear_solid_is_the_tangent_at_zero(form):
+    points, model = lattice(3, HORIZON), solid(form)
+    linear = LPSOperator(model.linear, points)(noise(points))
+    nonlinear = NonlinearOperator(model, points)
+    departures = [
+        np.abs(nonlinear(size * noise(points)) / size - linear).max() for size in (1e-3, 1e-4)
+    ]
+    assert departures[0] / departures[1] == pytest.approx(10, rel=0.1)  # second order is left
+    tangent = nonlinear.tangent(0 * points.x) @ noise(points).ravel()
+    assert np.abs(tangent - linear.ravel()).max() <= ROUNDING * np.abs(linear).max()
+
+
+def test_stress_is_the_derivative_of_the_energy():
+    points = lattice(2, HORIZON)
+    model = solid("energy")
+    op = NonlinearOperator(model, points)
+    H, P = op.gradients(strained(points))
+    some = slice(0, None, 7)
+
+    def energy(entries):
+        return psi(H[some] + entries.reshape(2, 2), model)
+
+    by_energy = difference(energy, np.zeros(4), 1e-3).T.reshape(-1, 2, 2)
+    assert np.abs(by_energy - P[some]).max() <= 1e-11 * np.abs(P).max()
+
+
+def test_the_force_is_the_gradient_of_the_energy():
+    points, _ = periodic((7, 8))
+    model = solid("energy")
+    op, linear = (
+        one(part, points) for one, part in ((NonlinearOperator, model), (LPSOperator, model.linear))
+    )
+    u = strained(points)
+    directions = noise(points, 5, seed=2)
+
+    def energy(amounts):
+        field = u + np.tensordot(amounts, directions, axes=1)
+        H, _ = op.gradients(field)
+        return psi(H, model).sum() + (field * linear(field)).sum() / 2
+
+    work = (directions * op(u)).sum(axis=(1, 2))
+    found = difference(energy, np.zeros(5), 2e-3)
+    assert np.abs(found - work).max() <= 1e-9 * np.abs(work).max()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_momentum_is_balanced_on_periodic_lattices(form):
+    points, _ = periodic((7, 8))
+    force = NonlinearOperator(solid(form), points)(strained(points))
+    assert np.abs(force.sum(axis=0)).max() <= ROUNDING * np.abs(force).sum()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_affine_fields(form):
+    """No force; the exact gradient; a turned body has the turned stress of the one unturned."""
+    points, model = lattice(3, HORIZON, angle=0.4), solid(form)
+    op = NonlinearOperator(model, points)
+    stretch = np.array([[0.05, 0.03], [-0.02, -0.06]])
+    turn = rotation(0.7)
+    turned = turn @ (np.eye(2) + stretch) - np.eye(2)
+    stresses = []
+    for gradient in (stretch, turned):
+        field = points.x @ gradient.T + (0.3, -2.0)
+        H, P = op.gradients(field)
+        assert np.abs(H - gradient).max() <= 1e-12
+        assert np.abs(op(field)).max() <= 1e-11
+        F = np.eye(2) + gradient
+        strain = (gradient + gradient.T) / 2
+        lam, mu = model.linear.lam, model.linear.mu
+        small = lam * np.trace(strain) * np.eye(2) + 2 * mu * strain
+        stresses.append((F, P + small))  # the whole first Piola–Kirchhoff stress
+    (F, first), (FR, second) = stresses
+    assert np.abs(np.linalg.det(F) - np.linalg.det(FR)) < ROUNDING
+    assert np.abs(turn @ first - second).max() <= 1e-12
+    rigid = points.x @ (rotation(0.7) - np.eye(2)).T + 3.0
+    _, P = op.gradients(rigid)
+    strain = (np.cos(0.7) - 1) * np.eye(2)
+    small = 2 * (lam + mu) * strain
+    assert np.abs(P + small).max() <= 1e-12  # no stress in a body turned as a whole
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_turned_lattice_and_crystal_give_the_turned_force(form):
+    """q³ turns by three times the angle of q, which is twice that of the crystal."""
+    points, model, angle = lattice(3, HORIZON), solid(form), 0.21
+    turn = rotation(angle)
+    turned = Points(points.x @ turn.T, points.interior, points.spacing)
+    u = strained(points)
+    force = NonlinearOperator(model, points)(u)
+    crystal = replace(model, axis=model.axis + angle)
+    there = NonlinearOperator(crystal, turned)(u @ turn.T)
+    assert np.abs(there - force @ turn.T).max() <= 1e-11 * np.abs(force).max()
+    sixth = replace(model, axis=model.axis + np.pi / 3)  # the crystal's own symmetry
+    assert np.allclose(NonlinearOperator(sixth, points)(u), force, rtol=0, atol=1e-13)
+    unlike = NonlinearOperator(model, turned)(u @ turn.T)
+    assert np.abs(unlike - force @ turn.T).max() > 1e-6 * np.abs(force).max()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_tangent(form):
+    points = lattice(3, HORIZON)
+    op = NonlinearOperator(solid(form), points)
+    u, toward = strained(points), noise(points, seed=3)
+
+    def force(amount):
+        return op(u + amount[0] * toward)
+
+    slope = difference(force, np.zeros(1), 1e-2)[0]
+    tangent = op.tangent(u)
+    found = (tangent @ toward.ravel()).reshape(-1, 2)
+    assert np.abs(slope - found).max() <= DIFFERENCES * np.abs(slope).max()
+    inside = tangent[:, np.repeat(points.interior, 2)].toarray()
+    asymmetry = np.abs(inside - inside.T).max() / np.abs(inside).max()
+    assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
+
+
+class Problem:
+    """A scalar of L u as a function of the field, and of every parameter by name."""
+
+    def __init__(self, form, radius=0.0):
+        points = lattice(2, HORIZON)
+        model = solid(form)
+        self.sweeps, self.radius = GradientSweeps(points, HORIZON), radius
+        self.seed = torch.from_numpy(noise(points, 2, seed=4)[:, points.interior])
+        linear = model.linear
+        self.leaves = {"u": 0.05 * noise(points, 2)}
+        self.leaves |= {"lam": linear.lam, "mu": linear.mu, "alpha": linear.alpha}
+        self.leaves |= {"D": linear.D, "D_dilatation": linear.dilatation}
+        self.leaves |= {"cubic": model.numbers[2:]}
+        if form == "filtered":
+            self.leaves |= dict(zip(("p_in", "p_out"), model.weights(self.sweeps.classes)))
+        self.leaves = {name: np.atleast_1d(leaf) for name, leaf in self.leaves.items()}
+
+    def scalar(self, u, lam, mu, alpha, D, D_dilatation, cubic, *weights):
+        tables = class_tables(self.sweeps.classes, mu, alpha, D, D_dilatation, weights or None)
+        numbers = torch.cat([lam, mu, cubic])
+        Lu = nonlinear_force(self.sweeps, u, tables, lam - mu, numbers, radius=self.radius)
+        return (self.seed * Lu).sum() + (Lu**2).sum() / 100
+
+    def gradient(self):
+        given = [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
+        found = torch.autograd.grad(self.scalar(*given), given)
+        return {name: one.numpy() for name, one in zip(self.leaves, found)}
+
+    def value(self, name, leaf):
+        leaves = self.leaves | {name: leaf.reshape(self.leaves[name].shape)}
+        with torch.no_grad():
+            return float(self.scalar(*map(torch.from_numpy, leaves.values())))
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.15])
+@pytest.mark.parametrize("form", FORMS)
+def test_gradient_against_differences(form, radius):
+    problem = Problem(form, radius)
+    for name, found in problem.gradient().items():
+        at = problem.leaves[name].ravel()
+        if name == "u":
+            directions = noise(Points(at.reshape(-1, 2), np.ones(len(at) // 2, bool), 0.0), 3)
+            directions = directions.reshape(3, -1)
+            value = lambda amounts, name=name, at=at, d=directions: problem.value(
+                name, at + amounts @ d
+            )
+            expected, found = difference(value, np.zeros(3), 1e-4), directions @ found.ravel()
+        else:
+            step = {"alpha": 0.005, "D": 0.002, "D_dilatation": 0.002}.get(name, 0.002)
+            expected = difference(partial(problem.value, name), at, step)
+        scale = np.abs(expected).max()
+        assert np.abs(found.ravel() - expected).max() <= DIFFERENCES * scale, name
+
+
+def test_results_do_not_depend_on_threads():
+    before = threads()
+    found = []
+    try:
+        for count in (1, 2, 3):
+            set_threads(count)
+            found.append(Problem("filtered").gradient())
+    finally:
+        set_threads(before)
+    for name, first in found[0].items():
+        assert all(np.array_equal(first, other[name]) for other in found[1:]), name
+
+
+def test_clipping_projects_the_gradient():
+    points, model = lattice(2, HORIZON), solid("energy", axis=0.0)
+    u = smooth(points.x, 1, wave_number=0.3)[0] * 0.2
+    free, clipped = (NonlinearOperator(model, points, radius=radius) for radius in (0.0, 0.05))
+    H, _ = free.gradients(u)
+    size = np.linalg.norm(H, axis=(-2, -1))
+    assert size.min() < 0.05 < size.max()
+    assert clipped.largest_gradient(u) == pytest.approx(size.max())
+    near = H * np.minimum(1, 0.05 / size)[:, None, None]
+    step = 1e-4
+    by_energy = np.empty_like(near)
+    for a in range(2):
+        for c in range(2):
+            e = np.zeros((2, 2))
+            e[a, c] = step
+            by_energy[:, a, c] = (psi(near + e, model) - psi(near - e, model)) / (2 * step)
+    assert np.abs(clipped.gradients(u)[1] - by_energy).max() < 1e-6
+    assert np.array_equal(clipped(0.01 * u), free(0.01 * u))
+
+
+def test_what_is_refused():
+    model = solid("energy")
+    with pytest.raises(InputError, match="a nonlinear model is for lattices"):
+        NonlinearOperator(model, cloud(2, HORIZON))
+    with pytest.raises(InputError, match="certified on 1 Å, not on 2 Å"):
+        NonlinearOperator(model, lattice(2, HORIZON, spacing=2.0))
+    points = lattice(2, HORIZON)
+    with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 196, 2\]"):
+        NonlinearOperator(model, points)(points.x[:-1])

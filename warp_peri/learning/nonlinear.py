@@ -1,0 +1,199 @@
+"""Learning nonlinear solids: the linear optimum with three more columns (theory.md, N11–N12)."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.learning.fit import fit
+from warp_peri.learning.methods import ISOTROPIC, Bernstein, Optimum
+from warp_peri.learning.optimum import constrained_optimum
+from warp_peri.learning.output_error import as_model
+from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.result import Fit
+from warp_peri.losses.full import sample_weights
+from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
+from warp_peri.losses.response import products
+from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.models.smoothing import Smoothing
+from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.points.samples import Samples
+from warp_peri.points.strain import largest_strain
+from warp_peri.stability.certificate import certify
+from warp_peri.stability.conditions import Conditions
+from warp_peri.stability.uniqueness import uniqueness
+
+MOST_PASSES, SETTLED = 30, 1e-9
+"""λ, μ and the weights of the energy form are carried over from pass to pass, until they change by
+no more than this, relative."""
+AGREEMENT = 1e-8
+"""Largest relative departure of the reduced loss from the full one."""
+
+
+@dataclass(frozen=True)
+class NonlinearFit:
+    """A learned nonlinear model and how it was learned.
+
+    Attributes:
+        model: the model, with its guarantee.
+        linear: the fit of the linear solid that it began with.
+        passes: optima that were computed, each with the λ and μ of the one before.
+        E_res_train: mean relative residual on the training samples.
+        seconds: of everything after the linear fit.
+    """
+
+    model: NonlinearModel
+    linear: Fit
+    passes: int
+    E_res_train: float
+    seconds: float
+
+
+def fit_nonlinear(
+    samples: Samples | Sequence[Samples],
+    horizon: float,
+    kernel: Bernstein = Bernstein(10, two_functions=True),  # noqa: B008 (a frozen value)
+    *,
+    smoothing: Smoothing | None = None,
+    axis: float = 0.0,
+    method: Optimum = Optimum(moduli=ISOTROPIC),  # noqa: B008
+    conditions: Conditions = Conditions(),  # noqa: B008
+    normalise: bool = True,
+    progress: bool | None = None,
+) -> NonlinearFit:
+    """Learn a nonlinear solid: λ, μ, the kernels and t3, tq2, q3 from the same samples.
+
+    The linear optimum comes first; its λ and μ, and in the energy form its dilatation's weights,
+    are those of Ψ in the next, until they settle. Geometric terms are held at 1.
+
+    Args:
+        samples: training samples, one set or several on lattices of one spacing.
+        horizon: δ [Å].
+        kernel: Bernstein polynomials.
+        smoothing: of the data, for the filtered form; None learns the energy form.
+        axis: angle of the crystal's zigzag direction from the x axis of the points [rad].
+        method, conditions, normalise, progress: as for `fit`; the constants follow long waves, so
+            that moduli held isotropic and normalised samples are the better choice.
+
+    Raises InputError for input that cannot be used, RuntimeError when an optimum does not keep its
+    conditions, or the reduced loss departs from the full one.
+    """
+    sets = [samples] if isinstance(samples, Samples) else list(samples)
+    for name, given, kind in (("kernel", kernel, Bernstein), ("method", method, Optimum)):
+        if not isinstance(given, kind):
+            raise InputError(f"{name}: expected {kind.__name__}(…), got {given!r:.60}")
+    if len({one.spacing for one in sets}) != 1:
+        raise InputError("samples: expected training sets on lattices of one spacing")
+    linear = fit(
+        sets,
+        horizon,
+        kernel,
+        method=method,
+        conditions=conditions,
+        loss="residual",
+        normalise=normalise,
+        progress=progress,
+    )
+    begin = time.perf_counter()
+    task = _Task(sets, horizon, smoothing, axis, linear, method)
+    model, passes = task.settle()
+    certificate = certify(model.linear, spacing=sets[0].spacing)
+    certified = (sets[0].spacing,) if certificate.holds else ()
+    solid = dataclasses.replace(
+        model.linear,
+        trained_on=tuple(one.spacing for one in sets),
+        certified_on=certified,
+        trained_strain=max(largest_strain(one, one.u) for one in sets),
+        certificate={f"{certificate.spacing:g}": certificate.figures()},
+        versions=linear.model.versions,
+    )
+    model = dataclasses.replace(model, linear=solid)
+    if certificate.holds:
+        proof = uniqueness(model, spacing=certificate.spacing)
+        model = dataclasses.replace(model, proven={f"{proof.spacing:g}": proof.figures()})
+    error = task.check(model)
+    return NonlinearFit(model, linear, passes, error, time.perf_counter() - begin)
+
+
+class _Task:
+    """Samples, what they are to be fitted with, and the linear fit to begin with."""
+
+    def __init__(
+        self,
+        sets: Sequence[Samples],
+        horizon: float,
+        smoothing: Smoothing | None,
+        axis: float,
+        linear: Fit,
+        method: Optimum,
+    ) -> None:
+        self.method = method
+        self.sets, self.horizon, self.smoothing, self.axis = sets, horizon, smoothing, axis
+        self.settings, self.start = linear.settings, linear.history[-1].parameters
+        self.classes = linear.settings.conditions[0].classes
+        self.weights = sample_weights(sets, normalise=linear.settings.normalise)
+        self.model = self._solid(self.start)
+        self.loss = self._reduced()
+
+    def settle(self) -> tuple[NonlinearModel, int]:
+        """Optimum after optimum, each with the λ, μ and weights of the one before; how many."""
+        at, settings, before = self.start, self.settings, None
+        for passes in range(1, MOST_PASSES + 1):
+            if self.smoothing is None and passes > 1:
+                self.loss = self._reduced()
+            lam, mu = at.lam, at.mu
+            found = constrained_optimum(
+                [self.loss.reduced(lam, mu)],
+                at,
+                settings.conditions[:1],
+                self.method,
+                two_functions=settings.two_functions,
+            )
+            if not found.converged:
+                raise RuntimeError(
+                    f"nonlinear stage: ended with a margin of {found.margin:.1e} TPa, and moduli "
+                    f"to be held missed by {found.departure:.1e} TPa"
+                )
+            at = found.parameters
+            constants = self.loss.constants(self._products(self._solid(at)), lam, mu)
+            self.model = self._solid(at, *constants)
+            now = np.concatenate([self.model.numbers, self.model.weights(self.classes)[0]])
+            if before is not None and np.abs(now - before).max() <= SETTLED * np.abs(now).max():
+                break
+            before = now
+        return self.model, passes
+
+    def check(self, model: NonlinearModel) -> float:
+        """Mean relative residual; RuntimeError where the reduced loss is not the full one."""
+        total, errors = 0.0, []
+        for points, weight in zip(self.sets, self.weights):
+            operator = NonlinearOperator(model, points, allow_uncertified=True)
+            b = points.loads[:, points.interior]
+            left = np.linalg.norm((operator(points.u) - b).reshape(len(b), -1), axis=1)
+            total += float(weight @ left**2)
+            errors.append(left / np.linalg.norm(b.reshape(len(b), -1), axis=1))
+        constants, linear = np.array([model.t3, model.tq2, model.q3]), model.linear
+        reduced = self.loss.loss(constants, self._products(model), linear.lam, linear.mu)
+        if not abs(reduced - total) <= AGREEMENT * total:
+            raise RuntimeError(
+                f"the reduced loss {reduced:.10e} departs from the full one {total:.10e}"
+            )
+        return float(np.concatenate(errors).mean())
+
+    def _reduced(self) -> GradientLoss:
+        weights = self.model.weights(self.classes)
+        return reduce_nonlinear(self.sets, self.horizon, self.weights, weights, axis=self.axis)
+
+    def _products(self, model: NonlinearModel) -> np.ndarray:
+        return products(model.linear, self.classes)
+
+    def _solid(
+        self, at: Parameters, t3: float = 0.0, tq2: float = 0.0, q3: float = 0.0
+    ) -> NonlinearModel:
+        linear = as_model(at, self.horizon)
+        return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing, axis=self.axis)

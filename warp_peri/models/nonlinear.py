@@ -1,0 +1,165 @@
+"""The nonlinear solid as numbers, and its file (`warp_peri.model`, kind "nonlinear")."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.whole import write_json
+from warp_peri.models.lps import (
+    FORMAT,
+    VERSION,
+    Model,
+    content_hash,
+    model_content,
+    model_from,
+    read_content,
+)
+from warp_peri.models.smoothing import Smoothing
+
+if TYPE_CHECKING:  # families load Warp
+    from warp_peri.points.families import BondClasses
+
+KIND = "nonlinear"
+CUBIC = ("t3", "tq2", "q3")
+_RECORDS = ("proven", "errors", "provenance")
+_KEYS = {"format", "version", "kind", "linear", "smoothing", "axis", "sha256", *CUBIC, *_RECORDS}
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearModel:
+    """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
+
+    Attributes:
+        linear: the linear solid, which is the tangent at zero; its λ and μ are those of Ψ.
+        t3, tq2, q3: third-order elastic constants [TPa].
+        smoothing: of the data, for the filtered form; None for the energy form, whose gradient and
+            force have the weights of the linear dilatation.
+        axis: angle [rad] of the crystal's zigzag direction from the x axis of the points.
+        proven: figures of the guarantee of uniqueness, by spacing.
+        errors: on data sets, by name.
+        provenance: of the data and the fit.
+
+    Raises InputError naming the first number that is not finite.
+    """
+
+    linear: Model
+    t3: float
+    tq2: float
+    q3: float
+    smoothing: Smoothing | None = None
+    axis: float = 0.0
+    proven: dict[str, Any] = field(default_factory=dict)
+    errors: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in (*CUBIC, "axis"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
+            if not np.isfinite(value):
+                raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
+            object.__setattr__(self, name, float(value))
+
+    @property
+    def form(self) -> str:
+        """ "energy" or "filtered"."""
+        return "energy" if self.smoothing is None else "filtered"
+
+    @property
+    def horizon(self) -> float:
+        """δ [Å]."""
+        return self.linear.horizon
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """λ, μ, t3, tq2, Re and Im of q3 e^(−6ia) [TPa], shape [6]."""
+        turned = self.q3 * np.exp(-6j * self.axis)
+        linear = self.linear
+        return np.array([linear.lam, linear.mu, self.t3, self.tq2, turned.real, turned.imag])
+
+    def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
+        """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C]."""
+        if self.smoothing is not None:
+            return self.smoothing.weights(classes)
+        kw = self.linear.influence_dilatation(classes.r) * classes.weight
+        p = kw / (classes.count @ (kw * classes.r**2))
+        return p, p
+
+    def proven_strain(self, spacing: float) -> float:
+        """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
+        return float(
+            self.proven.get(f"{self.linear.nominal_spacing(spacing):g}", {}).get("strain", 0.0)
+        )
+
+    def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
+        """Refuse, or warn about, a lattice spacing [Å] that the linear part is not certified for.
+
+        Raises InputError for scattered points, which Ψ is not made for.
+        """
+        if not spacing > 0:
+            raise InputError("points: a nonlinear model is for lattices, got scattered points")
+        self.linear.check_spacing(spacing, allow_uncertified=allow_uncertified)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model as JSON, whole or not at all."""
+        content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "kind": KIND}
+        content["linear"] = model_content(self.linear)
+        content |= {name: getattr(self, name) for name in (*CUBIC, "axis", *_RECORDS)}
+        content["smoothing"] = None if self.smoothing is None else asdict(self.smoothing)
+        content["sha256"] = content_hash(content)
+        write_json(path, content)
+
+
+def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
+    """The model of a file's content.
+
+    Raises InputError naming what is wrong: missing or unknown keys, numbers that are none, contents
+    that are not what was written.
+    """
+    if missing := sorted(_KEYS - {"sha256"} - set(content)):
+        raise InputError(f"missing keys: {', '.join(missing)}")
+    if unknown := sorted(set(content) - _KEYS):
+        raise InputError(f"unknown keys: {', '.join(unknown)}")
+    for key in _RECORDS:
+        if not isinstance(content[key], dict):
+            raise InputError(f"{key}: expected an object, got {content[key]!r}")
+    kept = content["smoothing"]
+    smoothing = None
+    if kept is not None:
+        if not isinstance(kept, dict) or set(kept) != {"radius", "ridge"}:
+            raise InputError(f"smoothing: expected a radius and a ridge, got {kept!r:.50}")
+        smoothing = Smoothing(**kept)
+    if "sha256" in content and content["sha256"] != content_hash(content):
+        raise InputError(
+            "sha256: the contents are not what was written; remove this key to accept them"
+        )
+    numbers = {name: content[name] for name in (*CUBIC, "axis", *_RECORDS)}
+    try:
+        linear = model_from(content["linear"])
+    except InputError as error:
+        raise InputError(f"linear: {error}") from None
+    return NonlinearModel(linear, smoothing=smoothing, **numbers)
+
+
+def load_nonlinear(path: str | os.PathLike[str]) -> NonlinearModel:
+    """Read the file of a nonlinear model; InputError as for load_model."""
+    model = load_any(path)
+    if not isinstance(model, NonlinearModel):
+        raise InputError(f"{path}: kind: expected a nonlinear model, got a linear one")
+    return model
+
+
+def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
+    """Read a model file of either kind; InputError as for load_model."""
+    content = read_content(path)
+    nonlinear = isinstance(content, dict) and content.get("kind") == KIND
+    try:
+        return nonlinear_from(content) if nonlinear else model_from(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -1,0 +1,87 @@
+"""Bond weights that undo, or redo, the smoothing of the data (theory.md, N6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import j0
+
+from warp_peri.errors import InputError
+
+if TYPE_CHECKING:  # families load Warp
+    from warp_peri.points.families import BondClasses
+
+GRID = 41
+"""Wave vectors along each axis of the square that weights are fitted on."""
+HELD = 1e4
+"""Weight of Σ n r² p = 1 beside relative errors of the symbol."""
+EXACT, RIDGED = (0.33, 1e-6), (0.62, 1e-4)
+"""Half width of the square [1/Å] and weight of the size of p, without a ridge and with one."""
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """How the data were smoothed, for the filtered form.
+
+    Attributes:
+        radius: R of the cone max(0, R − r) [Å].
+        ridge: ρ of the Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ); 0 is the exact inverse 1/ω̂, which
+            amplifies short waves.
+
+    Raises InputError for a radius that is not > 0 or a ridge that is not ≥ 0.
+    """
+
+    radius: float = 10.0
+    ridge: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise InputError(f"radius: expected a length > 0 Å, got {self.radius!r}")
+        if not (np.isfinite(self.ridge) and self.ridge >= 0):
+            raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")
+
+    def transform(self, k: np.ndarray) -> np.ndarray:
+        """ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
+        node, weight = np.polynomial.legendre.leggauss(200)
+        r = (node + 1) * self.radius / 2
+        part = weight * (self.radius - r) * r
+        found: np.ndarray = (j0(np.multiply.outer(k, r)) @ part) / part.sum()
+        return found
+
+    def inverse(self, k: np.ndarray) -> np.ndarray:
+        """(1 + ρ) ω̂/(ω̂² + ρ)."""
+        smooth = self.transform(k)
+        return (1 + self.ridge) * smooth / (smooth**2 + self.ridge)
+
+    def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
+        """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C].
+
+        Σ n r² p = 1, and 2 Σ p sin(k·ξ) ξ fits k times the inverse, or the transform, of the
+        smoothing by least squares of relative errors.
+        """
+        ridged = RIDGED if self.ridge > 0 else EXACT
+        return _fitted(classes, self.inverse, *ridged), _fitted(classes, self.transform, *EXACT)
+
+
+def _fitted(
+    classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float, size: float
+) -> np.ndarray:
+    """Weights p whose symbol fits k factor(|k|) over the square of half width `reach`."""
+    line = np.linspace(-reach, reach, GRID)
+    k = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    k = k[np.hypot(*k.T) > 1e-6]
+    number = np.hypot(*k.T)
+    slope = 2 * np.sin(k @ classes.xi.T)
+    member = np.eye(len(classes.r))[classes.bond_class]
+    symbol = np.stack([slope @ (x[:, None] * member) for x in classes.xi.T], axis=1)
+    symbol /= number[:, None, None]
+    wanted = k * (factor(number) / number)[:, None]
+    sigma = classes.count * classes.r**2
+    rows = [symbol.reshape(-1, len(sigma)), HELD * sigma[None], size * 2 * len(k) * np.diag(sigma)]
+    right = [wanted.ravel(), [HELD], np.zeros(len(sigma))]
+    p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
+    found: np.ndarray = p / (sigma @ p)
+    return found

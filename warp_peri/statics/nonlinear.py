@@ -1,0 +1,303 @@
+"""Equilibrium of nonlinear solids: the linear solve repeated, Newton where that does not do.
+
+u ← u + L_LPS⁻¹ (b − L u), Anderson accelerated. Where it stalls, the same iteration with clipped
+gradients, which a proven strain makes a contraction (theory.md, N13–N15), then Newton–Krylov with a
+line search on the equation preconditioned by L_LPS⁻¹.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from numpy.typing import ArrayLike
+from scipy.optimize import NoConvergence, newton_krylov
+from scipy.sparse.linalg import splu
+
+from warp_peri.errors import InputError
+from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.operator.lps import LPSOperator
+from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.operator.stencil import stencil
+from warp_peri.points.samples import PointsLike
+from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.statics.dirichlet import Dirichlet
+from warp_peri.statics.domain import domain
+
+TOLERANCE = 1e-8
+"""Residual ‖L u − b‖ over the linear right-hand side ‖b − L u_C‖."""
+LINEAR_SHARE = 1e-2
+"""Iterative linear solves are carried to this share of the tolerance."""
+DIRECT = 4_000
+"""Most unknown nodes whose linear solves are factorised, and whose tangent is."""
+MEMORY = 5
+"""Differences that Anderson acceleration mixes."""
+MOST_STEPS, PATIENCE = 60, 8
+"""Of the fixed point; it is given up after so many steps without a smaller residual."""
+MOST_NEWTON = 40
+
+
+@dataclass
+class NonlinearRecord:
+    """What the solve of one sample took, and what is known of its answer.
+
+    Attributes:
+        solves: linear solves in all.
+        method: "fixed point", "clipped" or "newton", whatever gave the answer.
+        residual: ‖L u − b‖ over the linear right-hand side.
+        largest_gradient: largest |H| within δ of the unknowns.
+        unique: whether |H| stays below the proven strain, so that no other solution does.
+        eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
+            [TPa/Å²]; above zero the answer is stable. None above DIRECT nodes.
+    """
+
+    solves: int = 0
+    method: str = "fixed point"
+    residual: float = np.inf
+    largest_gradient: float = 0.0
+    unique: bool = False
+    eigenvalue: float | None = None
+
+
+def solve_nonlinear(
+    model: NonlinearModel,
+    points: PointsLike,
+    b: ArrayLike,
+    u_collar: ArrayLike,
+    *,
+    tolerance: float = TOLERANCE,
+    allow_uncertified: bool = False,
+    records: list[NonlinearRecord] | None = None,
+) -> np.ndarray:
+    """Displacement in equilibrium with b on the interior, given on the collar.
+
+    Args:
+        model: the model, its linear part certified for the spacing of the points.
+        points: a lattice; its u and b are not looked at.
+        b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
+        u_collar: displacement [Å], same shape; only collar values count.
+        tolerance: residual over the linear right-hand side.
+        allow_uncertified: warn about an uncertified spacing instead of raising.
+        records: takes one NonlinearRecord for each sample, with the eigenvalue of its tangent.
+
+    Returns:
+        u [Å], shape as given. A UserWarning says where |H| exceeds the proven strain, so that
+        another solution is not ruled out.
+
+    Raises InputError for arrays that do not fit, an uncertified spacing, and a sample for which no
+    equilibrium was found.
+    """
+    operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
+    b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
+    nodes = len(points.x)
+    if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (nodes, 2):
+        raise InputError(
+            f"b, u_collar: expected shape [S, {nodes}, 2] or [{nodes}, 2], got "
+            f"{list(b.shape)} and {list(u.shape)}"
+        )
+    inside = points.interior
+    if not (np.isfinite(b[..., inside, :]).all() and np.isfinite(u[..., ~inside, :]).all()):
+        raise InputError("b, u_collar: expected finite values")
+    solver = _Solver(operator, points, tolerance)
+    loads = b.reshape(-1, nodes, 2)
+    answers = u.reshape(-1, nodes, 2)
+    found = []
+    for number, (load, field) in enumerate(zip(loads, answers)):
+        try:
+            field[inside], record = solver.solve(load[inside], field)
+        except InputError as error:
+            raise InputError(f"sample {number}: {error}") from None
+        if records is not None:
+            record.eigenvalue = solver.smallest_eigenvalue(field)
+            records.append(record)
+        found.append(record)
+    _warn(found, model.proven_strain(points.spacing))
+    return answers.reshape(u.shape)
+
+
+class _Solver:
+    """Solves of one model on one point set."""
+
+    def __init__(self, operator: NonlinearOperator, points: PointsLike, tolerance: float) -> None:
+        self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
+        self.proven = operator.model.proven_strain(points.spacing)
+        self.linear = linear_solver(operator, points, LINEAR_SHARE * tolerance)
+        self.clipped = NonlinearOperator(
+            operator.model, points, radius=self.proven, allow_uncertified=True
+        )
+        self.straight = LPSOperator(operator.model.linear, points, allow_uncertified=True)
+
+    def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
+        """Displacement of the interior, from the field's collar; the record.
+
+        Raises InputError when nothing finds an equilibrium.
+        """
+        record = NonlinearRecord()
+        field = field.copy()
+        field[self.inside] = 0
+        right = load - self.straight(field)
+        scale = float(np.linalg.norm(right))
+        if scale == 0:
+            record.residual, record.unique = 0.0, self.proven > 0
+            return field[self.inside], record
+
+        def left(operator: NonlinearOperator, inner: np.ndarray) -> np.ndarray:
+            field[self.inside] = inner
+            found: np.ndarray = (load - operator(field)) / scale
+            return found
+
+        def correction(residual: np.ndarray) -> np.ndarray:
+            record.solves += 1
+            return self.linear(residual * scale)
+
+        inner = correction(right / scale)
+        inner, record.residual = anderson(
+            lambda v: left(self.operator, v), correction, inner, self.tolerance
+        )
+        if record.residual > self.tolerance and self.proven > 0:
+            record.method = "clipped"
+            near, _ = anderson(
+                lambda v: left(self.clipped, v),
+                correction,
+                correction(right / scale),
+                self.tolerance,
+            )
+            record.residual = float(np.linalg.norm(left(self.operator, near)))
+            inner = near
+        if record.residual > self.tolerance:
+            record.method = "newton"
+            inner = self._newton(lambda v: left(self.operator, v), correction, inner)
+            record.residual = float(np.linalg.norm(left(self.operator, inner)))
+        if not record.residual <= self.tolerance:
+            raise InputError(
+                f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "
+                f"after {record.solves} linear solves; the load may be more than the solid bears"
+            )
+        field[self.inside] = inner
+        record.largest_gradient = float(self.operator.largest_gradient(field))
+        record.unique = record.largest_gradient <= self.proven
+        return inner, record
+
+    def _newton(
+        self,
+        left: Callable[[np.ndarray], np.ndarray],
+        correction: Callable[[np.ndarray], np.ndarray],
+        start: np.ndarray,
+    ) -> np.ndarray:
+        """Newton–Krylov with a line search on L_LPS⁻¹ (b − L u) = 0, as far as it comes."""
+        scale = max(float(np.abs(start).max()), 1e-300)
+        try:
+            found = newton_krylov(
+                lambda v: correction(left(v * scale)) / scale,
+                start / scale,
+                f_tol=self.tolerance * 1e-2,
+                maxiter=MOST_NEWTON,
+                line_search="armijo",
+            )
+        except NoConvergence as error:
+            found = np.reshape(error.args[0], start.shape)
+        except (ValueError, ZeroDivisionError):  # steps that ran away
+            return start
+        answer: np.ndarray = found * scale
+        return answer
+
+    def smallest_eigenvalue(self, field: np.ndarray) -> float | None:
+        """Of the symmetric part of the tangent on the unknowns [TPa/Å²]."""
+        if np.count_nonzero(self.inside) > DIRECT:
+            return None
+        return smallest_tangent(self.operator, field)
+
+
+def smallest_tangent(operator: NonlinearOperator, field: np.ndarray) -> float:
+    """Smallest eigenvalue of the symmetric part of the tangent on the unknowns [TPa/Å²]."""
+    tangent = _unknown_columns(operator, operator.tangent(field))
+    return smallest_eigenvalue(sp.csc_array((tangent + tangent.T) / 2))
+
+
+def anderson(
+    left: Callable[[np.ndarray], np.ndarray],
+    correction: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    tolerance: float,
+) -> tuple[np.ndarray, float]:
+    """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
+
+    Args:
+        left: residual of a field, relative.
+        correction: the step that answers a residual.
+        start: a field.
+        tolerance: of the residual's norm.
+
+    Returns:
+        The field of the smallest residual, and that residual's norm.
+    """
+    u, best = start, (start, np.inf)
+    steps: list[np.ndarray] = []
+    fields: list[np.ndarray] = []
+    waited = 0
+    for _ in range(MOST_STEPS):
+        residual = left(u)
+        size = float(np.linalg.norm(residual))
+        waited = 0 if size < best[1] else waited + 1
+        if size < best[1]:
+            best = (u, size)
+        if size <= tolerance or waited > PATIENCE or not np.isfinite(size):
+            break
+        steps.append(correction(residual))
+        fields.append(u)
+        del steps[: -MEMORY - 1], fields[: -MEMORY - 1]
+        u = u + steps[-1]
+        if len(steps) > 1:
+            by_step = np.stack([one - steps[-1] for one in steps[:-1]], axis=-1)
+            by_field = np.stack([one - fields[-1] for one in fields[:-1]], axis=-1)
+            flat = by_step.reshape(-1, by_step.shape[-1])
+            mix = np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
+            u = u + (by_step + by_field) @ mix
+    return best
+
+
+def linear_solver(
+    operator: NonlinearOperator, points: PointsLike, tolerance: float
+) -> Callable[[np.ndarray], np.ndarray]:
+    """L_LPS⁻¹ of a load on the interior [I, 2]: factorised, or by preconditioned iteration.
+
+    Raises InputError for a linear part that is not positive definite.
+    """
+    nodes = on_nominal_lattice(operator.model.linear, points)
+    if np.count_nonzero(nodes.interior) <= DIRECT:
+        factors = splu(sp.csc_array(_unknown_columns(operator, operator.tangent(0 * points.x))))
+        return lambda right: factors.solve(right.ravel()).reshape(-1, 2)
+    where = domain(nodes, operator.model.horizon, device=torch.device("cpu"))
+    with torch.no_grad():
+        A = stencil(where.classes, operator.model.linear.solid)
+    system = Dirichlet(where, A, "sine" if where.is_rectangle else "multigrid")
+
+    def solved(right: np.ndarray) -> np.ndarray:
+        field, _ = system.solve(where.gather_free(torch.from_numpy(right)), tolerance)
+        found: np.ndarray = where.scatter_free(field).numpy()
+        return found
+
+    return solved
+
+
+def _unknown_columns(operator: NonlinearOperator, matrix: sp.csr_array) -> sp.csr_array:
+    rows = operator.sweeps.rows
+    return sp.csr_array(matrix.tocsc()[:, np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()])
+
+
+def _warn(records: list[NonlinearRecord], proven: float) -> None:
+    beyond = [n for n, record in enumerate(records) if not record.unique]
+    if not beyond:
+        return
+    largest = max(record.largest_gradient for record in records)
+    known = f"|H| = {proven:.2%}" if proven > 0 else "no strain, for want of a certificate"
+    warnings.warn(
+        f"strain: solutions are proven unique up to {known}; {len(beyond)} of {len(records)} "
+        f"samples go beyond it, to {largest:.2%}, where others may exist",
+        stacklevel=3,
+    )
