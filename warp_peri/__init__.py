@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warp_peri.launch import set_threads
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.fit import fit
-    from warp_peri.learning.methods import Bernstein, Constrained, Optimum, TwoStage
+    from warp_peri.learning.methods import Bernstein, Constrained, TwoStage
     from warp_peri.learning.nonlinear import NonlinearFit, fit_nonlinear
     from warp_peri.learning.result import Fit
     from warp_peri.learning.sweep import Sweep, sweep
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from warp_peri.models.shapes import InfluenceFunction
     from warp_peri.models.smoothing import Smoothing
     from warp_peri.models.solid import Solid
-    from warp_peri.operator.lps import LPSOperator
     from warp_peri.operator.nonlinear import NonlinearOperator
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.dataset_file import load_dataset, save_dataset
     from warp_peri.points.points import Points
     from warp_peri.points.samples import Samples
+    from warp_peri.regression.settings import Optimum
     from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
     from warp_peri.stability.certificate import Certificate, certify
     from warp_peri.stability.conditions import Conditions
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from warp_peri.statics.equilibrium import equilibrium
     from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
     from warp_peri.statics.solve import solve, solve_periodic
+    from warp_peri.transfer.kept import on_lattice
+    from warp_peri.transfer.operator import LPSOperator
+    from warp_peri.transfer.points import model_for
 
 __version__ = "0.1.0"
 
@@ -85,6 +88,8 @@ __all__ = [
     "load_dataset",
     "load_model",
     "load_nonlinear",
+    "model_for",
+    "on_lattice",
     "save_dataset",
     "set_threads",
     "smoothing_matrix",
@@ -104,7 +109,8 @@ _NAMES = {
     "launch": ("set_threads",),
     "learning.evaluate": ("evaluate",),
     "learning.fit": ("fit",),
-    "learning.methods": ("Bernstein", "Constrained", "Optimum", "TwoStage"),
+    "learning.methods": ("Bernstein", "Constrained", "TwoStage"),
+    "regression.settings": ("Optimum",),
     "learning.result": ("Fit",),
     "learning.nonlinear": ("NonlinearFit", "fit_nonlinear"),
     "learning.sweep": ("Sweep", "sweep"),
@@ -114,7 +120,6 @@ _NAMES = {
     "models.smoothing": ("Smoothing",),
     "models.shapes": ("InfluenceFunction",),
     "models.solid": ("Solid",),
-    "operator.lps": ("LPSOperator",),
     "points.dataset": ("Dataset",),
     "points.dataset_file": ("load_dataset", "save_dataset"),
     "points.points": ("Points",),
@@ -128,6 +133,9 @@ _NAMES = {
     "statics.equilibrium": ("equilibrium",),
     "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
     "statics.solve": ("solve", "solve_periodic"),
+    "transfer.kept": ("on_lattice",),
+    "transfer.operator": ("LPSOperator",),
+    "transfer.points": ("model_for",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = ("dumps", "export", "shapes", "stress")

@@ -171,7 +171,7 @@ def test_energy_over_a_hundred_thousand_steps():
         ({"step": 1.0}, "step: expected at most"),
         ({"steps": 0}, "steps: expected a whole number"),
         ({"every": 1.5}, "every: expected a whole number"),
-        ({"model": kernel("1/r", 2.0, spacing=5.0)}, "certified on 5 Å, not on 1 Å"),
+        ({"model": replace(kernel("1/r", 2.0), certified_on=())}, "certified on no spacing"),
     ],
 )
 def test_bad_input_is_refused(change, words):

@@ -80,12 +80,16 @@ def test_validate_disks(small_run, graphene, tmp_path, capsys):
     assert json.loads((tmp_path / "test.json").read_text())["E_u"] == pytest.approx(expected)
 
 
-def test_evaluate_prints_one_object_and_reports_uncertified_sets(small_run, graphene, capsys):
+def test_evaluate_prints_one_object_with_every_set(small_run, graphene, capsys):
     model = str(small_run / "model.json")
     assert command(["evaluate", model, str(graphene), "--json"]) == 0
     tables = json.loads(capsys.readouterr().out)
     assert set(tables) == set(load_dataset(graphene))
-    assert "certified on 5 Å, not on 2.5 Å" in tables["test_fine"]["error"]
+    assert tables["test_fine"]["transferred_from"] == 5.0
+    assert "transferred_from" not in tables["test"]
+    # the same atoms under the same loads, on nodes that the model was not trained on
+    for name in ("test", "val", "train"):
+        assert tables[f"{name}_fine"]["E_u"] <= tables[name]["E_u"] + 0.001
     table = tables["test"]
     assert table["E_u"] == pytest.approx(np.mean(table["E_u_samples"]))
     assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
@@ -93,8 +97,10 @@ def test_evaluate_prints_one_object_and_reports_uncertified_sets(small_run, grap
 
 def test_evaluate_exits_2_for_an_uncertified_set_by_name(small_run, graphene, capsys):
     arguments = ["evaluate", str(small_run / "model.json"), str(graphene), "--set", "test_fine"]
-    assert command([*arguments, "--json"]) == 2
-    assert capsys.readouterr().out == ""
+    assert command([*arguments, "--json", "--no-transfer"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "certified on 5 Å, not on 2.5 Å" in captured.err
     # One grid does not teach another: allowed there, the operator turns out to be indefinite.
     assert command([*arguments, "--json", "--allow-uncertified"]) == 2
     err = capsys.readouterr().err

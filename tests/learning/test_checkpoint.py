@@ -10,9 +10,9 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import Bernstein, Conditions, InputError, TwoStage, fit
 from warp_peri.learning import two_stage
 from warp_peri.learning.checkpoint import Checkpoint
-from warp_peri.learning.parameters import Parameters
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
+from warp_peri.regression.parameters import Parameters
 
 
 @pytest.fixture

@@ -11,15 +11,15 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, fit
 from warp_peri.learning.fit import Fit, Settings
 from warp_peri.learning.loss_choice import LossChoice
-from warp_peri.learning.optimum import constrained_optimum
 from warp_peri.learning.output_error import as_model, output_optimum
-from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.response import WaveResponse
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
-from warp_peri.losses.response import WaveResponse
 from warp_peri.operator.symbol import moduli, stiffnesses
 from warp_peri.points.families import bond_classes
+from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.statics.solve import solve
 

@@ -74,7 +74,7 @@ def test_sets_that_have_no_error_to_speak_of_are_refused(points):
 def test_uncertified_spacings_are_refused_or_warned_about(points):
     model = replace(MODEL, certified_on=(2.0,))
     with pytest.raises(InputError, match="certified on 2 Å, not on 1 Å"):
-        evaluate(model, points)
+        evaluate(model, points, transfer=False)
     with pytest.warns(UserWarning, match="certified on 2 Å, not on 1 Å"):
         assert evaluate(model, points, allow_uncertified=True) == evaluate(MODEL, points)
 

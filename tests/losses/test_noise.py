@@ -8,10 +8,10 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, TwoStage, fit
+from warp_peri.learning.response import CollarResponse, WaveResponse, products
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import reduce
-from warp_peri.losses.response import CollarResponse, WaveResponse, products
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import LPSOperator
 from warp_peri.statics.solve import solve

@@ -177,6 +177,6 @@ def test_an_uncertified_spacing_is_refused_or_warned_about():
     model = replace(kernel("1/r", HORIZON), certified_on=(2.0,))
     points = lattice(3, HORIZON)
     with pytest.raises(InputError, match="certified on 2 Å, not on 1 Å"):
-        LPSOperator(model, points)
+        LPSOperator(model, points, transfer=False)
     with pytest.warns(UserWarning, match="certified on 2 Å, not on 1 Å"):
         LPSOperator(model, points, allow_uncertified=True)

@@ -190,7 +190,7 @@ def test_models_come_back_bit_by_bit(folder, model, record):
     model = replace(model, provenance=record)
     model.save(folder / "m.json")
     back = load_model(folder / "m.json")
-    for name in vars(model):
+    for name in {*vars(model)} - {"file"}:
         assert np.array_equal(getattr(back, name), getattr(model, name)), name
 
 

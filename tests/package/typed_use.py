@@ -127,6 +127,8 @@ def main(folder: Path) -> None:
     model = assert_type(warp_peri.load_model(folder / "model.json"), warp_peri.Model)
     test = warp_peri.load_dataset(folder / "data.h5")["test"]
     print(use(model, test))
+    fine = assert_type(warp_peri.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
+    print(fine.transferred_from, warp_peri.model_for(model, test).horizon)
     coarse(test.x, test.x[test.interior])
     scene = warp_peri.Scene(size=(100.0, 100.0), shortest_wave=50.0)
     choice = assert_type(warp_peri.choose_model(tolerance=0.05, scene=scene), warp_peri.Choice)

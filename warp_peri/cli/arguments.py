@@ -161,5 +161,11 @@ def _uncertified(command: ArgumentParser) -> None:
     command.add_argument(
         "--allow-uncertified",
         action="store_true",
-        help="use the model on spacings it holds no certificate for, with a warning",
+        help="the model's own numbers on spacings it holds no certificate for, with a warning",
+    )
+    command.add_argument(
+        "--no-transfer",
+        dest="transfer",
+        action="store_false",
+        help="refuse lattices that the model itself is not certified on",
     )

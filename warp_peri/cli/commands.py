@@ -210,7 +210,10 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
         points = data[name]
         try:
             tables[name] = warp_peri.evaluate(
-                model, points, allow_uncertified=given.allow_uncertified
+                model,
+                points,
+                transfer=given.transfer,
+                allow_uncertified=given.allow_uncertified,
             )
         except InputError as error:
             if given.sets:
@@ -229,6 +232,7 @@ def run_solve(given: argparse.Namespace) -> Result:
         points.loads,
         points.u,
         method=given.method,
+        transfer=given.transfer,
         allow_uncertified=given.allow_uncertified,
     )
     solved = dataclasses.replace(points, u=u)
@@ -254,14 +258,14 @@ def run_export(given: argparse.Namespace) -> Result:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
         points = load_dataset(given.data)[given.set]
+        asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+        if given.what == "operator" or not given.allow_uncertified:  # which solve warns of
+            model = warp_peri.model_for(model, points, **asked)
         if given.what == "operator":
-            model.check_spacing(points.spacing, allow_uncertified=given.allow_uncertified)
             paths = [warp_peri.export.write_operator(given.out, model, points)]
         else:
             settings = given.out / "export.toml"
-            u = warp_peri.solve(
-                model, points, points.loads, points.u, allow_uncertified=given.allow_uncertified
-            )
+            u = warp_peri.solve(model, points, points.loads, points.u, **asked)
             with locked(given.out):
                 paths = warp_peri.export.write_fields(
                     given.out, model, points, u, format=given.format

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.operator.lps import LPSOperator
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.proof import largest_bound
+from warp_peri.transfer.kept import model_at
+from warp_peri.transfer.operator import LPSOperator
+from warp_peri.transfer.points import model_for
 
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
@@ -54,16 +56,17 @@ def critical_time_step(
     large. It holds on any set of nodes with displacement given out to 2δ, and on periodic boxes.
 
     Args:
-        model: the model, certified for the spacing: where D(k) is not positive definite, waves
-            grow at any step.
+        model: certified on some lattice, transferred to others: where D(k) is not positive
+            definite, waves grow at any step.
         spacing: of the lattice [Å].
         density: mass per volume [kg/m³].
-        allow_uncertified: warn about an uncertified spacing instead of raising.
+        allow_uncertified: the model's own numbers, with a warning.
 
-    Raises InputError for an uncertified spacing, a horizon below one spacing, a density not > 0.
+    Raises InputError for a model certified on no lattice, a horizon below one spacing, a
+    density not > 0.
     """
     _positive("density", density)
-    model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+    model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     classes = bond_classes(model.nominal_spacing(spacing), model.horizon)
     stiffest = largest_bound(classes, *stiffnesses(model, classes))
     return float(2 * np.sqrt(INERTIA * density / stiffest))
@@ -88,7 +91,7 @@ def velocity_verlet(
     Only on lattices with full families: elsewhere L is not symmetric and no energy is kept.
 
     Args:
-        model: the model, certified for the spacing of the points.
+        model: certified on some lattice, transferred to others.
         points: a lattice; its u and b are not looked at.
         u: displacement at the start [Å], shape [N, 2].
         v: velocity at the start [Å/ps], shape [N, 2]; that of the collar is not looked at.
@@ -97,7 +100,7 @@ def velocity_verlet(
         steps: number of steps.
         b: body force density, constant in time [TPa/Å], shape [N, 2]; none by default.
         every: steps from one record of the energy to the next.
-        allow_uncertified: warn about an uncertified spacing instead of raising.
+        allow_uncertified: the model's own numbers, with a warning.
         allow_unstable: warn about a step above the critical one instead of raising.
 
     Raises InputError for scattered points, arrays that do not fit, an uncertified spacing, or a
@@ -116,6 +119,8 @@ def velocity_verlet(
     for name, number in (("steps", steps), ("every", every)):
         if not (isinstance(number, (int, np.integer)) and number >= 1):
             raise InputError(f"{name}: expected a whole number ≥ 1, got {number!r}")
+    if not allow_uncertified:
+        model = model_for(model, points)
     with warnings.catch_warnings():
         if allow_uncertified:  # LPSOperator below says it once
             warnings.simplefilter("ignore")

@@ -9,11 +9,12 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.lps import LPSOperator
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
 from warp_peri.statics.nonlinear import solve_nonlinear
 from warp_peri.statics.solve import solve
+from warp_peri.transfer.operator import LPSOperator
+from warp_peri.transfer.points import model_for
 
 
 def residual_errors(
@@ -30,26 +31,35 @@ def residual_errors(
 
 
 def evaluate(
-    model: Model | NonlinearModel, points: Samples, *, allow_uncertified: bool = False
+    model: Model | NonlinearModel,
+    points: Samples,
+    *,
+    transfer: bool = True,
+    allow_uncertified: bool = False,
 ) -> dict[str, Any]:
     """Errors on every sample of a set and their means.
 
     Args:
-        model: the model, linear or nonlinear, certified for the spacing of the points.
+        model: linear or nonlinear, certified on some lattice; on others a linear one is
+            transferred, which is said once.
         points: samples with displacement and load.
-        allow_uncertified: warn about an uncertified spacing instead of raising.
+        transfer: False refuses lattices that the model itself is not certified on.
+        allow_uncertified: the model's own numbers, with a warning.
 
     Returns:
         E_res = mean ‖L u − b‖₂/‖b‖₂, E_u = mean ‖u_solved − u‖₂/‖u‖₂ on interior nodes, u solved
         with b on the interior and u given on the collar; E_res_rms and E_u_rms, their
-        root-mean-square variants; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; and the lists of
-        per-sample values E_res_samples, E_res_abs_samples, E_u_samples.
+        root-mean-square variants; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the lists of
+        per-sample values E_res_samples, E_res_abs_samples, E_u_samples; and of a transferred model
+        transferred_from, the spacing [Å] of the lattice that it comes from.
 
     Raises InputError for a set without samples, with a sample that has no load or displacement on
     its interior, or that the model cannot be used on.
     """
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
+    if isinstance(model, Model) and not allow_uncertified:
+        model = model_for(model, points, transfer=transfer)
     residual, load = residual_errors(model, points, allow_uncertified=allow_uncertified)
     fields = (points.loads, points.u)
     if isinstance(model, NonlinearModel):
@@ -68,6 +78,8 @@ def evaluate(
     table = {key: float(value) for key, value in table.items()}
     for key, values in (("E_res", relative), ("E_res_abs", residual), ("E_u", displacement)):
         table[f"{key}_samples"] = values.tolist()
+    if isinstance(model, Model) and model.transferred_from is not None:
+        table["transferred_from"] = model.transferred_from
     return table
 
 

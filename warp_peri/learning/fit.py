@@ -11,10 +11,9 @@ import numpy as np
 
 from warp_peri.errors import InputError, renamed
 from warp_peri.learning.loss_choice import LossChoice, choose_loss
-from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, Optimum, TwoStage
+from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.oracle import Oracle
 from warp_peri.learning.output_error import as_model
-from warp_peri.learning.parameters import Parameters
 from warp_peri.learning.result import Fit, Settings
 from warp_peri.learning.stages import Stages, checkpoint_key
 from warp_peri.learning.training_data import TrainingData, training_data
@@ -22,6 +21,9 @@ from warp_peri.models.shapes import InfluenceFunction, shapes_of
 from warp_peri.operator.symbol import moduli as moduli_of
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
+from warp_peri.points.wave_number import largest_wave_number
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 from warp_peri.stability.conditions import Conditions
 
@@ -219,6 +221,7 @@ def _certified(
         trained_on=tuple(one.spacing for one in data.sets),
         certified_on=certified,
         trained_strain=max(largest_strain(one, one.u) for one in data.sets),
+        largest_wave_number=max(largest_wave_number(one) or 0.0 for one in data.sets) or None,
         certificate={f"{one.spacing:g}": one.figures() for one in certificates},
         provenance=provenance,
         versions=_versions(),

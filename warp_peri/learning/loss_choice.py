@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.optimum import constrained_optimum
 from warp_peri.learning.options import LOSSES
-from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.response import products
 from warp_peri.learning.training_data import TrainingData
-from warp_peri.losses.response import WAVE_VECTOR, products
 from warp_peri.models.lps import Model
+from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.parameters import Parameters
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""

@@ -12,10 +12,10 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.learning.options import METHODS
 from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.regression.settings import Optimum
 
 PARAMETRISATIONS = ("projected", "relu")
 CONSTRAINTS = ("symbol", "dense")
-ISOTROPIC = "isotropic"
 
 
 @dataclass(frozen=True)
@@ -83,36 +83,6 @@ class TwoStage:
 
 
 @dataclass(frozen=True)
-class Optimum:
-    """The constrained optimum of the loss (theory.md, 26–28), from plain kernels r^(−α).
-
-    Attributes:
-        moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
-            the moduli of the discrete operator); "isotropic" holds that condition and learns λ
-            and μ; None learns them freely.
-        jobs: threads for the starts.
-        rounds: most rounds of cutting planes.
-        first_cuts: intervals of the zone grid that the first round keeps the conditions on.
-
-    Raises InputError for moduli that no solid has.
-    """
-
-    moduli: tuple[float, float] | str | None = None
-    jobs: int = 1
-    rounds: int = 40
-    first_cuts: int = 12
-
-    def __post_init__(self) -> None:
-        if isinstance(self.moduli, str):
-            if self.moduli != ISOTROPIC:
-                raise InputError(f"moduli: expected (λ, μ) or {ISOTROPIC!r}, got {self.moduli!r}")
-        elif self.moduli is not None and not _are_moduli(self.moduli):
-            raise InputError(
-                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {self.moduli!r:.60}"
-            )
-
-
-@dataclass(frozen=True)
 class Constrained:
     """Algorithm 1, and from where it ends on to the constrained optimum.
 
@@ -141,12 +111,3 @@ def named(name: str, **settings: Any) -> Method:
 def _check_whole(name: str, value: Any) -> None:
     if not (isinstance(value, (int, np.integer)) and value >= 0):
         raise InputError(f"{name}: expected a whole number ≥ 0, got {value!r}")
-
-
-def _are_moduli(given: Any) -> bool:
-    """Whether it is (λ, μ) of a solid."""
-    try:
-        lam, mu = map(float, given)
-    except (TypeError, ValueError):
-        return False
-    return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)

@@ -11,19 +11,20 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import fit
-from warp_peri.learning.methods import ISOTROPIC, Bernstein, Optimum
-from warp_peri.learning.optimum import constrained_optimum
+from warp_peri.learning.methods import Bernstein
 from warp_peri.learning.output_error import as_model
-from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.response import products
 from warp_peri.learning.result import Fit
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
-from warp_peri.losses.response import products
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
+from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import ISOTROPIC, Optimum
 from warp_peri.stability.certificate import certify
 from warp_peri.stability.conditions import Conditions
 from warp_peri.stability.uniqueness import uniqueness

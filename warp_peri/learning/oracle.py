@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from warp_peri.learning.parameters import Parameters, Variables
 from warp_peri.losses.full import FullLoss
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.models.influence import bernstein_basis
+from warp_peri.regression.parameters import Parameters, Variables
 
 AGREEMENT = 1e-10
 """Reduced and full loss must agree to this, relative; their gradients to this times the

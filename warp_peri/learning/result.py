@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from warp_peri.learning.loss_choice import LossChoice
-from warp_peri.learning.parameters import Parameters
 from warp_peri.models.lps import Model
 from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.certificate import Certificate
 from warp_peri.stability.conditions import LatticeConditions
 

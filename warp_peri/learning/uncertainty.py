@@ -16,18 +16,19 @@ import scipy.linalg
 from scipy.special import ndtri
 
 from warp_peri.errors import InputError
-from warp_peri.learning.optimum import Problem, coordinates_of
 from warp_peri.learning.output_error import as_model
-from warp_peri.learning.parameters import Parameters
+from warp_peri.learning.response import WaveResponse, products
 from warp_peri.learning.result import Fit
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import check_noise, corrected, noise_loss
 from warp_peri.losses.reduced import Features, ReducedLoss, reduce
-from warp_peri.losses.response import WAVE_VECTOR, WaveResponse, products
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.optimum import Problem, coordinates_of
+from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.conditions import ZoneSearch
 
 ACTIVE = 0.02

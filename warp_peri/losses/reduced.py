@@ -18,6 +18,7 @@ from warp_peri.kernels.lps import features as kernels
 from warp_peri.launch import DEVICE
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import BondClasses
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
@@ -164,3 +165,17 @@ def reduce(
 def with_rows(R: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Triangular factor of more rows: RᵗR of the result is RᵗR + rowsᵗ rows."""
     return np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))
+
+
+def symbol_rows(classes: BondClasses, k: np.ndarray) -> np.ndarray:
+    """D11, D22, D12 at wave vectors by the products (v, κ z z), shape [K, 3, F]."""
+    table = symbol(classes, k)
+    i, j = class_pairs(len(classes.r))
+    twice = np.where(i == j, 1.0, 2.0)
+    p1, p2 = table.phi[:, 0], table.phi[:, 1]
+    quadratic = [
+        twice * p1[:, i] * p1[:, j],
+        twice * p2[:, i] * p2[:, j],
+        twice / 2 * (p1[:, i] * p2[:, j] + p1[:, j] * p2[:, i]),
+    ]
+    return np.concatenate([table.gamma, np.stack(quadratic, axis=1)], axis=2)

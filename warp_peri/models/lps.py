@@ -6,7 +6,8 @@ import hashlib
 import json
 import os
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
 LARGEST_FILE = 2**24
 """Bytes of a model file that are read at most."""
-_OPTIONAL = {"trained_strain", "sha256"}
+_OPTIONAL = {"trained_strain", "largest_wave_number", "sha256"}
 _RECORDS = ("certificate", "errors", "provenance", "versions")
 _KEYS = {
     "format",
@@ -58,10 +59,13 @@ class Model:
         trained_on: spacings of the training lattices [Å].
         certified_on: spacings of the lattices that solves accept [Å].
         trained_strain: largest strain of neighbouring nodes in the training fields, if known.
+        largest_wave_number: largest |k| that the training loads held [1/Å], if known; nothing is
+            claimed of the model beyond it.
         certificate: figures of the certificate, by spacing.
         errors: on data sets, by name.
         provenance: of the data and the fit.
         versions: of the packages.
+        file: that the model was read from; not part of its contents.
 
     Raises InputError naming the first number out of its range.
     """
@@ -75,10 +79,12 @@ class Model:
     trained_on: tuple[float, ...] = ()
     certified_on: tuple[float, ...] = ()
     trained_strain: float | None = None
+    largest_wave_number: float | None = None
     certificate: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, Any] = field(default_factory=dict)
+    file: Path | None = None
 
     def __post_init__(self) -> None:
         for name in ("lam", "mu", "alpha", "horizon"):
@@ -88,9 +94,13 @@ class Model:
         for name in ("D", "D_dilatation", "trained_on", "certified_on"):
             value = np.array(_numbers(name, getattr(self, name)))
             object.__setattr__(self, name, value if name[0] == "D" else tuple(value.tolist()))
-        if self.trained_strain is not None:
-            strain = _number("trained_strain", self.trained_strain)
-            object.__setattr__(self, "trained_strain", strain)
+        for name in ("trained_strain", "largest_wave_number"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _number(name, getattr(self, name)))
+        if self.largest_wave_number is not None and not self.largest_wave_number > 0:
+            raise InputError(
+                f"largest_wave_number: expected more than 0, got {self.largest_wave_number}"
+            )
         if len(self.D) == 0:
             raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
         if len(self.D) > LARGEST_DEGREE + 1:
@@ -162,9 +172,13 @@ class Model:
         near = 0 < known and abs(spacing - known) <= SPACING_TOLERANCE * known
         return known if near else spacing
 
+    def is_certified_on(self, spacing: float) -> bool:
+        """Whether a lattice spacing [Å] counts as one that the model holds a certificate for."""
+        return spacing > 0 and self.nominal_spacing(spacing) in self.certified_on
+
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
-        if spacing > 0 and self.nominal_spacing(spacing) in self.certified_on:
+        if self.is_certified_on(spacing):
             return
         known = ", ".join(f"{value:g} Å" for value in self.certified_on) or "no spacing"
         here = f"{spacing:g} Å" if spacing else "scattered points"
@@ -175,6 +189,13 @@ class Model:
         if not allow_uncertified:
             raise InputError(message)
         warnings.warn(message, stacklevel=3)
+
+    @property
+    def transferred_from(self) -> float | None:
+        """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
+        record = self.provenance.get("transfer")
+        found = record.get("from_spacing") if isinstance(record, dict) else None
+        return float(found) if isinstance(found, (int, float)) else None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
@@ -193,8 +214,9 @@ def model_content(model: Model) -> dict[str, Any]:
     content |= {"degree": model.degree, "D": model.D, "D_dilatation": model.D_dilatation}
     content["quadrature"] = QUADRATURE
     content |= {key: getattr(model, key) for key in ("trained_on", "certified_on", *_RECORDS)}
-    if model.trained_strain is not None:
-        content["trained_strain"] = model.trained_strain
+    for key in ("trained_strain", "largest_wave_number"):
+        if getattr(model, key) is not None:
+            content[key] = getattr(model, key)
     content["sha256"] = content_hash(content)
     return content
 
@@ -223,7 +245,7 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     """
     content = read_content(path)
     try:
-        return model_from(content)
+        return replace(model_from(content), file=Path(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -261,6 +283,7 @@ def model_from(content: Any) -> Model:
             for key in ("D", "D_dilatation", "trained_on", "certified_on", *_RECORDS)
         },
         trained_strain=content.get("trained_strain"),
+        largest_wave_number=content.get("largest_wave_number"),
     )
     if content["degree"] != model.degree:
         raise InputError(

@@ -16,12 +16,14 @@ from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.definite import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
 from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
 from warp_peri.statics.range import warn_beyond
+from warp_peri.transfer.kept import model_at
+from warp_peri.transfer.points import model_for
 
 DIRECT_METHODS = ("lu", "gmres")
 DIRECT, LARGEST_LU = 4_000, 40_000
@@ -39,6 +41,7 @@ def solve(
     quadrature_degree: int = DEGREE,
     method: str = "auto",
     tolerance: float = TOLERANCE,
+    transfer: bool = True,
     allow_uncertified: bool = False,
     records: list[Record] | None = None,
     device: str = DEVICE,
@@ -46,7 +49,7 @@ def solve(
     """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
 
     Args:
-        model: the model, certified for the spacing of the points.
+        model: certified on some lattice; on others it is transferred, which is said once.
         points: a lattice or scattered points; displacement outside the body is handed through.
         b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
@@ -56,7 +59,8 @@ def solve(
             with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
             (the inverse symbol) and "cg" (plain) are there to compare.
         tolerance: of conjugate gradients, true residual over right-hand side.
-        allow_uncertified: warn about an uncertified spacing instead of raising.
+        transfer: False refuses lattices that the model itself is not certified on.
+        allow_uncertified: the model's own numbers, with a warning.
         records: takes one Record for each sample that conjugate gradients solved.
         device: where conjugate gradients run, as Warp names it; factorisations stay on the
             processor.
@@ -71,9 +75,9 @@ def solve(
     known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
-    model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+    load, u = _checked(nodes_of(points), b, u_collar)
+    model = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
     nodes = on_nominal_lattice(model, points)
-    load, u = _checked(nodes, b, u_collar)
     if method == "auto":
         method = choose_method(nodes, plain=nodes.is_plain_lattice)
     shape, solid = u.shape, model.solid
@@ -156,15 +160,21 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
 
 
 def solve_periodic(
-    model: Model, b: ArrayLike, *, spacing: float, allow_uncertified: bool = False
+    model: Model,
+    b: ArrayLike,
+    *,
+    spacing: float,
+    transfer: bool = True,
+    allow_uncertified: bool = False,
 ) -> np.ndarray:
     """Displacement of a periodic sheet under a load of zero mean, by FFT of the symbol.
 
     Args:
-        model: the model, certified for the spacing.
+        model: certified on some lattice; on others it is transferred, which is said once.
         b: body force density on the lattice [TPa/Å], shape [..., n₁, n₂, 2]; its mean is removed.
         spacing: h [Å].
-        allow_uncertified: warn about an uncertified spacing instead of raising.
+        transfer: False refuses lattices that the model itself is not certified on.
+        allow_uncertified: the model's own numbers, with a warning.
 
     Returns:
         u [Å] of zero mean, shape as given.
@@ -172,7 +182,7 @@ def solve_periodic(
     Raises InputError for a load that does not fit, an uncertified spacing, or a symbol that is
     singular at a wave vector of the sheet.
     """
-    model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+    model = model_at(model, spacing, transfer=transfer, allow_uncertified=allow_uncertified)
     spacing = model.nominal_spacing(spacing)
     b = np.asarray(b, dtype=float)
     if b.ndim < 3 or b.shape[-1] != 2 or not np.isfinite(b).all():

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_peri.learning.parameters import LARGEST_ALPHA, Parameters
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.points.families import BondClasses
+from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
 
 RANK_TOLERANCE = 1e-11
 SMALLEST_ALPHA = -6.0

@@ -13,13 +13,13 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy.optimize import minimize
 
-from warp_peri.learning.coordinates import Coordinates, Point
-from warp_peri.learning.methods import Optimum
-from warp_peri.learning.parameters import Parameters
-from warp_peri.learning.shape_coordinates import ShapeCoordinates
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.operator.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 from warp_peri.points.families import BondClasses
+from warp_peri.regression.coordinates import Coordinates, Point
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import SMOOTHNESS, Optimum
+from warp_peri.regression.shape_coordinates import ShapeCoordinates
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
 LOSS_TOLERANCE = 1e-14
@@ -32,9 +32,6 @@ SEARCH_TOLERANCE = 1e-9
 """Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
 MODULI_TOLERANCE = 1e-6
 """Distance [TPa] from moduli to be held that counts as none."""
-SMOOTHNESS = 1e-10
-"""Weight of the second differences of D beside the relative residual. It costs an ordinary fit
-nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ def constrained_optimum(
     """
     classes = [grid.classes for grid in grids]
     coordinates = coordinates_of(classes, start, two_functions=two_functions)
-    problem = Problem(grids, conditions, coordinates, method.moduli)
+    problem = Problem(grids, conditions, coordinates, method.moduli, method.smoothness)
     searches = [ZoneSearch(one) for one in conditions]
     cuts = [zone_wedge(one.spacing, method.first_cuts) for one in classes]
     y = coordinates.start(start)
@@ -119,8 +116,10 @@ class Problem:
         conditions: Sequence[LatticeConditions],
         coordinates: Coordinates | ShapeCoordinates,
         moduli: tuple[float, float] | str | None,
+        smoothness: float = SMOOTHNESS,
     ) -> None:
         self.grids, self.coordinates, self.moduli = grids, coordinates, moduli
+        self.smoothness = smoothness
         self.asked = [
             LatticeConditions(one.classes, Conditions(one.kind, HEADROOM * one.zeta))
             for one in conditions
@@ -211,13 +210,13 @@ class Problem:
     def values(self, y: np.ndarray, point: Point) -> np.ndarray:
         """The residual at y, whose point is given."""
         parts = [grid.R @ products for grid, products in zip(self.grids, self.products(point))]
-        parts.append(SMOOTHNESS * self.coordinates.roughness(y, point)[0])
+        parts.append(self.smoothness * self.coordinates.roughness(y, point)[0])
         return np.concatenate(parts)
 
     def slopes(self, y: np.ndarray, point: Point) -> np.ndarray:
         """The derivative of the residual to y."""
         parts = [grid.R @ slope for grid, slope in zip(self.grids, self.product_slopes(point))]
-        parts.append(SMOOTHNESS * self.coordinates.roughness(y, point)[1])
+        parts.append(self.smoothness * self.coordinates.roughness(y, point)[1])
         return np.concatenate(parts)
 
     def products(self, point: Point) -> list[np.ndarray]:

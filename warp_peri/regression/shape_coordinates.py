@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.coordinates import Point, scaled
-from warp_peri.learning.parameters import Parameters
 from warp_peri.models.influence import CANCELLED
 from warp_peri.models.shapes import InfluenceFunction
 from warp_peri.points.families import BondClasses
+from warp_peri.regression.coordinates import Point, scaled
+from warp_peri.regression.parameters import Parameters
 
 TINY, SEEN = 1e-3, 1e-9
 """A parameter counts as of its size at the start times the first, at least; a direction counts

@@ -14,16 +14,15 @@ from typing import Protocol
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, with_rows
+from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.points.wave_number import WAVE_VECTOR
 from warp_peri.statics.direct import MatrixProblem
 
-WAVE_VECTOR = "wave_vector"
-"""Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
 SAMPLES_AT_ONCE = 8
 
 
@@ -75,7 +74,7 @@ class WaveResponse:
                 raise InputError(
                     f"{name}: sample {int(np.argmin(size))} is zero at its wave vector"
                 )
-        self.rows = _symbol_rows(self.classes, k)
+        self.rows = symbol_rows(self.classes, k)
 
     def about(self, model: Model) -> ReducedLoss:
         answer, slope = self.answer(model)
@@ -181,17 +180,3 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
     B = onto @ b
     best = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
     return np.asarray(onto[list(best)])
-
-
-def _symbol_rows(classes: BondClasses, k: np.ndarray) -> np.ndarray:
-    """D11, D22, D12 at wave vectors by the products (v, κ z z), shape [K, 3, F]."""
-    table = symbol(classes, k)
-    i, j = class_pairs(len(classes.r))
-    twice = np.where(i == j, 1.0, 2.0)
-    p1, p2 = table.phi[:, 0], table.phi[:, 1]
-    quadratic = [
-        twice * p1[:, i] * p1[:, j],
-        twice * p2[:, i] * p2[:, j],
-        twice / 2 * (p1[:, i] * p2[:, j] + p1[:, j] * p2[:, i]),
-    ]
-    return np.concatenate([table.gamma, np.stack(quadratic, axis=1)], axis=2)

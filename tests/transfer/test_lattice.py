@@ -1,0 +1,130 @@
+"""A material on another lattice: the loss it is fitted with, what is claimed, what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice
+from warp_peri import Bernstein, InputError, LPSOperator, Samples, fit, on_lattice
+from warp_peri.operator.symbol import stiffnesses
+from warp_peri.points.families import bond_classes
+from warp_peri.points.wave_number import largest_wave_number
+from warp_peri.transfer.lattice import TOLERANCE
+from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, wave_vectors
+
+HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
+
+
+@pytest.fixture(scope="module")
+def finer():
+    return on_lattice(HOME, spacing=0.6)
+
+
+@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+def test_the_loss_is_the_mean_square_of_the_error_in_displacement(name):
+    model, classes = kernel(name, 1.5, spacing=0.6), bond_classes(0.6, 1.5)
+    k = wave_vectors(1.5)
+    target = dispersion(HOME, 1.0, k)
+    loss = wave_loss(target, k, classes)
+    v, z, kappa = stiffnesses(model, classes)
+    i, j = loss.pairs
+    found = np.linalg.norm(loss.R @ np.concatenate([v, kappa * z[i] * z[j], [1.0]])) ** 2
+    wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
+    assert found == pytest.approx((wrong**2).sum(axis=(1, 2)).mean() / 2, rel=1e-10)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3])
+def test_claims_hold_of_the_operator_on_points(finer, angle):
+    """Loads that the material at home answers with a wave, along the axes and off them."""
+    record = finer.provenance["transfer"]
+    points = lattice(1, finer.horizon, spacing=0.6, angle=angle)
+    operator = LPSOperator(finer, points)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    for wavelength, claimed in list(zip(record["wavelength"], record["error"]))[::8]:
+        k = rings(np.array([2 * np.pi / wavelength]))[0, 3]
+        D = turn @ dispersion(HOME, 1.0, k) @ turn.T
+        wave = np.cos(points.x @ turn @ k)  # 1 at the node in the middle
+        there = np.array([operator(wave[:, None] * e)[0] for e in np.eye(2)]).T
+        assert wave_errors(there, D) <= claimed * (1 + 1e-9)
+        assert there == pytest.approx(turn @ dispersion(finer, 0.6, k) @ turn.T, rel=1e-9)
+
+
+def test_what_a_record_holds(finer):
+    record = finer.provenance["transfer"]
+    assert finer.transferred_from == record["from_spacing"] == 1.0
+    assert finer.certified_on == (0.6,)
+    assert finer.trained_on == HOME.trained_on
+    assert record["symbol_bound"] >= 0.99 * 0.01
+    assert record["bonds"] == len(bond_classes(0.6, finer.horizon).steps)
+    assert record["statement"].startswith("from 1 Å to 0.6 Å")
+    assert max(record["wavelength"]) > 20 * np.pi > min(record["wavelength"]) >= 2 * np.pi / 2.0
+    # the tolerance is for waves twice as long as those that the kernel is fitted on
+    long = np.array(record["wavelength"]) >= 2 * record["fitted_to"]
+    assert np.array(record["error"])[long].max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("spacing", [0.45, 1.0, 1.3, 1.9])
+def test_every_lattice_is_certified(spacing):
+    found = on_lattice(HOME, spacing=spacing)
+    assert found.certificate[f"{spacing:g}"]["symbol_bound"] >= 0.0099
+    assert len(bond_classes(spacing, found.horizon).steps) <= 80
+
+
+def test_two_functions_keep_two():
+    home = replace(kernel("two functions", 3.0), largest_wave_number=2.0)
+    found = on_lattice(home, spacing=0.8, horizon=2.4)
+    assert not np.array_equal(found.D, found.dilatation)
+    assert np.interp(1.0, *_curve(found)) < 0.01
+
+
+def _curve(model):
+    record = model.provenance["transfer"]
+    return 2 * np.pi / np.array(record["wavelength"]), np.array(record["error"])
+
+
+def test_fewest_bonds_for_a_tolerance():
+    few, many = (on_lattice(HOME, spacing=0.8, tolerance=t) for t in (0.05, 0.003))
+    assert few.provenance["transfer"]["bonds"] < many.provenance["transfer"]["bonds"]
+    for model, tolerance in ((few, 0.05), (many, 0.003)):
+        k, error = _curve(model)
+        assert error[k <= np.pi / 4].max() <= tolerance
+
+
+REFUSED = {
+    "no certificate": ({"spacing": 0.5}, {"certified_on": ()}, "certified on none"),
+    "spacing": ({"spacing": -1.0}, {}, "spacing: expected a lattice spacing > 0"),
+    "tolerance": ({"spacing": 2.0, "tolerance": 1e-5}, {}, "the best there is is"),
+    "no tolerance": ({"spacing": 2.0, "tolerance": 0.0}, {}, "tolerance: expected a fraction"),
+    "beyond the data": ({"spacing": 0.5, "shortest_wave": 2.0}, {}, "the data held waves down to"),
+    "beyond the lattice": ({"spacing": 3.0, "shortest_wave": 4.0}, {}, "carries waves longer than"),
+    "horizon": ({"spacing": 2.0, "horizon": 3.0}, {}, "quadrature: no weights"),
+    "collar": ({"spacing": 2.0, "largest_horizon": 3.0}, {}, "needs one of 4 Å or more"),
+}
+
+
+@pytest.mark.parametrize(("asked", "change", "words"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_had(asked, change, words):
+    with pytest.raises(InputError, match=words):
+        on_lattice(replace(HOME, **change), **asked)
+
+
+def test_the_shortest_waves_of_loads():
+    points = lattice(12, 2.0, spacing=0.5)
+    k = np.array([[0.9, 0.0], [0.5, 1.1]])
+    b = np.cos(points.x @ k.T).T[:, :, None] * (1.0, 0.5)
+    samples = Samples(points, b, b)
+    assert largest_wave_number(samples) == pytest.approx(np.hypot(0.5, 1.1), rel=0.05)
+    assert largest_wave_number(replace(samples, arrays={"wave_vector": k})) == np.hypot(0.5, 1.1)
+    assert largest_wave_number(replace(samples, b=0 * b)) is None
+    assert largest_wave_number(replace(samples, points=replace(points, spacing=0.0))) is None
+    assert largest_wave_number(replace(samples, b=None)) is None
+
+
+def test_a_fit_remembers_its_shortest_wave():
+    points = lattice(12, 2.0)
+    k = np.array([[0.9, 0.0], [0.5, 1.1]])
+    u = np.cos(points.x @ k.T).T[:, :, None] * (1.0, 0.5)
+    b = np.einsum("sab,snb->sna", dispersion(kernel("1/r", 2.0), 1.0, k), u)
+    model = fit(Samples(points, u, b), 2.0, Bernstein(2)).model
+    assert model.largest_wave_number == pytest.approx(np.hypot(0.5, 1.1), rel=0.05)

@@ -1,0 +1,140 @@
+"""Transferred models in use: kept and found again, and taken by everything that solves."""
+
+import json
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.problems import kernel, lattice, manufactured
+from warp_peri import (
+    InputError,
+    LPSOperator,
+    critical_time_step,
+    equilibrium,
+    evaluate,
+    load_model,
+    model_for,
+    on_lattice,
+    solve,
+    solve_periodic,
+)
+from warp_peri.models.lps import model_content
+from warp_peri.points.collar import carried_horizon
+from warp_peri.points.families import families_of
+from warp_peri.transfer import kept
+
+HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
+ASKED = {"spacing": 0.8, "horizon": 1.6}
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    """A model file, an empty cache of the user's, and a memory that is forgotten."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept, "_memory", {})
+    monkeypatch.setattr(kept, "_said", set())
+    path = tmp_path / "model" / "model.json"
+    HOME.save(path)
+    return path
+
+
+def again(file):
+    """The transfer as another process would ask for it."""
+    kept._memory.clear()
+    return on_lattice(load_model(file), **ASKED)
+
+
+def hashes(*models):
+    """How many different contents there are."""
+    return len({model_content(model)["sha256"] for model in models})
+
+
+def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
+    before = file.read_bytes()
+    first = again(file)
+    assert file.read_bytes() == before
+    (beside,) = (file.parent / "model.lattices").glob("*.json")
+    monkeypatch.setattr(kept, "new_lattice", None)  # would be called to make it anew
+    begin = time.perf_counter()
+    second = again(file)
+    assert time.perf_counter() - begin < 0.1
+    assert hashes(second, first, load_model(beside)) == 1
+
+
+def test_a_folder_that_cannot_be_written(file, monkeypatch):
+    (file.parent / "model.lattices").write_text("in the way")
+    first = again(file)
+    assert list((file.parent.parent / "cache").rglob("*.json"))
+    monkeypatch.setattr(kept, "new_lattice", None)
+    assert hashes(again(file), first) == 1
+
+
+def test_what_is_damaged_or_of_another_model_is_made_again(file):
+    first = again(file)
+    (beside,) = (file.parent / "model.lattices").glob("*.json")
+    beside.write_text(beside.read_text()[:-40])
+    assert hashes(again(file), first, load_model(beside)) == 1
+    replace(HOME, mu=0.9).save(file)
+    assert again(file).mu > 1.05 * first.mu
+    record = json.loads(beside.read_text())["provenance"]["transfer"]
+    assert record["home"] == model_content(load_model(file))["sha256"]
+
+
+@pytest.fixture
+def points():
+    """Waves in equilibrium with the model at home, on nodes 0.8 apart."""
+    here = lattice(6, 2.4, spacing=0.8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return manufactured(on_lattice(HOME, spacing=0.8), here, 2, wave_number=0.5)
+
+
+def test_everything_takes_points_of_another_spacing(points, file):
+    model = load_model(file)
+    there = on_lattice(model, spacing=0.8)
+    with pytest.warns(UserWarning, match="transferred from 1 Å to 0.8 Å"):
+        u = solve(model, points, points.b, points.u)
+    # said once: a warning is an error from here on
+    assert np.array_equal(u, solve(there, points, points.b, points.u))
+    assert np.array_equal(LPSOperator(model, points)(u), LPSOperator(there, points)(u))
+    table = evaluate(model, points)
+    assert table["transferred_from"] == 1.0
+    assert table == evaluate(there, points)
+    assert table["E_u"] < 1e-9
+    b = np.random.default_rng(0).normal(size=(12, 14, 2))
+    sheet = solve_periodic(model, b, spacing=0.8)
+    assert np.array_equal(sheet, solve_periodic(there, b, spacing=0.8))
+    step = critical_time_step(model, spacing=0.8, density=1000.0)
+    assert step == critical_time_step(there, spacing=0.8, density=1000.0)
+    tensors = [torch.from_numpy(field) for field in (points.b, points.u)]
+    same = equilibrium(points, *tensors, there.solid, horizon=there.horizon, method="lu")
+    assert same.numpy() == pytest.approx(u)
+
+
+@pytest.mark.parametrize("use", [solve, LPSOperator, evaluate, model_for])
+def test_refusing_is_an_option(points, use):
+    fields = (points.b, points.u) if use is solve else ()
+    with pytest.raises(InputError, match="certified on 1 Å, not on 0.8 Å"):
+        use(HOME, points, *fields, transfer=False)
+
+
+def test_uncertified_means_the_models_own_numbers(points):
+    with pytest.warns(UserWarning, match="certified on 1 Å, not on 0.8 Å"):
+        own = LPSOperator(HOME, lattice(3, 3.0, spacing=0.8), allow_uncertified=True)
+    assert own.model is HOME
+
+
+def test_the_horizon_that_the_collar_carries():
+    for horizon in (1.6, 0.8 * np.sqrt(5), 2.4):
+        points = lattice(4, horizon, spacing=0.8)
+        found = carried_horizon(points)
+        families_of(points, found)
+        with pytest.raises(InputError, match="complete families"):
+            families_of(points, found + 0.8)
+    few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
+    with pytest.warns(UserWarning, match="transferred"):
+        assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))

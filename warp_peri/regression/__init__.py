@@ -1,0 +1,1 @@
+"""The constrained optimum of a reduced loss: its variables, its conditions, its minimum."""

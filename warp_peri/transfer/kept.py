@@ -1,0 +1,121 @@
+"""Transferred models are kept: in memory, and beside the file of the model they come from."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model, load_model, model_content
+from warp_peri.transfer.lattice import RECIPE, new_lattice
+
+FOLDER = ".lattices"
+"""A folder of this ending beside a model file holds its transfers; they are model files too."""
+
+_memory: dict[tuple[str, str], Model] = {}
+_said: set[tuple[str, str]] = set()
+
+
+def on_lattice(
+    model: Model,
+    *,
+    spacing: float,
+    horizon: float | None = None,
+    tolerance: float | None = None,
+    shortest_wave: float | None = None,
+    largest_horizon: float | None = None,
+) -> Model:
+    """The same material on another square lattice, certified there (theory.md, M2–M5).
+
+    As new_lattice, which says what the arguments are and what is raised; the second call finds the
+    result in a folder beside the model's file, or in the user's cache where that cannot be
+    written. The model's own file never changes.
+    """
+    asked = {
+        "horizon": horizon,
+        "tolerance": tolerance,
+        "shortest_wave": shortest_wave,
+        "largest_horizon": largest_horizon,
+    }
+    home = model_content(model)["sha256"]
+    named = {"spacing": spacing, **asked}
+    name = "_".join(f"{key}_{value:.9g}" for key, value in named.items() if value is not None)
+    if (home, name) in _memory:
+        return _memory[home, name]
+    places = _places(model, home, name)
+    found = next((one for path in places if (one := _read(path, home))), None)
+    if found is None:
+        found = new_lattice(model, spacing=spacing, **asked)
+        _write(found, places)
+    _memory[home, name] = found
+    return found
+
+
+def model_at(
+    model: Model,
+    spacing: float,
+    *,
+    largest_horizon: float | None = None,
+    transfer: bool = True,
+    allow_uncertified: bool = False,
+) -> Model:
+    """The model for a lattice of some spacing [Å]: itself where it is certified, or transferred.
+
+    Args:
+        model: certified on some lattice.
+        spacing: h [Å]; 0 for scattered points, which have no transfer.
+        largest_horizon: what the points carry [Å].
+        transfer: False refuses other spacings.
+        allow_uncertified: the model's own numbers, with a warning.
+
+    Raises InputError where the model is certified on no lattice, or refused.
+    """
+    at_home = spacing == 0 or model.is_certified_on(spacing)
+    if at_home or allow_uncertified or not transfer or not model.certified_on:
+        model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+        return model
+    found = on_lattice(model, spacing=spacing)
+    if largest_horizon is not None and found.horizon > largest_horizon * (1 + 1e-9):
+        found = on_lattice(model, spacing=spacing, largest_horizon=largest_horizon)
+    record = found.provenance["transfer"]
+    once = record["home"], record["statement"]
+    if once not in _said:
+        _said.add(once)
+        warnings.warn(f"transferred {record['statement']}", stacklevel=4)
+    return found
+
+
+def _places(model: Model, home: str, name: str) -> list[Path]:
+    """Where a transfer may lie, the best place first; none for a model without a file."""
+    if model.file is None:
+        return []
+    if sys.platform == "win32":
+        cache = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    else:
+        cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    file = f"{name}.json"
+    beside = model.file.with_name(model.file.stem + FOLDER)
+    return [beside / file, Path(cache) / "warp_peri" / home[:32] / file]
+
+
+def _read(path: Path, home: str) -> Model | None:
+    """A transfer that was made of this very model, by this recipe."""
+    try:
+        found = load_model(path)
+    except InputError:  # not there, or damaged: it is made again
+        return None
+    record: Any = found.provenance.get("transfer")
+    mine = isinstance(record, dict) and record.get("home") == home
+    return found if mine and record.get("recipe") == RECIPE else None
+
+
+def _write(model: Model, places: list[Path]) -> None:
+    for path in places:
+        try:
+            model.save(path)
+        except (OSError, InputError):  # cannot be written, a full disk: the next place, or none
+            continue
+        return

@@ -1,0 +1,285 @@
+"""One learned material on another lattice: a kernel of its own there, and its certificate."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model, model_content
+from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
+from warp_peri.stability.certificate import Certificate, certify
+from warp_peri.stability.conditions import Conditions, LatticeConditions
+from warp_peri.transfer.waves import (
+    dispersion,
+    rings,
+    wave_errors,
+    wave_loss,
+    wave_vectors,
+)
+
+TOLERANCE = 0.005
+"""Of waves at least twice as long as the shortest that a kernel is fitted on."""
+SHARE = 0.5
+"""Waves are compared up to this share of the zone's half width π/h, on both lattices: beyond, a
+lattice has a dispersion of its own, which is no property of the material."""
+SMOOTHNESS = 1e-6
+"""Weight of the second differences of D. It costs no error that can be seen, and leaves no free
+directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
+ZETA = 0.01
+"""c [TPa] that is asked for, or what is proven at home where that is less."""
+LARGEST = 5.0
+"""Largest horizon that is tried where none is given, in spacings."""
+RECIPE = 1
+"""Of the figures above: what was made by another is made again."""
+RADII = 40
+"""Of the rings of waves that a record lists."""
+
+
+@dataclass(frozen=True)
+class _Home:
+    """What is known at home: the model there, its spacing, and the shortest wave it speaks of."""
+
+    model: Model
+    spacing: float
+    largest: float
+    zeta: float
+
+
+def new_lattice(
+    model: Model,
+    *,
+    spacing: float,
+    horizon: float | None = None,
+    tolerance: float | None = None,
+    shortest_wave: float | None = None,
+    largest_horizon: float | None = None,
+) -> Model:
+    """The same material on another square lattice, certified there (theory.md, M2–M5).
+
+    The kernel is fitted to the dispersion D₀(k) of the model on the nearest lattice that it is
+    certified on, with the conditions of a fit kept; no data are needed. A coarser, a finer, or the
+    same lattice with fewer bonds.
+
+    Args:
+        model: certified on some lattice.
+        spacing: h [Å] of the lattice.
+        horizon: δ [Å], at least two spacings; None takes the fewest bonds that meet the tolerance.
+        tolerance: largest relative error of displacement that is allowed for single waves, against
+            the model at home; None asks for TOLERANCE and takes the best there is.
+        shortest_wave: length [Å] of the waves that the tolerance is for; None for twice the
+            shortest that the kernel is fitted on: those longer than four spacings on both lattices
+            and no shorter than the training loads held.
+        largest_horizon: bound [Å] where no horizon is given, such as what a collar carries.
+
+    Returns:
+        A model whose provenance tells where it comes from and, under "transfer", up to which
+        wavelength it agrees with home, and how well; its statement is a line of that.
+
+    Raises InputError for a model without a certificate, waves beyond what its data held or what
+    the lattice can carry, a horizon below two spacings, or a tolerance that no horizon meets
+    (saying the best there is).
+    """
+    home = _home(model)
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"tolerance: expected a fraction > 0, got {tolerance}")
+    home = dataclasses.replace(home, spacing=_nearest(model, spacing))
+    band = min(home.largest, SHARE * np.pi / home.spacing, SHARE * np.pi / spacing)
+    asked = band / 2
+    if shortest_wave is not None:
+        asked = _asked(home, spacing, shortest_wave)
+        band = max(band, asked)
+    candidates = _horizons(spacing, largest_horizon) if horizon is None else [horizon]
+    found = None
+    for length in candidates:
+        one = _fitted(home, spacing, length, band, asked)
+        if one is not None and (found is None or one.error < found.error):
+            found = one
+        if found is not None and found.error <= (tolerance or TOLERANCE):
+            break
+    if found is None:
+        raise InputError(
+            f"horizon: no kernel on the lattice of {spacing:g} Å keeps the conditions of a "
+            f"certificate within {candidates[-1]:g} Å"
+        )
+    if tolerance is not None and found.error > tolerance:
+        raise InputError(
+            f"tolerance: on the lattice of {spacing:g} Å waves longer than {2 * np.pi / asked:.3g} "
+            f"Å cannot be had to {100 * tolerance:g} %; the best there is is "
+            f"{100 * found.error:.2g} % at horizon {found.model.horizon:g} Å"
+        )
+    return _recorded(home, spacing, band, found)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A kernel on the new lattice, and its largest error on the waves asked for."""
+
+    model: Model
+    classes: BondClasses
+    zeta: float
+    error: float
+
+
+def _home(model: Model) -> _Home:
+    if not model.certified_on:
+        raise InputError(
+            "model: expected one that is certified on a lattice, which others are fitted to; "
+            "this one is certified on none"
+        )
+    spacing = model.certified_on[0]
+    figures = model.certificate.get(f"{spacing:g}", {})
+    proven = figures.get("symbol_bound", ZETA) if isinstance(figures, dict) else ZETA
+    largest = model.largest_wave_number
+    if largest is None:  # an older file does not tell
+        largest = SHARE * np.pi / min(model.certified_on)
+    return _Home(model, spacing, largest, min(ZETA, proven) or ZETA)
+
+
+def _nearest(model: Model, spacing: float) -> float:
+    """The certified lattice that is nearest in size."""
+    return min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
+
+
+def _asked(home: _Home, spacing: float, shortest_wave: float) -> float:
+    """|k| of the shortest wave asked for.
+
+    Raises InputError for waves that the data did not hold or the lattice does not carry.
+    """
+    if not (np.isfinite(shortest_wave) and shortest_wave > 0):
+        raise InputError(f"shortest_wave: expected a length > 0 Å, got {shortest_wave}")
+    k = 2 * np.pi / shortest_wave
+    if k > home.largest * (1 + 1e-9):
+        raise InputError(
+            f"shortest_wave: the data held waves down to {2 * np.pi / home.largest:.3g} Å, nothing "
+            f"is known of {shortest_wave:g} Å"
+        )
+    if k >= np.pi / spacing:
+        raise InputError(
+            f"shortest_wave: a lattice of {spacing:g} Å carries waves longer than {2 * spacing:g} "
+            f"Å, got {shortest_wave:g} Å"
+        )
+    return k
+
+
+def _horizons(spacing: float, largest: float | None) -> list[float]:
+    """Bond lengths of the lattice from two spacings on [Å]: each adds one class of bonds."""
+    reach = int(LARGEST)
+    a, b = np.mgrid[0 : reach + 1, 0 : reach + 1]
+    squares = np.unique(a**2 + b**2)
+    lengths = spacing * np.sqrt(squares[(squares >= 4) & (squares <= LARGEST**2)])
+    kept = [float(one) for one in lengths if largest is None or one <= largest * (1 + 1e-9)]
+    if not kept:
+        raise InputError(
+            f"horizon: a lattice of {spacing:g} Å needs one of {2 * spacing:g} Å or more, "
+            f"{largest:g} Å is the largest that fits"
+        )
+    return kept
+
+
+def _fitted(
+    home: _Home, spacing: float, horizon: float, band: float, asked: float
+) -> _Candidate | None:
+    """A kernel of one horizon; None where the conditions cannot be kept."""
+    classes = bond_classes(spacing, horizon)
+    k = wave_vectors(band)
+    loss = wave_loss(dispersion(home.model, home.spacing, k), k, classes)
+    terms = len(classes.r) + 1
+    two = not np.array_equal(home.model.D, home.model.dilatation)
+    start = Parameters(home.model.lam, home.model.mu, 1.0, np.ones(terms))
+    best = constrained_optimum(
+        [loss],
+        start,
+        [LatticeConditions(classes, Conditions(zeta=home.zeta))],
+        Optimum(smoothness=SMOOTHNESS),
+        two_functions=two,
+    )
+    if not best.converged:
+        return None
+    at = best.parameters
+    model = Model(at.lam, at.mu, at.alpha, at.D, horizon, D_dilatation=at.D_dilatation)
+    waves = rings(asked * (np.arange(RADII) + 1) / RADII)
+    errors = wave_errors(
+        dispersion(model, spacing, waves), dispersion(home.model, home.spacing, waves)
+    )
+    return _Candidate(model, classes, home.zeta, float(errors.max()))
+
+
+def _recorded(home: _Home, spacing: float, band: float, found: _Candidate) -> Model:
+    """The model with its certificate and its record.
+
+    Raises InputError when the proof does not hold.
+    """
+    certificate = certify(found.model, spacing=spacing)
+    if not certificate.holds:
+        raise InputError(
+            f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} Å at horizon "
+            f"{found.model.horizon:g} Å"
+        )
+    record = _record(home, spacing, band, found, certificate)
+    kept = home.model
+    return dataclasses.replace(
+        found.model,
+        trained_on=kept.trained_on,
+        certified_on=(spacing,),
+        trained_strain=kept.trained_strain,
+        largest_wave_number=band,
+        certificate={f"{spacing:g}": certificate.figures()},
+        provenance={**kept.provenance, "transfer": record},
+        versions=kept.versions,
+    )
+
+
+def _record(
+    home: _Home, spacing: float, band: float, found: _Candidate, certificate: Certificate
+) -> dict[str, Any]:
+    """Where a transferred model comes from, and its error by wavelength, long waves first."""
+    largest = min(home.largest, 0.99 * np.pi / spacing, 0.99 * np.pi / home.spacing)
+    sizes = largest * (np.arange(RADII) + 1) / RADII
+    waves = rings(sizes)
+    errors = wave_errors(
+        dispersion(found.model, spacing, waves), dispersion(home.model, home.spacing, waves)
+    ).max(axis=1)
+    bonds = len(found.classes.steps)
+    parts = []
+    for level in (0.005, 0.01, 0.02, 0.05):
+        wave = agrees_to(2 * np.pi / sizes, errors, level)
+        if wave is not None:
+            parts.append(f"{wave:.3g} Å to {100 * level:g} %")
+    agreement = f"waves longer than {', '.join(parts)}" if parts else "no wave to 5 %"
+    return {
+        "from_spacing": home.spacing,
+        "from_horizon": home.model.horizon,
+        "home": model_content(home.model)["sha256"],
+        "recipe": RECIPE,
+        "bonds": bonds,
+        "fitted_to": 2 * np.pi / band,
+        "wavelength": (2 * np.pi / sizes).tolist(),
+        "error": errors.tolist(),
+        "symbol_bound": certificate.symbol_bound,
+        "statement": (
+            f"from {home.spacing:g} Å to {spacing:g} Å (δ = {found.model.horizon:.4g} Å, {bonds} "
+            f"bonds): {agreement}"
+        ),
+    }
+
+
+def agrees_to(wavelengths: np.ndarray, errors: np.ndarray, level: float) -> float | None:
+    """Length [Å] beyond which all waves agree to a level; None when not even the longest do.
+
+    Args:
+        wavelengths: [Å], the longest first.
+        errors: of them.
+        level: a fraction.
+    """
+    beyond = np.flatnonzero(errors > level)
+    last = beyond[0] - 1 if len(beyond) else len(errors) - 1
+    return float(wavelengths[last]) if last >= 0 else None

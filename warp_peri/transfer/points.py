@@ -1,0 +1,28 @@
+"""The model for a set of points."""
+
+from __future__ import annotations
+
+from warp_peri.models.lps import Model
+from warp_peri.points.collar import carried_horizon
+from warp_peri.points.samples import PointsLike
+from warp_peri.transfer.kept import model_at
+
+
+def model_for(
+    model: Model,
+    points: PointsLike,
+    *,
+    transfer: bool = True,
+    allow_uncertified: bool = False,
+) -> Model:
+    """As model_at, for the spacing of the points and the horizon that their collar carries."""
+    carried = None
+    if points.spacing > 0 and not model.is_certified_on(points.spacing):
+        carried = carried_horizon(points)
+    return model_at(
+        model,
+        points.spacing,
+        largest_horizon=carried,
+        transfer=transfer,
+        allow_uncertified=allow_uncertified,
+    )

@@ -1,0 +1,72 @@
+"""What one lattice knows of a material: how it answers plane waves (theory.md, M2–M4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_peri.losses.reduced import ReducedLoss, class_pairs, symbol_rows, with_rows
+from warp_peri.models.lps import Model
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.families import BondClasses, bond_classes
+
+WAVES = 60
+"""Wave vectors that a kernel is fitted on; twice as many change no error in its third digit."""
+GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
+DIRECTIONS = 7
+"""Of the waves that an error is looked for in, over an eighth of the circle."""
+
+
+def wave_vectors(largest: float) -> np.ndarray:
+    """Wave vectors [1/Å] of |k| up to `largest`, shape [WAVES, 2].
+
+    |k| is spread evenly, so that long waves weigh as much as short ones; directions go on by the
+    golden angle.
+    """
+    number = np.arange(WAVES) + 0.5
+    size, angle = largest * number / WAVES, GOLDEN_ANGLE * number
+    return np.stack([size * np.cos(angle), size * np.sin(angle)], axis=1)
+
+
+def rings(sizes: np.ndarray) -> np.ndarray:
+    """Wave vectors [1/Å] of the given |k| in DIRECTIONS directions, shape [sizes, DIRECTIONS, 2].
+
+    From an axis to a diagonal of the lattice: by its symmetry that is all of them.
+    """
+    angle = np.linspace(0, np.pi / 4, DIRECTIONS)
+    vectors: np.ndarray = sizes[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return vectors
+
+
+def dispersion(model: Model, spacing: float, k: np.ndarray) -> np.ndarray:
+    """D(k) [TPa/Å²] of a model on a lattice, shape [..., 2, 2], at k [1/Å], shape [..., 2]."""
+    classes = bond_classes(spacing, model.horizon)
+    d11, d22, d12 = symbol(classes, k.reshape(-1, 2)).entries(*stiffnesses(model, classes))
+    entries = np.stack([d11, d12, d12, d22], axis=1)
+    return np.asarray(entries.reshape(*k.shape[:-1], 2, 2))
+
+
+def wave_loss(target: np.ndarray, k: np.ndarray, classes: BondClasses) -> ReducedLoss:
+    """The loss (M3) of a lattice against D₀(k), shape [K, 2, 2], at wave vectors k, [K, 2].
+
+    Mean over waves and polarisations of |D₀⁻¹ D e − e|²: the square of the relative error of
+    displacement, to first order.
+    """
+    d11, d22, d12 = symbol_rows(classes, k).transpose(1, 0, 2)
+    D = np.stack([d11, d12, d12, d22], axis=1).reshape(len(k), 2, 2, -1)
+    answer = np.einsum("kab,kbcf->kacf", np.linalg.inv(target), D)
+    wanted = np.broadcast_to(np.eye(2)[..., None], (len(k), 2, 2, 1))
+    rows = np.concatenate([answer, -wanted], axis=3).reshape(4 * len(k), -1)
+    empty = np.zeros((rows.shape[1], rows.shape[1]))
+    factor = with_rows(empty, rows / np.sqrt(2 * len(k)))
+    return ReducedLoss(classes, factor, class_pairs(len(classes.r)))
+
+
+def wave_errors(found: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., 2, 2] to [...] (M4).
+
+    The largest relative error of displacement under a load at that wave vector.
+    """
+    errors: np.ndarray = np.linalg.norm(
+        np.linalg.solve(found, target) - np.eye(2), ord=2, axis=(-2, -1)
+    )
+    return errors
