@@ -107,8 +107,8 @@ class StaticProblem:
             u: displacement, shape [N, 2]; read on the collar only.
             start: where to begin; at the harmonic extension of the collar where none is given.
 
-        Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for arrays of other shapes or with values that are not
-        finite on the collar.
+        Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for
+        arrays of other shapes or with values that are not finite on the collar.
         """
         found = self.find(c, b, u, start=start)
         if found is None:
