@@ -37,8 +37,9 @@ def hourglass() -> Entry:
             for stretch in stretches
         ]
     first = {
-        stiffness: next((1 - s for s, v in zip(stretches, values) if v <= 0), None)
+        stiffness: float(1 - stretches[np.argmax(np.array(values) <= 0)])
         for stiffness, values in curves.items()
+        if min(values) <= 0
     }
     figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
     for stiffness, values in curves.items():
@@ -52,7 +53,7 @@ def hourglass() -> Entry:
     for part in (0.1, 0.3):
         u = -part * points.x + 1e-4 * np.sin(40 * points.x)
         seen.append(words(partial(alone.solve, np.array(SHEET), None, u)))
-    fails = [f"{100 * first[k]:.0f} % at {k:g}" for k in STIFFNESSES if first[k] is not None]
+    fails = [f"{100 * part:.0f} % at {stiffness:g}" for stiffness, part in first.items()]
     return Entry(
         title="A sheet pushed together",
         number=f"Unstable from this compression on, by stiffness of the deviations: {', '.join(fails)}.",
