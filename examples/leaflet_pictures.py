@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from warp_peri.learning.fibres import rose_of
 from warp_peri.models.hyperelastic import HyperelasticSolid
 from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
 from warp_peri.statics.large_deformation import StaticProblem
 
@@ -57,17 +58,16 @@ def maps(solid: HyperelasticSolid, test: Samples, truth: np.ndarray) -> Figure:
 
 
 def curves(solid: HyperelasticSolid, test: Samples) -> Figure:
-    """Mean membrane stress against mean stretch by protocol; bands span the middle four fifths."""
+    """Mean nominal stress against mean stretch by protocol; bands span the middle four fifths."""
     op = HyperelasticOperator(solid.dictionary, test)
     protocols = test.arrays.get("protocol", np.zeros(len(test), int))
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained", sharey=True)
     for number in np.unique(protocols):
         points = []
         for n in np.flatnonzero(protocols == number):
-            E, G, _ = op.states(test.u[n], solid.coefficients)
-            E, S = E[test.interior, :3], G[test.interior, :3]
-            stretch = np.sqrt(1 + 2 * E[:, :2])
-            stress = np.stack([S[:, 0] * stretch[:, 0], S[:, 1] * stretch[:, 1]], axis=1)
+            stretch = np.sqrt(1 + 2 * op.strain(test.u[n])[test.interior, :2])
+            P = piola_stress(op, test.u[n], solid.coefficients)[test.interior]
+            stress = P[:, [0, 1], [0, 1]]
             points.append(
                 (stretch.mean(axis=0), stress.mean(axis=0), np.quantile(stress, (0.1, 0.9), axis=0))
             )

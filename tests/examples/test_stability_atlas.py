@@ -12,7 +12,7 @@ from examples.studies.atlas_entry import words
 DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "surfaces",
-    "time-step", "energy", "dispersion", "strain", "float32",
+    "time-step", "energy", "dispersion", "strain", "float32", "compression",
 )  # fmt: skip
 
 

@@ -10,10 +10,12 @@ from warp_peri.learning.from_displacement import (
     _Path,
     fit_displacement,
     initial_stiffness,
+    scaled_by_force,
 )
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
 from warp_peri.statics.large_deformation import StaticProblem
 
@@ -83,6 +85,17 @@ def test_what_says_nothing_is_refused(frames):
         fit_displacement(frames, Dictionary(3.0, ("square",), (), (Term("area"),)))
     with pytest.raises(InputError, match="with loads use fit_energy"):
         fit_displacement(Samples(points, frames.u, np.ones_like(frames.u)), sheet())
+
+
+def test_a_force_sets_the_scale(frames):
+    true = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    op = HyperelasticOperator(sheet(), frames)
+    pulls = [2.0 * piola_stress(op, u, TRUTH)[op.interior, 1, 1].mean() for u in frames.u]
+    unscaled = HyperelasticSolid(sheet(), 7.0 * TRUTH, frames.spacing)
+    found = scaled_by_force(unscaled, frames, np.array(pulls), width=2.0, axis=1)
+    np.testing.assert_allclose(found.coefficients, true.coefficients, rtol=1e-12)
+    with pytest.raises(InputError, match="sign of the solid's stress"):
+        scaled_by_force(unscaled, frames, -np.array(pulls), width=2.0, axis=1)
 
 
 def test_errors_are_relative_and_counted(frames):

@@ -8,8 +8,11 @@ import torch
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
+from warp_peri.kernels.hyperelastic.sweeps import sweeps
+from warp_peri.launch import empty, launch
 from warp_peri.models.hyperelastic import FIBRES, Dictionary, Term
 from warp_peri.operator.hyperelastic import BOND_SLOPES, HyperelasticOperator
+from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.points import Points
 
@@ -201,3 +204,34 @@ def test_what_cannot_be_used_is_refused():
         HyperelasticOperator(hgo_dictionary(), Points(points.x, points.interior, 0.0))
     with pytest.raises(InputError, match="kind"):
         Term("ogden")
+
+
+def test_the_stress_is_the_slope_of_the_energy_density(problem):
+    op, _, c, _ = problem
+    F = np.array([[1.15, 0.1], [-0.05, 0.95]])
+    centre = op.interior[len(op.interior) // 2]
+    P = piola_stress(op, op.points.x @ (F - np.eye(2)).T, c)[centre]
+    wide = HyperelasticOperator(op.dictionary, square(9))
+    x, h = wide.points.x, SPACING
+    inner = np.abs(x - x.mean(axis=0)).max(axis=1) < 0.5 * h
+
+    def density(F):
+        """Energy of a node and half of its bonds."""
+        u = x @ (F - np.eye(2)).T
+        return float(nodal_energy(wide, u, c)[inner][0])
+
+    for a in range(2):
+        for b in range(2):
+            step = np.zeros((2, 2))
+            step[a, b] = 1e-5
+            slope = (density(F + step) - density(F - step)) / 2e-5
+            assert P[a, b] == pytest.approx(slope, rel=1e-6, abs=1e-7 * np.abs(P).max())
+
+
+def nodal_energy(op, u, c):
+    """The energy of every node over h², as the kernel leaves it."""
+    field, terms = op._field(u), op._terms(c)
+    E, _ = op._states(field, terms)
+    U = empty(*field.shape, dtype=op.scalar)
+    launch(sweeps(op.scalar).energy, field.shape, [op._lattice, terms, field, E], [U])
+    return U.numpy()[0]

@@ -17,6 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.learning.energy_fit import largest_stretch, lower_bounds
 from warp_peri.models.hyperelastic import FIBRES, Dictionary, HyperelasticSolid
 from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
 from warp_peri.statics.large_deformation import NoEquilibrium, StaticProblem, factorised
 
@@ -276,3 +277,40 @@ class _Path:
             place = n - dictionary.first_term
             terms[place] = replace(terms[place], angle=float(angle), exponent=float(exponent))
         return self.problem.with_terms(terms)
+
+
+def scaled_by_force(
+    solid: HyperelasticSolid,
+    frames: Samples,
+    forces: np.ndarray,
+    *,
+    width: float,
+    axis: int = 0,
+) -> HyperelasticSolid:
+    """The same solid with the scale that measured forces give.
+
+    Args:
+        solid: known up to its scale.
+        frames: that the forces belong to.
+        forces: pull along the axis on a section across it, over the thickness, shape [S]
+            [stress × length].
+        width: of that section in the reference; the stress on it is taken as that of the interior.
+        axis: 0 for x, 1 for y.
+
+    Raises InputError for forces of another number, or where the solid carries none.
+    """
+    forces = np.asarray(forces, float)
+    if forces.shape != (len(frames),) or not np.isfinite(forces).all():
+        raise InputError(f"forces: expected {len(frames)} finite numbers")
+    op = HyperelasticOperator(solid.dictionary, frames)
+    carried = np.array(
+        [
+            width * piola_stress(op, u, solid.coefficients)[op.interior, axis, axis].mean()
+            for u in frames.u
+        ]
+    )
+    size = float(carried @ carried)
+    if not size > 0 or not float(carried @ forces) > 0:
+        raise InputError("forces: expected a pull with the sign of the solid's stress")
+    factor = float(carried @ forces) / size
+    return replace(solid, coefficients=factor * solid.coefficients)

@@ -48,18 +48,29 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
             f"solid: expected neo_hookean and volumetric, or plane_stress, and fibre exponentials; "
             f"got {', '.join(sorted({term.kind for term, _ in active}))}"
         )
-    uncoupled = "plane_stress" in matrix
-    root = ElementTree.Element(
-        "material",
-        id="1",
-        name=name,
-        type="uncoupled solid mixture" if uncoupled else "solid mixture",
-    )
-    if uncoupled:
+    root = _ground(matrix, name)
+    kind = "fiber-exp-pow-uncoupled" if "plane_stress" in matrix else "fiber-exp-pow"
+    for term, value in active:
+        if term.kind == "fibre_exponential":
+            fibre = ElementTree.SubElement(root, "solid", type=kind)
+            for key, number in (("ksi", value), ("alpha", term.exponent), ("beta", 2.0)):
+                _number(fibre, key, number)
+            axis = ElementTree.SubElement(fibre, "fiber", type="angles")
+            _number(axis, "theta", np.rad2deg(term.angle))
+            _number(axis, "phi", 90.0)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _ground(matrix: dict[str, float], name: str) -> ElementTree.Element:
+    """The mixture with its matrix."""
+    if "plane_stress" in matrix:
+        root = ElementTree.Element("material", id="1", name=name, type="uncoupled solid mixture")
         _number(root, "k", 2000 * matrix["plane_stress"])
         ground = ElementTree.SubElement(root, "solid", type="Mooney-Rivlin")
         numbers = {"c1": matrix["plane_stress"], "c2": 0.0}
     else:
+        root = ElementTree.Element("material", id="1", name=name, type="solid mixture")
         ground = ElementTree.SubElement(root, "solid", type="HGO unconstrained")
         numbers = {
             "c": 2 * matrix.get("neo_hookean", 0.0),
@@ -71,17 +82,7 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
         }
     for key, value in numbers.items():
         _number(ground, key, value)
-    for term, value in active:
-        if term.kind == "fibre_exponential":
-            kind = "fiber-exp-pow-uncoupled" if uncoupled else "fiber-exp-pow"
-            fibre = ElementTree.SubElement(root, "solid", type=kind)
-            for key, number in (("ksi", value), ("alpha", term.exponent), ("beta", 2.0)):
-                _number(fibre, key, number)
-            axis = ElementTree.SubElement(fibre, "fiber", type="angles")
-            _number(axis, "theta", np.rad2deg(term.angle))
-            _number(axis, "phi", 90.0)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode")
+    return root
 
 
 def save_febio(

@@ -7,6 +7,7 @@ the body folds. What is returned has a small residual and a positive tangent, or
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -106,12 +107,18 @@ class StaticProblem:
             u: displacement, shape [N, 2]; read on the collar only.
             start: where to begin; at the harmonic extension of the collar where none is given.
 
-        Raises NoEquilibrium; InputError for arrays of other shapes or with values that are not
-        finite on the collar.
+        Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for
+        arrays of other shapes or with values that are not finite on the collar.
         """
         found = self.find(c, b, u, start=start)
         if found is None:
             raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
+        if not found.followed:
+            warnings.warn(
+                "the branch of stable equilibria that begins at rest ended before all of load and "
+                "collar; what is returned is another minimum, perhaps one of many",
+                stacklevel=2,
+            )
         smallest = self.smallest_eigenvalue(c, found.u)
         if not smallest > 0:
             raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")

@@ -1,0 +1,124 @@
+"""The examples on sheets: whole runs print their numbers; the printed rivals' parts."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+
+import torch
+
+from examples.leaflet import measured
+from examples.leaflet_pictures import draw
+from examples.studies.leaflet_rivals import RIVALS, Window, fit
+from examples.studies.pno_rival import PeridynamicOperator, mirrored, on_grid
+from tests.support.sheets import hgo_dictionary, square
+from tools.hyperelastic_energies import plane_stress_hgo
+from tools.make_hgo import SPACING, square_points
+from warp_peri.models.hyperelastic import HyperelasticSolid
+from warp_peri.points.samples import Samples
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def run(script, *arguments):
+    command = [sys.executable, str(ROOT / "examples" / script), "--json", *map(str, arguments)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+@pytest.mark.slow
+def test_a_sheet_is_learned_and_read(tmp_path):
+    found = run(
+        "hgo_square.py", "--element", "quadratic", "--data", tmp_path / "data", "--out", tmp_path
+    )["quadratic"]
+    for name, limit in (("free signs", 0.015), ("guaranteed", 0.03)):
+        assert max(found[name][key]["E_res"] for key in ("train", "val", "test")) < limit
+        assert found[name]["seconds"] < 10
+    assert found["guaranteed"]["disks"]["not_solved"] == 0
+    assert found["guaranteed"]["disks"]["left_branch"] == 0
+    assert found["guaranteed"]["disks"]["E_u"] < 0.009
+    (fibre,) = (word for word in found["read out"]["material"] if word.startswith("fibre"))
+    assert fibre.startswith("fibre_exponential at 90.0°")
+    assert found["read out"]["material"]["neo_hookean"] == pytest.approx(0.0713, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_leaflet_is_learned_from_displacement(tmp_path):
+    found = run("leaflet.py", "--data", tmp_path / "data", "--out", tmp_path)
+    assert found["families"]["held out"] < 0.005
+    assert found["families"]["held out"] < found["rivals"]["Fung"]["held out"] / 6
+    assert found["families"]["seconds"] < 180
+    assert (tmp_path / "rose.png").exists()
+
+
+def test_frames_of_a_folder_are_learned_from_and_held_out(tmp_path):
+    class Given:
+        pixel, count, smooth = 0.1, 4, 0.0
+
+    x = np.argwhere(np.ones((14, 14), bool)) * 10.0
+    for n in range(8):
+        u = 0.01 * (n + 1) * x + 1e-4 * x[:, ::-1] ** 2
+        rows = "\n".join(",".join(map(str, (*a, *b))) for a, b in zip(x, u))
+        (tmp_path / f"{n}.csv").write_text("x,y,u,v\n" + rows)
+    (tmp_path / "forces.csv").write_text("time,force\n0,1\n")
+    train, test = measured(tmp_path, Given)
+    assert (len(train), len(test)) == (2, 2)
+    assert train.spacing == pytest.approx(1.0)
+
+
+def test_a_rival_recovers_its_own_numbers():
+    points = square(3)
+    window = Window(Samples(points, np.zeros((1, len(points.x), 2))))
+    make, starts = RIVALS["HGO, one family"]
+    truth = np.array([2.0, 1.0, -0.5])
+    u = points.x @ np.array([[0.2, 0.05], [0.1, 0.15]]) + 0.03 * np.sin(3 * points.x)
+    u[window.nodes[window.free]] = window.solve(make(truth), u)
+    found, left = fit(window, make, np.array(starts[0]), Samples(points, u[None]))
+    assert left < 1e-4
+    assert found[2] == pytest.approx(-0.5, abs=0.02)
+    assert window.solve(plane_stress_hgo(1.0), u) is not None
+
+
+def test_the_network_sees_no_turn_and_no_shift():
+    torch.manual_seed(1)
+    model = PeridynamicOperator(8, 8)
+    x = square_points().x.reshape(21, 21, 2)
+    u = torch.tensor(0.1 * np.sin(3 * x)).float()[None]
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    y = torch.tensor(x).float() + u[0]
+    turned = (y @ torch.tensor(turn).float().T - torch.tensor(x).float())[None] + 0.3
+    with torch.no_grad():
+        force, after = model(u), model(turned)
+    assert torch.allclose(
+        after, force @ torch.tensor(turn).float().T, atol=1e-4 * force.abs().max()
+    )
+
+
+def test_the_mirror_continues_a_straight_field_and_keeps_the_square():
+    points = square_points()
+    u = points.x @ np.array([[0.1, 0.2], [0.0, 0.3]])
+    samples = Samples(points, u[None], np.ones((1, *u.shape)))
+    wide = mirrored(samples)
+    np.testing.assert_allclose(wide.u[0], wide.x @ [[0.1, 0.2], [0.0, 0.3]], atol=1e-12)
+    assert wide.interior.sum() == 19**2
+    assert np.abs(wide.b[0][wide.interior] - 1).max() == 0
+    field, load = on_grid(samples)
+    assert tuple(field.shape) == (1, 21, 21, 2)
+    assert tuple(load.shape) == (1, 9, 9, 2)
+    assert SPACING == points.spacing
+
+
+def test_pictures_are_drawn(tmp_path):
+    points = square(3)
+    u = np.stack([0.05 * n * points.x for n in (1, 2)])
+    frames = Samples(points, u, arrays={"protocol": np.array([0, 0])})
+    solid = HyperelasticSolid(hgo_dictionary(), np.array([0.2] * 4 + [0.07, 0.08, 0.2]), 0.1)
+    found = {"families": {"frames": [0.01, 0.02]}, "rivals": {"Fung": {"held out": 0.03}}}
+    draw(solid, frames, u, found, tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "maps.png", "curves.png", "rose.png", "errors.png",
+    }  # fmt: skip
