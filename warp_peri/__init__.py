@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from warp_peri.stability.uniqueness import Uniqueness, uniqueness
     from warp_peri.statics.equilibrium import equilibrium
     from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
-    from warp_peri.statics.solve import solve, solve_periodic
+    from warp_peri.statics.solve import Iteration, solve, solve_periodic
     from warp_peri.transfer.kept import on_lattice
     from warp_peri.transfer.operator import LPSOperator
     from warp_peri.transfer.points import model_for
@@ -58,6 +58,7 @@ __all__ = [
     "Fit",
     "InfluenceFunction",
     "InputError",
+    "Iteration",
     "LPSOperator",
     "Model",
     "Motion",
@@ -132,7 +133,7 @@ _NAMES = {
     "stability.uniqueness": ("Uniqueness", "uniqueness"),
     "statics.equilibrium": ("equilibrium",),
     "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
-    "statics.solve": ("solve", "solve_periodic"),
+    "statics.solve": ("Iteration", "solve", "solve_periodic"),
     "transfer.kept": ("on_lattice",),
     "transfer.operator": ("LPSOperator",),
     "transfer.points": ("model_for",),

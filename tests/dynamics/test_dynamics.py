@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.problems import KERNELS, ell, fitted_order, kernel, lattice, noise, periodic
-from warp_peri import InputError, critical_time_step, velocity_verlet
-from warp_peri.dynamics.verlet import INERTIA
+from warp_peri import InputError, LPSOperator, critical_time_step, velocity_verlet
+from warp_peri.dynamics.verlet import INERTIA, Inert, step
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
@@ -84,13 +84,15 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     below = velocity_verlet(model, points, u, rest, step=0.99 * critical, **options)
     assert np.abs(below.u).max() < 30 * np.abs(u).max()
     assert below.drift < 1e-12
-    with pytest.warns(UserWarning, match="step: expected at most"):
-        above = velocity_verlet(
-            model, points, u, rest, step=1.01 * critical, allow_unstable=True, **options
-        )
+    body = Inert(LPSOperator(model, points), points.interior, DENSITY, 0.0)
+    above = body.state(u, rest[points.interior])
+    for _ in range(options["steps"]):
+        above = step(body, above, 1.01 * critical)
     assert np.abs(above.u).max() > 1e20 * np.abs(u).max()
     with pytest.raises(InputError, match=f"step: expected at most {critical:.6g} ps"):
         velocity_verlet(model, points, u, rest, step=1.01 * critical, **options)
+    with pytest.raises(InputError, match="allow_unstable is now a loop over"):
+        velocity_verlet(model, points, u, rest, step=critical, allow_unstable=True, **options)
 
 
 def test_the_step_holds_on_parts_of_the_lattice():

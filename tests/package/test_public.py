@@ -122,3 +122,21 @@ def test_kernels_refuse_to_be_imported_under_another_name(name):
     found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert found.returncode == 1
     assert "ImportError: import warp_peri.kernels, not kernels" in found.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [
+        ("LPSOperator", "box"),
+        ("LPSOperator", "outside"),
+        ("solve", "box"),
+        ("solve", "outside"),
+        ("solve", "tolerance"),
+        ("solvability", "outside"),
+        ("velocity_verlet", "box"),
+        ("equilibrium", "lam"),
+    ],
+)
+def test_an_option_that_moved_names_where_it_is(name, option):
+    with pytest.raises(warp_peri.InputError, match=rf"{option} is now part of \w+"):
+        getattr(warp_peri, name)(**{option: None})

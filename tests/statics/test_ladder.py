@@ -10,7 +10,16 @@ import torch
 from tests.support.clouds import cloud
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
 from tools.solve_study import TABLE
-from warp_peri import InputError, LPSOperator, Model, Solid, equilibrium, load_model, solve
+from warp_peri import (
+    InputError,
+    Iteration,
+    LPSOperator,
+    Model,
+    Solid,
+    equilibrium,
+    load_model,
+    solve,
+)
 from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
@@ -41,7 +50,8 @@ def test_iterative_solves_recover_a_manufactured_solution(name, method):
     records = []
     collar = np.where(points.interior[:, None], np.nan, points.u)
     load = np.where(points.interior[:, None], points.b, np.nan)
-    found = solve(model, points, load, collar, method=method, tolerance=1e-11, records=records)
+    iteration = Iteration(1e-11, records=records)
+    found = solve(model, points, load, collar, method=method, iteration=iteration)
     np.testing.assert_allclose(found, points.u, rtol=0, atol=2e-8)
     left = (LPSOperator(model, points)(found) - points.b[:, points.interior]).reshape(2, -1)
     assert len(records) == 2
@@ -129,7 +139,7 @@ def test_a_tolerance_out_of_reach_is_an_error():
             noise(points),
             noise(points),
             method="cg",
-            tolerance=1e-17,
+            iteration=Iteration(1e-17),
         )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, renamed
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
@@ -72,6 +72,61 @@ def critical_time_step(
     return float(2 * np.sqrt(INERTIA * density / stiffest))
 
 
+@dataclass(frozen=True)
+class State:
+    """A motion between two steps.
+
+    Attributes:
+        u: displacement of all nodes [Å], shape [N, 2].
+        v: velocity of the interior nodes [Å/ps], shape [I, 2].
+        g: L u − b on them [TPa/Å], shape [I, 2].
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    g: np.ndarray
+
+
+class Inert:
+    """Interior nodes of some density under a constant load: ρ ü = b − L u.
+
+    Args:
+        operator: L on a lattice.
+        interior: nodes that move, shape [N] bool.
+        density: ρ [kg/m³].
+        load: b on the interior nodes [TPa/Å], shape [I, 2].
+    """
+
+    def __init__(
+        self, operator: LPSOperator, interior: np.ndarray, density: float, load: np.ndarray
+    ) -> None:
+        self.operator, self.interior, self.load = operator, interior, load
+        self.inertia = INERTIA * density
+
+    def state(self, u: np.ndarray, v: np.ndarray) -> State:
+        """The state with displacement [N, 2] and velocity [I, 2]."""
+        return State(u, v, self.operator(u) - self.load)
+
+
+def step(body: Inert, state: State, dt: float) -> State:
+    """One step of velocity Verlet (theory.md, 49): kick, drift, force, kick.
+
+    Args:
+        body: what moves.
+        state: before the step, which is left as it is.
+        dt: Δt [ps]; nothing is asked of it.
+    """
+    half = state.v - dt / (2 * body.inertia) * state.g
+    u = state.u.copy()
+    u[body.interior] += dt * half
+    moved = body.state(u, half)
+    return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g)
+
+
+@renamed(
+    allow_unstable="a loop over dynamics.verlet.step, which asks nothing of Δt",
+    box="part of Points(…, box=…)",
+)
 def velocity_verlet(
     model: Model,
     points: PointsLike,
@@ -84,7 +139,6 @@ def velocity_verlet(
     b: ArrayLike | None = None,
     every: int = 1,
     allow_uncertified: bool = False,
-    allow_unstable: bool = False,
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.
 
@@ -101,62 +155,74 @@ def velocity_verlet(
         b: body force density, constant in time [TPa/Å], shape [N, 2]; none by default.
         every: steps from one record of the energy to the next.
         allow_uncertified: the model's own numbers, with a warning.
-        allow_unstable: warn about a step above the critical one instead of raising.
 
     Raises InputError for scattered points, arrays that do not fit, an uncertified spacing, or a
     step that is too long; it says how long a step may be.
     """
     if points.spacing == 0:
         raise InputError("points: expected a lattice; on scattered points L is not symmetric")
-    shape = (len(points.x), 2)
-    state = [np.array(field, dtype=float) for field in (u, v, 0 * points.x if b is None else b)]
-    for name, field in zip(("u", "v", "b"), state):
-        if field.shape != shape or not np.isfinite(field).all():
-            raise InputError(
-                f"{name}: expected finite values of shape {list(shape)}, got {list(field.shape)}"
-            )
+    start = _checked(points, {"u": u, "v": v, "b": 0 * points.x if b is None else b})
     _positive("step", step)
     for name, number in (("steps", steps), ("every", every)):
         if not (isinstance(number, (int, np.integer)) and number >= 1):
             raise InputError(f"{name}: expected a whole number ≥ 1, got {number!r}")
     if not allow_uncertified:
         model = model_for(model, points)
+    _check_step(model, points.spacing, density, step, allow_uncertified=allow_uncertified)
+    operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
+    free = points.interior
+    body = Inert(operator, free, density, start["b"][free])
+    state = body.state(start["u"], start["v"][free])
+    return _march(body, state, step, steps, every)
+
+
+def _march(body: Inert, state: State, dt: float, steps: int, every: int) -> Motion:
+    """A loop over steps, with the energy (52) halfway in every so many of them."""
+    free, inertia = body.interior, body.inertia
+    still = np.where(free[:, None], 0.0, state.u)
+    constant = body.operator(still) - body.load  # collar and load: g at u = 0
+    time, energy = [], []
+    for number in range(steps):
+        before, state = state, step(body, state, dt)
+        if number % every == 0:
+            half = state.v + dt / (2 * inertia) * state.g
+            kinetic = inertia / 2 * np.vdot(half, half)
+            inner = before.u[free]
+            potential = (np.vdot(inner, state.g) + np.vdot(constant, state.u[free])) / 2
+            energy.append((kinetic + potential) / len(inner))
+            time.append((number + 0.5) * dt)
+    v = np.zeros_like(state.u)
+    v[free] = state.v
+    return Motion(np.array(time), np.array(energy), state.u, v)
+
+
+def _checked(points: PointsLike, fields: dict[str, ArrayLike]) -> dict[str, np.ndarray]:
+    """The fields as arrays of their own; InputError naming one that does not fit."""
+    found = {name: np.array(field, dtype=float) for name, field in fields.items()}
+    shape = (len(points.x), 2)
+    for name, field in found.items():
+        if field.shape != shape or not np.isfinite(field).all():
+            raise InputError(
+                f"{name}: expected finite values of shape {list(shape)}, got {list(field.shape)}"
+            )
+    return found
+
+
+def _check_step(
+    model: Model, spacing: float, density: float, step: float, *, allow_uncertified: bool
+) -> None:
+    """Raise InputError for a step that is longer than the critical one."""
     with warnings.catch_warnings():
-        if allow_uncertified:  # LPSOperator below says it once
+        if allow_uncertified:  # the operator says it once
             warnings.simplefilter("ignore")
         longest = critical_time_step(
-            model, spacing=points.spacing, density=density, allow_uncertified=allow_uncertified
+            model, spacing=spacing, density=density, allow_uncertified=allow_uncertified
         )
     if step > longest:
-        message = (
+        raise InputError(
             f"step: expected at most {longest:.6g} ps (2/ω of the stiffest wave), got {step:.6g} "
             "ps, at which waves may grow without bound"
         )
-        if not allow_unstable:
-            raise InputError(message)
-        warnings.warn(message, stacklevel=2)
-
-    operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
-    free = points.interior
-    u_all, v_free, load = state[0], state[1][free], state[2][free]
-    inertia = INERTIA * density
-    constant = operator(np.where(free[:, None], 0.0, u_all)) - load  # collar and load: g at u = 0
-    g = operator(u_all) - load
-    time, energy = [], []
-    for number in range(steps):
-        before = u_all[free]
-        v_free = v_free - step / (2 * inertia) * g
-        u_all[free] = before + step * v_free
-        g = operator(u_all) - load
-        if number % every == 0:
-            kinetic = inertia / 2 * np.vdot(v_free, v_free)
-            potential = (np.vdot(before, g) + np.vdot(constant, u_all[free])) / 2
-            energy.append((kinetic + potential) / len(before))
-            time.append((number + 0.5) * step)
-        v_free = v_free - step / (2 * inertia) * g
-    v_all = np.zeros_like(u_all)
-    v_all[free] = v_free
-    return Motion(np.array(time), np.array(energy), u_all, v_all)
 
 
 def _positive(name: str, value: float) -> None:

@@ -10,7 +10,7 @@ import torch
 import warp as wp
 from torch.autograd.function import once_differentiable
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, renamed
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.models.solid import Solid
@@ -100,6 +100,7 @@ class LPSOperator:
     out.
     """
 
+    @renamed(box="part of Points(…, box=…)", outside="part of Points(…, outside=…)")
     def __init__(
         self,
         model: Model,

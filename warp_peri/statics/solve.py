@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, renamed
 from warp_peri.launch import DEVICE, known_device
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
@@ -32,6 +34,26 @@ SINGULAR = 1e-13
 """Eigenvalues of the symbol below this fraction of the largest count as zero."""
 
 
+@dataclass(frozen=True)
+class Iteration:
+    """Conjugate gradients of a solve.
+
+    Attributes:
+        tolerance: true residual over right-hand side.
+        device: where they run, as Warp names it; factorisations stay on the processor.
+        records: takes one Record for each sample that they solved.
+    """
+
+    tolerance: float = TOLERANCE
+    device: str = DEVICE
+    records: list[Record] | None = None
+
+
+@renamed(
+    box="part of Points(…, box=…)",
+    outside="part of Points(…, outside=…)",
+    **dict.fromkeys(("tolerance", "device", "records"), "part of iteration=Iteration(…)"),
+)
 def solve(
     model: Model,
     points: PointsLike,
@@ -40,11 +62,9 @@ def solve(
     *,
     quadrature_degree: int = DEGREE,
     method: str = "auto",
-    tolerance: float = TOLERANCE,
     transfer: bool = True,
     allow_uncertified: bool = False,
-    records: list[Record] | None = None,
-    device: str = DEVICE,
+    iteration: Iteration = Iteration(),
 ) -> np.ndarray:
     """Displacement in equilibrium with b on the interior, given on the collar (theory.md, 29).
 
@@ -58,12 +78,9 @@ def solve(
             conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
             with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
             (the inverse symbol) and "cg" (plain) are there to compare.
-        tolerance: of conjugate gradients, true residual over right-hand side.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
-        records: takes one Record for each sample that conjugate gradients solved.
-        device: where conjugate gradients run, as Warp names it; factorisations stay on the
-            processor.
+        iteration: tolerance and device of conjugate gradients, and records of what they took.
 
     Returns:
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
@@ -80,7 +97,7 @@ def solve(
     nodes = on_nominal_lattice(model, points)
     if method == "auto":
         method = choose_method(nodes, plain=nodes.is_plain_lattice)
-    shape, solid = u.shape, model.solid
+    shape = u.shape
     load, u = load.reshape(-1, len(nodes.x), 2), u.reshape(-1, len(nodes.x), 2)
     if method in PRECONDITIONERS:
         if not nodes.is_plain_lattice or quadrature_degree != DEGREE:
@@ -88,27 +105,35 @@ def solve(
                 f"method: {method} is for lattices without a box and without broken bonds, with "
                 "quadrature of the usual degree; try lu or gmres"
             )
-        there = known_device(device)
-        with torch.no_grad():
-            found = equilibrium(
-                nodes,
-                torch.from_numpy(load).to(there),
-                torch.from_numpy(u).to(there),
-                solid,
-                horizon=model.horizon,
-                method=method,
-                tolerance=tolerance,
-                records=records,
-            )
-        answer = found.cpu().numpy()
+        answer = _iterated(nodes, load, u, model, method, iteration)
     else:
         parts = matrices(model, nodes, quadrature_degree=quadrature_degree)
         problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
         answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-        refuse_indefinite(nodes, model.horizon, solid, problem.stiffness, degree=quadrature_degree)
+        stiffness, degree = problem.stiffness, quadrature_degree
+        refuse_indefinite(nodes, model.horizon, model.solid, stiffness, degree=degree)
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
     return u.reshape(shape)
+
+
+def _iterated(
+    nodes: Points, load: np.ndarray, u: np.ndarray, model: Model, method: str, iteration: Iteration
+) -> np.ndarray:
+    """The solution by conjugate gradients, where they are asked to run."""
+    there = known_device(iteration.device)
+    with torch.no_grad():
+        found = equilibrium(
+            nodes,
+            torch.from_numpy(load).to(there),
+            torch.from_numpy(u).to(there),
+            model.solid,
+            horizon=model.horizon,
+            method=method,
+            tolerance=iteration.tolerance,
+            records=iteration.records,
+        )
+    return found.cpu().numpy()
 
 
 def _checked(

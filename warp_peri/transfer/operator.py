@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from warp_peri.errors import renamed
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.operator import lps
@@ -25,6 +26,7 @@ class LPSOperator(lps.LPSOperator):
     uncertified spacing without a transfer.
     """
 
+    @renamed(box="part of Points(…, box=…)", outside="part of Points(…, outside=…)")
     def __init__(
         self,
         model: Model,
