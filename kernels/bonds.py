@@ -8,7 +8,7 @@ weighted volume, number 0. On scattered points (lattice = 0) p = e, every bond i
 periodic.
 
 One struct holds all that: its gradients and bits are those of seven arguments, and so is its speed
-(0.97 to 1.02 times the time of the sweeps and of their adjoints), as long as kernels read row
+(0.99 to 1.02 times the time of the sweeps and of their adjoints), as long as kernels read row
 before their loop over bonds; inside the loop Warp's adjoint of the force takes 5 % longer.
 """
 
