@@ -34,7 +34,7 @@ def load(dtype):
 
 @cache
 def load_row(dtype):
-    """array[s, i] likewise."""
+    """array[s, i], whose adjoint goes to the same element of the gradient."""
 
     @wp.func_native(
         "return array.data[size_t(s) * array.shape[1] + i];",
@@ -47,7 +47,7 @@ def load_row(dtype):
 
 @cache
 def add_to(dtype):
-    """array[i] += value likewise; not for two threads at once, and without an adjoint."""
+    """array[i] += value; not for two threads at once, and without an adjoint."""
 
     @wp.func_native("array.data[i] += value;")
     def add_to(array: wp.array(dtype=dtype), i: wp.int32, value: dtype): ...

@@ -173,19 +173,19 @@ def _write_xdmf(
 
 def _samples(model: Model, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
-    found = node_fields(model, points, u)
+    fields = node_fields(model, points, u)
     return [
         {
-            "displacement": _vector(one),
-            "error": _vector(one - points.u[s]),
+            "displacement": _vector(field),
+            "error": _vector(field - points.u[s]),
             **({} if points.b is None else {"body_force": _vector(points.b[s])}),
-            "stress": _everywhere(points, _tensor(found.stress[s])),
-            "strain": _everywhere(points, _tensor(found.strain[s])),
-            "dilatation": _everywhere(points, found.dilatation[s]),
-            "energy": _everywhere(points, found.energy[s]),
+            "stress": _everywhere(points, _tensor(fields.stress[s])),
+            "strain": _everywhere(points, _tensor(fields.strain[s])),
+            "dilatation": _everywhere(points, fields.dilatation[s]),
+            "energy": _everywhere(points, fields.energy[s]),
             "interior": points.interior.astype(float),
         }
-        for s, one in enumerate(u)
+        for s, field in enumerate(u)
     ]
 
 

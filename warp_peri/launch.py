@@ -69,7 +69,7 @@ def known_device(device: str) -> str:
     try:
         return str(wp.get_device(device))
     except (RuntimeError, ValueError):
-        there = ", ".join(str(one) for one in wp.get_devices())
+        there = ", ".join(str(device) for device in wp.get_devices())
         raise InputError(f"device: expected one of {there}, got {device!r}") from None
 
 

@@ -55,8 +55,8 @@ def check_output(given: argparse.Namespace) -> None:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
     folder = given.command in ("train", "sweep") or getattr(given, "what", "") == "fields"
     if given.out.exists() and given.out.is_dir() != folder:
-        wanted, found = ("folder", "file") if folder else ("file", "folder")
-        raise InputError(f"out: expected a {wanted}, {given.out} is a {found}")
+        wanted, there = ("folder", "file") if folder else ("file", "folder")
+        raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
     if not folder:
         destination(given.out)
 
@@ -82,7 +82,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )
-    found = warp_peri.dumps.coarse_grain_dumps(
+    samples = warp_peri.dumps.coarse_grain_dumps(
         given.dumps,
         omega,
         points,
@@ -98,15 +98,15 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
         before = _take_sheet(given)  # another job may have written it meanwhile
         sets = dict(before.sets) if before else {}
         provenance = dict(before.provenance) if before else {"source": "warp-peri coarse-grain"}
-        sets[given.set] = found
+        sets[given.set] = samples
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
         keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
     return {
         "file": str(given.out),
         "set": given.set,
-        "samples": len(found),
-        "nodes": len(found.x),
-        "interior": int(found.interior.sum()),
+        "samples": len(samples),
+        "nodes": len(samples.x),
+        "interior": int(samples.interior.sum()),
     }
 
 
@@ -191,15 +191,15 @@ def run_certify(given: argparse.Namespace) -> Result:
     spacings = given.spacing or list(model.trained_on)
     if not spacings:
         raise InputError("spacing: the model names no training lattice; give --spacing")
-    found = {}
+    proven = {}
     for spacing in spacings:
         certificate = warp_peri.certify(model, spacing=spacing)
-        found[f"{spacing:g} Å"] = {
+        proven[f"{spacing:g} Å"] = {
             "holds": certificate.holds,
             "statement": certificate.statement,
             **certificate.figures(),
         }
-    return found
+    return proven
 
 
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -277,7 +277,7 @@ def run_export(given: argparse.Namespace) -> Result:
 def run_sweep(given: argparse.Namespace) -> Result:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
     data = load_dataset(given.data)
-    found = warp_peri.sweep(
+    sweep = warp_peri.sweep(
         data[given.set],
         data[given.val],
         given.out,
@@ -290,9 +290,9 @@ def run_sweep(given: argparse.Namespace) -> Result:
         progress=not given.json,
     )
     result: Result = {
-        "fits": len(found.trials),
-        "smallest_AvgE": dataclasses.asdict(found.printed),
-        "cheapest": dataclasses.asdict(found.cheapest),
+        "fits": len(sweep.trials),
+        "smallest_AvgE": dataclasses.asdict(sweep.printed),
+        "cheapest": dataclasses.asdict(sweep.cheapest),
     }
     with locked(given.out):
         write_json(given.out / "sweep.json", result)

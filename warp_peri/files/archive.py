@@ -19,7 +19,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     Raises OSError when it cannot be read, ValueError when it is anything else: compressed,
     truncated, with arrays whose headers claim other sizes than the file holds, or with objects.
     """
-    found = {}
+    arrays = {}
     try:
         with open(path, "rb") as raw, zipfile.ZipFile(raw) as archive:
             size = os.fstat(raw.fileno()).st_size
@@ -31,12 +31,12 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
                     _check_header(file, entry)
                 with archive.open(entry) as file:
                     name = entry.filename.removesuffix(".npy")
-                    found[name] = npy.read_array(file, allow_pickle=False)
+                    arrays[name] = npy.read_array(file, allow_pickle=False)
                     if file.read(1):
                         raise ValueError(f"{entry.filename!r}: more bytes than the array holds")
     except (zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError) as error:
         raise ValueError(str(error)) from None
-    return found
+    return arrays
 
 
 def _check_header(file: Any, entry: zipfile.ZipInfo) -> None:

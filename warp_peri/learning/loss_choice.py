@@ -53,18 +53,18 @@ def choose_loss(
     if not data.added:
         return LossChoice("residual", "no fields of noise were given")
     share = noise_share(data, start)
-    found = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
+    why = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
     if share < SMALL_SHARE:
-        return LossChoice("residual", found)
+        return LossChoice("residual", why)
     if responds and all(WAVE_VECTOR in points.arrays for points in data.sets):
-        return LossChoice("output", f"{found}; loads are single waves")
-    return LossChoice("corrected", found)
+        return LossChoice("output", f"{why}; loads are single waves")
+    return LossChoice("corrected", why)
 
 
 def noise_share(data: TrainingData, start: Parameters) -> float:
     """Part of the squared residual that is noise, at the optimum of the residual."""
-    at = constrained_optimum(data.grids, start, data.conditions).parameters
-    model = Model(at.lam, at.mu, at.alpha, at.D, data.horizon)
+    optimum = constrained_optimum(data.grids, start, data.conditions).parameters
+    model = Model(optimum.lam, optimum.mu, optimum.alpha, optimum.D, data.horizon)
     c = [products(model, grid.classes) for grid in data.grids]
-    whole = sum(np.sum((grid.R @ one) ** 2) for grid, one in zip(data.grids, c))
-    return float(sum(np.sum((R @ one) ** 2) for R, one in zip(data.added, c)) / whole)
+    whole = sum(np.sum((grid.R @ values) ** 2) for grid, values in zip(data.grids, c))
+    return float(sum(np.sum((R @ values) ** 2) for R, values in zip(data.added, c)) / whole)

@@ -56,30 +56,31 @@ class SymbolMargins:
 
     def __init__(self, conditions: Sequence[LatticeConditions]) -> None:
         self.conditions = conditions
-        self.lattices = [one.classes for one in conditions]
+        self.lattices = [asked.classes for asked in conditions]
         self.tables = [
-            symbol(one, zone_wedge(one.spacing, ZONE_INTERVALS)) for one in self.lattices
+            symbol(classes, zone_wedge(classes.spacing, ZONE_INTERVALS))
+            for classes in self.lattices
         ]
-        self.count = sum(len(one.names) for one in conditions)
+        self.count = sum(len(asked.names) for asked in conditions)
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [count]."""
         kappa = (lam - mu) / mu**2
         parts = []
-        for one, at, (w, p) in zip(self.conditions, self.tables, weights):
+        for asked, table, (w, p) in zip(self.conditions, self.tables, weights):
 
             def evaluate(
                 kappa: np.ndarray,
                 v: np.ndarray,
                 z: np.ndarray,
-                one: LatticeConditions = one,
-                at: Symbol = at,
+                asked: LatticeConditions = asked,
+                table: Symbol = table,
             ) -> tuple[np.ndarray, np.ndarray]:
-                margins = one.margins(at, v, z, float(kappa))
+                margins = asked.margins(table, v, z, float(kappa))
                 slopes = []
                 for form, k in enumerate(margins.argmin(axis=1)):
-                    worst = Symbol(at.gamma[[k]], at.phi[[k]], at.laplacian[[k]])
-                    slopes.append(one.gradients(worst, v, z, float(kappa))[form, 0])
+                    worst = Symbol(table.gamma[[k]], table.phi[[k]], table.laplacian[[k]])
+                    slopes.append(asked.gradients(worst, v, z, float(kappa))[form, 0])
                 return margins.min(axis=1), np.array(slopes)
 
             parts.append(_values(evaluate, kappa, mu * w, mu * p))
@@ -138,7 +139,7 @@ def _dense(
     zeros = np.zeros(1)
 
     def slope(e: np.ndarray, scale_w: float, scale_p: float) -> np.ndarray:
-        """Of scale_w · eᵗΓe + scale_p · |Φe|²."""
+        """Derivatives of scale_w · eᵗΓe + scale_p · |Φe|² to (κ, w, p)."""
         by_w = scale_w * np.einsum("i,cij,j->c", e, gammas, e, optimize=True)
         by_p = 2 * scale_p * (phi @ e) @ (phis @ e).T
         return np.concatenate([zeros, by_w, by_p])

@@ -1,10 +1,10 @@
-"""What can be asked for by name: for functions, and for the command without their torch."""
+"""Names and numbers that functions and the command share, kept where no torch is loaded."""
 
 METHODS = ("constrained", "two-stage", "optimum")
-"""Of `fit`."""
+"""Methods of `fit` on the command line."""
 LOSSES = ("auto", "residual", "corrected", "output")
-"""Of `fit`."""
+"""Losses that `fit` may be asked for."""
 HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
-"""Of `sweep` [Å] (You et al. 2021, section 6.2)."""
+"""Horizons δ that `sweep` tries [Å] (You et al. 2021, section 6.2)."""
 DEGREES = (0, 5, 10, 15, 20)
-"""Of `sweep`."""
+"""Degrees M that `sweep` tries (You et al. 2021, section 6.2)."""

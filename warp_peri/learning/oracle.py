@@ -26,7 +26,7 @@ class Oracle:
         self.grids, self.full = grids, full
         self.gradient_size: float | None = None
 
-    def check(self, at: Parameters) -> None:
+    def check(self, parameters: Parameters) -> None:
         """Compare at one point, on lattices; the first one sets the size of the gradient.
 
         Raises RuntimeError where they differ by more than AGREEMENT allows, and by more than what
@@ -34,24 +34,24 @@ class Oracle:
         """
         if not self.grids:
             return
-        variables = Variables(at, positive=False, parametrisation="projected")
-        sizes = self._sizes(at)
+        variables = Variables(parameters, positive=False, parametrisation="projected")
+        sizes = self._sizes(parameters)
         results = []
         for loss in (
             variables.loss(self.grids),
-            torch.stack([one.loss(*variables.leaves) for one in self.full]).sum(),
+            torch.stack([term.loss(*variables.leaves) for term in self.full]).sum(),
         ):
             parts = torch.autograd.grad(loss, variables.leaves)
             gradient = torch.cat([part.reshape(-1) for part in parts]) * sizes
             results.append((loss.item(), gradient))
-        (found, gradient), (expected, reference) = results
+        (reduced, gradient), (expected, reference) = results
         self.gradient_size = self.gradient_size or float(reference.norm())
         # Rounding in the residual, relative to the loads, is all that is left of an exact fit.
-        by_loss, by_gradient = self._rounding(at, reference / sizes, sizes)
+        by_loss, by_gradient = self._rounding(parameters, reference / sizes, sizes)
         allowed = AGREEMENT * expected + ROUNDING * np.sqrt(expected) + ROUNDING**2 + by_loss
-        if not abs(found - expected) <= allowed:
+        if not abs(reduced - expected) <= allowed:
             raise RuntimeError(
-                f"the reduced loss {found:.15e} departs from the full {expected:.15e}"
+                f"the reduced loss {reduced:.15e} departs from the full {expected:.15e}"
             )
         difference = float((gradient - reference).norm())
         if not difference <= AGREEMENT * self.gradient_size + by_gradient:
@@ -61,31 +61,37 @@ class Oracle:
                 f"whose terms cancel accounts for {by_gradient:.1e}"
             )
 
-    def _sizes(self, at: Parameters) -> torch.Tensor:
+    def _sizes(self, parameters: Parameters) -> torch.Tensor:
         """Units that derivatives are compared in, one for each parameter.
 
         λ and μ by μ; D by that of a weighted volume of D = 1, since its scale has no effect.
         """
-        parts = [torch.tensor([at.mu, at.mu, 1.0], dtype=torch.float64)]
-        for D in (at.D,) if at.D_dilatation is None else (at.D, at.D_dilatation):
-            parts.append(torch.full((len(D),), self._volume(at.alpha, D), dtype=torch.float64))
+        parts = [torch.tensor([parameters.mu, parameters.mu, 1.0], dtype=torch.float64)]
+        for D in (
+            (parameters.D,)
+            if parameters.D_dilatation is None
+            else (parameters.D, parameters.D_dilatation)
+        ):
+            parts.append(
+                torch.full((len(D),), self._volume(parameters.alpha, D), dtype=torch.float64)
+            )
         return torch.cat(parts)
 
     def _rounding(
-        self, at: Parameters, gradient: torch.Tensor, sizes: torch.Tensor
+        self, parameters: Parameters, gradient: torch.Tensor, sizes: torch.Tensor
     ) -> tuple[float, float]:
         """What relative rounding of every parameter does to the loss and to its gradient.
 
         Terms D_k B_k of either sign cancel in K; the sums lose as much as D itself would.
         """
-        variables = Variables(at, positive=False, parametrisation="projected")
+        variables = Variables(parameters, positive=False, parametrisation="projected")
         numbers = [leaf.detach() for leaf in variables.leaves]
         flat = torch.cat([number.reshape(-1) for number in numbers])
 
         def loss(flat: torch.Tensor) -> torch.Tensor:
             parts = flat.split([number.numel() for number in numbers])
             shaped = [part.reshape(number.shape) for part, number in zip(parts, numbers)]
-            return torch.stack([one.loss(*shaped) for one in self.grids]).sum()
+            return torch.stack([grid.loss(*shaped) for grid in self.grids]).sum()
 
         bend = torch.autograd.functional.hessian(loss, flat)
         by_gradient = (sizes[:, None] * bend * flat).norm()
@@ -93,7 +99,7 @@ class Oracle:
 
     def _volume(self, alpha: float, D: np.ndarray) -> float:
         """Weighted volume of a kernel over that of K = r^(−α)."""
-        one = self.grids[0].classes
-        terms = one.count * one.weight * one.r ** (2 - alpha)
-        basis = bernstein_basis(one.r, one.horizon, len(D) - 1)
+        classes = self.grids[0].classes
+        terms = classes.count * classes.weight * classes.r ** (2 - alpha)
+        basis = bernstein_basis(classes.r, classes.horizon, len(D) - 1)
         return float(abs(terms @ (basis @ D)) / terms.sum())

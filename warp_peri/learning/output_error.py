@@ -44,11 +44,13 @@ def output_optimum(
         tick: called with the loss after each step.
     """
 
-    def step(grids: Sequence[ReducedLoss], at: Parameters) -> Reached:
-        return constrained_optimum(grids, at, conditions, method, two_functions=two_functions)
+    def step(grids: Sequence[ReducedLoss], parameters: Parameters) -> Reached:
+        return constrained_optimum(
+            grids, parameters, conditions, method, two_functions=two_functions
+        )
 
-    def about(at: Parameters) -> tuple[list[ReducedLoss], float]:
-        model = as_model(at, horizon)
+    def about(parameters: Parameters) -> tuple[list[ReducedLoss], float]:
+        model = as_model(parameters, horizon)
         grids = [response.about(model) for response in responses]
         return grids, sum(misfit(grid, model) for grid in grids)
 
@@ -56,12 +58,12 @@ def output_optimum(
     grids, loss = about(best.parameters)
     losses = [loss]
     for _ in range(STEPS):
-        found = step(grids, best.parameters)
-        linearised, lower = about(found.parameters)
-        if not (found.converged and lower < loss):
+        reached = step(grids, best.parameters)
+        linearised, lower = about(reached.parameters)
+        if not (reached.converged and lower < loss):
             break
         gained = loss - lower
-        best, grids, loss = found, linearised, lower
+        best, grids, loss = reached, linearised, lower
         losses.append(loss)
         tick(loss)
         if gained <= GAIN * loss:
@@ -70,9 +72,16 @@ def output_optimum(
     return dataclasses.replace(best, parameters=parameters, loss=loss)
 
 
-def as_model(at: Parameters, horizon: float) -> Model:
+def as_model(parameters: Parameters, horizon: float) -> Model:
     """The model of these parameters."""
-    return Model(at.lam, at.mu, at.alpha, at.D, horizon, D_dilatation=at.D_dilatation)
+    return Model(
+        parameters.lam,
+        parameters.mu,
+        parameters.alpha,
+        parameters.D,
+        horizon,
+        D_dilatation=parameters.D_dilatation,
+    )
 
 
 def misfit(grid: ReducedLoss, model: Model) -> float:

@@ -48,8 +48,9 @@ def products(model: Model, classes: BondClasses) -> np.ndarray:
 class WaveResponse:
     """Amplitudes of displacement at the loads' own wave vectors, all nodes projected on them.
 
-    A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ;
-    the other parities likewise. The part of the field that no load caused does not count.
+    A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ,
+    and loads with sines in place of cosines by such waves with the same D(k). The part of the
+    field that no load caused does not count.
 
     Args:
         points: samples with `wave_vector`.

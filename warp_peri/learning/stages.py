@@ -58,13 +58,13 @@ class Stages:
                 if bar.n % 100 == 0:
                     bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
-            found = run(tick)
+            parameters = run(tick)
             bar.total = bar.n  # a stage may end early
             bar.refresh()
         seconds = time.perf_counter() - begin
-        error = self.data.errors(*numbers(found))
-        self.history.append(Stage(name, found, error, seconds, found.losses))
-        return found
+        error = self.data.errors(*numbers(parameters))
+        self.history.append(Stage(name, parameters, error, seconds, parameters.losses))
+        return parameters
 
     def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> list[Parameters]:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
@@ -168,10 +168,10 @@ class Stages:
         return self._run("4 output error", STEPS, refined)
 
 
-def numbers(at: Parameters) -> tuple[Any, ...]:
+def numbers(parameters: Parameters) -> tuple[Any, ...]:
     """What lps_force takes after u."""
-    own = () if at.D_dilatation is None else (at.D_dilatation,)
-    return (at.lam, at.mu, at.alpha, at.D, *own)
+    own = () if parameters.D_dilatation is None else (parameters.D_dilatation,)
+    return (parameters.lam, parameters.mu, parameters.alpha, parameters.D, *own)
 
 
 def checkpoint_key(data: TrainingData, method: TwoStage, *settings: object) -> str:

@@ -40,8 +40,8 @@ class TrainingData:
 
     @property
     def spacings(self) -> list[float]:
-        """Of the lattices that carry the conditions [Å]."""
-        return [one.classes.spacing for one in self.conditions]
+        """Spacings of the lattices that carry the conditions [Å]."""
+        return [asked.classes.spacing for asked in self.conditions]
 
     def losses(self, name: str) -> list[ReducedLoss] | list[FullLoss]:
         """What is minimised under the name of a loss (see choose_loss)."""
@@ -51,7 +51,7 @@ class TrainingData:
 
     def errors(self, *numbers: object) -> float:
         """E_res over all samples at λ, μ, α, D."""
-        return float(np.concatenate([one.errors(*numbers) for one in self.full]).mean())
+        return float(np.concatenate([loss.errors(*numbers) for loss in self.full]).mean())
 
 
 def training_data(
@@ -80,13 +80,13 @@ def training_data(
     if not sets:
         raise InputError("points: expected at least one training set, got none")
     weights = sample_weights(sets, normalise=normalise)
-    full = [FullLoss(one, horizon, weight) for one, weight in zip(sets, weights)]
+    full = [FullLoss(each, horizon, weight) for each, weight in zip(sets, weights)]
     grids, unloaded = [], listed(noise)
-    if all(one.spacing > 0 for one in sets):
+    if all(each.spacing > 0 for each in sets):
         if lattice_spacing is not None:
             raise InputError("lattice_spacing: only for scattered points")
-        grids = [reduce(one, horizon, weight) for one, weight in zip(sets, weights)]
-        spacings = [one.spacing for one in sets]
+        grids = [reduce(each, horizon, weight) for each, weight in zip(sets, weights)]
+        spacings = [each.spacing for each in sets]
     elif lattice_spacing is not None:
         spacings = [lattice_spacing]
     else:
@@ -100,8 +100,8 @@ def training_data(
     if unloaded and len(unloaded) != len(sets):
         raise InputError(f"noise: expected {len(sets)} sets, got {len(unloaded)}")
     added = [
-        noise_loss(one, points, horizon, weight)
-        for one, points, weight in zip(unloaded, sets, weights)
+        noise_loss(fields, points, horizon, weight)
+        for fields, points, weight in zip(unloaded, sets, weights)
     ]
     return TrainingData(sets, horizon, full, grids, asked, unloaded, added)
 

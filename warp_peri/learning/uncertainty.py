@@ -87,7 +87,8 @@ def fit_uncertainty(
         points: the training sets that it learned from, in that order.
         noise: fields of noise alone for each, two at least.
 
-    Raises InputError for data that the fit cannot have learned from, or for a loss as above.
+    Raises InputError for data that the fit cannot have learned from, or for a loss "output" on
+    loads that are not single waves.
     """
     model, settings = found.model, found.settings
     sets, fields = _sets_and_noise(points, noise, len(settings.conditions))
@@ -95,23 +96,21 @@ def fit_uncertainty(
     losses = [_linearised(found.loss.name, model, *each) for each in zip(sets, fields, weights)]
     own = model.dilatation if settings.two_functions else None
     numbers = (model.lam, model.mu, model.alpha, model.D)
-    at = Parameters(*numbers, D_dilatation=own, shape=found.influence)
-    lattices = [one.classes for one in losses]
-    coordinates = coordinates_of(lattices, at, two_functions=settings.two_functions)
+    optimum = Parameters(*numbers, D_dilatation=own, shape=found.influence)
+    lattices = [loss.classes for loss in losses]
+    coordinates = coordinates_of(lattices, optimum, two_functions=settings.two_functions)
     problem = Problem(losses, settings.conditions, coordinates, settings.moduli)
-    y = coordinates.start(at)
+    y = coordinates.start(optimum)
     pushes = []
     slopes = problem.product_slopes(coordinates.point(y))
-    for one, of, weight, slope in zip(fields, sets, weights, slopes):
+    for samples, unloaded, weight, slope in zip(sets, fields, weights, slopes):
         if found.loss.name == "output":
-            pushes.append(_response_pushes(model, of, one, slope))
+            pushes.append(_response_pushes(model, samples, unloaded, slope))
         else:
-            pushes.append(_residual_pushes(model, of, one, weight, slope, found.loss.name))
-    free = _tangent(problem, y)
-    size, right = np.linalg.svd(problem.slopes(y, coordinates.point(y)) @ free)[1:]
-    kept = size > DETERMINED * size[0]
-    follow = free @ (right[: len(size)][kept].T / (2 * size[kept] ** 2))
-    follow = follow @ right[: len(size)][kept] @ free.T  # −dy by gradient
+            pushes.append(
+                _residual_pushes(model, samples, unloaded, weight, slope, found.loss.name)
+            )
+    follow = _compliance(problem, y)
     axes, deviation, _ = np.linalg.svd(follow @ np.concatenate(pushes, axis=1))
     if found.loss.name == "residual":
         pull = sum(_pull(model, *each) for each in zip(sets, fields, weights, slopes))
@@ -131,6 +130,16 @@ def fit_uncertainty(
 
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
     return Uncertainty([beside(step) for step in steps])
+
+
+def _compliance(problem: Problem, y: np.ndarray) -> np.ndarray:
+    """How far the optimum moves against a gradient, −dy by gradient, shape [Y, Y]."""
+    free = _tangent(problem, y)
+    size, right = np.linalg.svd(problem.slopes(y, problem.coordinates.point(y)) @ free)[1:]
+    kept = size > DETERMINED * size[0]
+    follow = free @ (right[: len(size)][kept].T / (2 * size[kept] ** 2))
+    moved: np.ndarray = follow @ right[: len(size)][kept] @ free.T
+    return moved
 
 
 def _pull(
@@ -188,7 +197,10 @@ def _residual_pushes(
     slope: np.ndarray,
     loss: str,
 ) -> np.ndarray:
-    """The same for a residual loss; with "corrected" also what its own estimate is unsure of."""
+    """Gradients of a residual loss by noise: columns whose outer products add up to Cov.
+
+    With "corrected" they hold also what the estimate of the noise is unsure of.
+    """
     features = Features(points, model.horizon)
     c = products(model, features.classes)[:-1]
 

@@ -168,7 +168,7 @@ class Model:
         Between bond lengths K may swing by orders of magnitude, so that what is proven of one
         spacing says nothing of the next millionth. Any other spacing is returned as it is.
         """
-        known = min(self.certified_on, key=lambda one: abs(one - spacing), default=0.0)
+        known = min(self.certified_on, key=lambda h: abs(h - spacing), default=0.0)
         near = 0 < known and abs(spacing - known) <= SPACING_TOLERANCE * known
         return known if near else spacing
 

@@ -33,7 +33,7 @@ EXACT = 1e-8
 """A polynomial must meet a function to this at the bond lengths, relative to its largest value
 there, and is not made finer once it does so between them."""
 BOND_WEIGHT = 1e5
-"""Of an error at a bond length beside one between them."""
+"""Weight of an error at a bond length, where one between bond lengths has 1."""
 BETWEEN = 1000
 """Distances between the bond lengths that a polynomial is fitted at."""
 STEP, SEEN = 1e-4, 1e-7
@@ -109,7 +109,7 @@ class InfluenceFunction:
         return lowest, highest
 
     def at(self, vector: np.ndarray) -> InfluenceFunction:
-        """The same with other values of the parameters."""
+        """This function with other values of its parameters, one after the other, shape [P]."""
         values, first = {}, 0
         for name, value in self.parameters.items():
             part = vector[first : first + np.size(value)]
@@ -119,18 +119,18 @@ class InfluenceFunction:
 
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """K at the distances r [Å], of the shape of r."""
-        at = np.asarray(r, dtype=float)
-        K = np.array(self.function(at.copy(), **copy.deepcopy(self.parameters)))
+        distance = np.asarray(r, dtype=float)
+        K = np.array(self.function(distance.copy(), **copy.deepcopy(self.parameters)))
         if K.dtype.kind not in "iufb":
             raise InputError(f"influence '{self.name}': expected real K, got {K.dtype}")
         K = K.astype(float)
-        if K.shape != at.shape:
+        if K.shape != distance.shape:
             raise InputError(
-                f"influence '{self.name}': expected K of shape {list(at.shape)}, the shape of r, "
-                f"got {list(K.shape)}"
+                f"influence '{self.name}': expected K of shape {list(distance.shape)}, "
+                f"the shape of r, got {list(K.shape)}"
             )
         if not np.isfinite(K).all():
-            where = at[~np.isfinite(K)].flat[0]
+            where = distance[~np.isfinite(K)].flat[0]
             raise InputError(
                 f"influence '{self.name}': K is not finite at r = {where:g} Å with "
                 f"{dict(self.parameters)}; give `bounds` that keep it so"
@@ -187,7 +187,7 @@ class InfluenceFunction:
         if not size > 0:
             raise InputError(f"influence '{self.name}': K is zero at every bond length")
         for degree, small in DEGREES:
-            basis = [bernstein_basis(one, horizon, degree) for one in (r, s)]
+            basis = [bernstein_basis(lengths, horizon, degree) for lengths in (r, s)]
             system = [BOND_WEIGHT * basis[0], basis[1], small * np.eye(degree + 1)]
             target = np.concatenate([BOND_WEIGHT * K, between, np.zeros(degree + 1)]) / size
             D = np.linalg.lstsq(np.concatenate(system), target, rcond=1e-15)[0]

@@ -129,11 +129,11 @@ def _check_sizes(file: h5py.File, size: int) -> None:
     allowed = max(SMALL, MOST_PER_BYTE * size)
     total = 0
     groups = {"": file} | {name: item for name, item in _members(file) if _is_group(item)}
-    for at, group in groups.items():
+    for place, group in groups.items():
         for name, item in _members(group):
             if not isinstance(item, h5py.Dataset):
                 continue
-            where = f"{at}/{name}".lstrip("/")
+            where = f"{place}/{name}".lstrip("/")
             if item.is_virtual or item.external:
                 raise InputError(f"{where}: expected an array in the file itself")
             if item.dtype.kind not in "biufcSUO" or item.dtype.subdtype is not None:

@@ -129,14 +129,14 @@ def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> Bon
 
     Raises InputError when the horizon is below one spacing or the weights do not exist.
     """
-    found = _bond_classes(float(spacing), float(horizon), degree)
-    arrays = (found.steps, found.bond_class, found.r, found.weight)
-    return BondClasses(found.spacing, found.horizon, *(array.copy() for array in arrays))
+    kept = _bond_classes(float(spacing), float(horizon), degree)
+    arrays = (kept.steps, kept.bond_class, kept.r, kept.weight)
+    return BondClasses(kept.spacing, kept.horizon, *(array.copy() for array in arrays))
 
 
 @lru_cache(maxsize=64)
 def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
-    """The same, once for each pattern: the weights take a decomposition of all bonds."""
+    """`bond_classes`, kept: the weights take a decomposition of all bonds."""
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
     if not (np.isfinite(horizon) and horizon >= spacing):
@@ -340,11 +340,11 @@ def _lattice_table(
 
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
     """Nodes with an unbroken bond to a flagged node."""
-    found = zeros(len(flag), dtype=wp.int32)
+    reached = zeros(len(flag), dtype=wp.int32)
     launch_slices(
-        kernels.any_neighbour, len(flag), (ints(row), ints(neighbour), ints(flag)), (found,)
+        kernels.any_neighbour, len(flag), (ints(row), ints(neighbour), ints(flag)), (reached,)
     )
-    flagged: np.ndarray = found.numpy() > 0
+    flagged: np.ndarray = reached.numpy() > 0
     return flagged
 
 

@@ -70,8 +70,8 @@ def reverse_bonds(row: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
     """The bond from j to i for each bond from i to j, shape [E]."""
     reverse = zeros(len(neighbour), dtype=wp.int32)
     launch(kernels.reverse_bonds, len(row) - 1, (ints(row), ints(neighbour)), (reverse,))
-    found: np.ndarray = reverse.numpy()
-    return found
+    bonds: np.ndarray = reverse.numpy()
+    return bonds
 
 
 def check_points(x: np.ndarray, row: np.ndarray, neighbour: np.ndarray, r: np.ndarray) -> None:

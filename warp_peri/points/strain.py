@@ -28,6 +28,9 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     unit = xi / np.where(square > 0, square, np.inf)[..., None]
     fields = np.asarray(u).reshape(-1, len(points.x), 2)[:, body]
     return max(
-        (float(np.abs((unit * (one[near] - one[:, None])).sum(axis=-1)).max()) for one in fields),
+        (
+            float(np.abs((unit * (field[near] - field[:, None])).sum(axis=-1)).max())
+            for field in fields
+        ),
         default=0.0,
     )

@@ -66,15 +66,15 @@ class Coordinates:
     ) -> None:
         self.lattices, self.alpha = lattices, alpha
         self.two_functions = two_functions
-        tables = np.concatenate([_tables(one, alpha, degree) for one in lattices])
+        tables = np.concatenate([_tables(classes, alpha, degree) for classes in lattices])
         scale = np.abs(tables).max()
         left, size, right = np.linalg.svd(tables / scale)
         rank = int(np.sum(size > RANK_TOLERANCE * size[0]))
-        lengths = np.concatenate([one.r for one in lattices])
+        lengths = np.concatenate([classes.r for classes in lattices])
         reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
         self.free_alpha = rank < len(np.unique(lengths[reached].round(9)))
         self.rank = rank
-        ends = np.cumsum([len(one.r) for one in lattices])
+        ends = np.cumsum([len(classes.r) for classes in lattices])
         self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
         self._q_of_D = size[:rank, None] * right[:rank] * scale
         self._D_of_q = right[:rank].T / (size[:rank] * scale)
@@ -83,8 +83,8 @@ class Coordinates:
         if free.size and len(self._second):
             smooth = np.linalg.lstsq(self._second @ free, self._second @ self._D_of_q, rcond=None)
             self._D_of_q = self._D_of_q - free @ smooth[0]
-        self._sigma = [one.count * one.r**2 for one in lattices]
-        self._log_r = [np.log(one.r / one.horizon) for one in lattices]
+        self._sigma = [classes.count * classes.r**2 for classes in lattices]
+        self._log_r = [np.log(classes.r / classes.horizon) for classes in lattices]
 
     def start(self, parameters: Parameters) -> np.ndarray:
         """y of given parameters."""
@@ -142,8 +142,8 @@ class Coordinates:
 
     def _plain_volume(self, alpha: float) -> tuple[float, float]:
         """Σ n r² K W of K = (r/δ)^(−α) on the first lattice, and its derivative to α."""
-        one, log_r = self.lattices[0], self._log_r[0]
-        terms = self._sigma[0] * one.weight * np.exp(-alpha * log_r)
+        classes, log_r = self.lattices[0], self._log_r[0]
+        terms = self._sigma[0] * classes.weight * np.exp(-alpha * log_r)
         return float(terms.sum()), float(-log_r @ terms)
 
     def _coefficients(self, point: Point, q: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ class Variables:
     def weights(self, lattices: Sequence[BondClasses]) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Class weights (w, p) of the deviatoric part and the dilatation on each lattice."""
         _, _, alpha, *kernels = self.bounded()
-        tables = [[class_weights(one, alpha, D) for D in kernels] for one in lattices]
+        tables = [[class_weights(classes, alpha, D) for D in kernels] for classes in lattices]
         return [(table[0], table[-1]) for table in tables]
 
     def parameters(self, losses: list[float]) -> Parameters:

@@ -32,37 +32,37 @@ class ShapeCoordinates:
 
     def __init__(self, lattices: Sequence[BondClasses], shape: InfluenceFunction) -> None:
         self.lattices, self.shape = lattices, shape
-        self._sigma = [one.count * one.r**2 for one in lattices]
+        self._sigma = [classes.count * classes.r**2 for classes in lattices]
         self._ends = shape.ends
         self._first = shape.vector
         self._size = np.maximum(1.0, np.abs(self._first))
         width = self._ends[1] - self._ends[0]
         self._room = np.where(np.isfinite(width), width, self._size)
-        for one, sigma in zip(lattices, self._sigma):
-            terms = sigma * one.weight * shape(one.r)
+        for classes, sigma in zip(lattices, self._sigma):
+            terms = sigma * classes.weight * shape(classes.r)
             if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
                 raise InputError(
                     f"influence '{shape.name}': its weighted volume (theory.md, 5) is zero on the "
-                    f"lattice of spacing {one.spacing:g} Å with {dict(shape.parameters)}"
+                    f"lattice of spacing {classes.spacing:g} Å with {dict(shape.parameters)}"
                 )
 
     def start(self, parameters: Parameters) -> np.ndarray:
         """y of given parameters."""
         assert parameters.shape is not None
         kappa = (parameters.lam - parameters.mu) / parameters.mu**2
-        one, shape = self.lattices[0], parameters.shape
-        size = parameters.mu / (self._sigma[0] @ (one.weight * shape(one.r)))
+        classes, shape = self.lattices[0], parameters.shape
+        size = parameters.mu / (self._sigma[0] @ (classes.weight * shape(classes.r)))
         return np.concatenate([[kappa, size], shape.vector])
 
     def point(self, y: np.ndarray) -> Point:
         """v, z, κ and μ at y, with their derivatives."""
         shape = self.shape.at(np.clip(y[2:], *self._ends))
         v, dv = [], []
-        for one in self.lattices:
-            kw = one.weight * shape(one.r)
+        for classes in self.lattices:
+            kw = classes.weight * shape(classes.r)
             slope = np.zeros((len(kw), len(y)))
             slope[:, 1] = kw
-            slope[:, 2:] = y[1] * one.weight[:, None] * shape.slopes(one.r)
+            slope[:, 2:] = y[1] * classes.weight[:, None] * shape.slopes(classes.r)
             v.append(y[1] * kw)
             dv.append(slope)
         mu, dmu = float(self._sigma[0] @ v[0]), self._sigma[0] @ dv[0]
@@ -109,4 +109,4 @@ class ShapeCoordinates:
     @property
     def lengths(self) -> np.ndarray:
         """Bond lengths of all lattices [Å]."""
-        return np.concatenate([one.r for one in self.lattices])
+        return np.concatenate([classes.r for classes in self.lattices])

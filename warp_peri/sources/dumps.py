@@ -265,9 +265,9 @@ def coarse_grain_dumps(
         )
 
     bar = tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress)
-    found = [displacement(path) for path in bar]
-    at_rest, fields = found[: len(unloaded)], []
-    for number, u in enumerate(found[len(unloaded) :]):
+    averages = [displacement(path) for path in bar]
+    at_rest, fields = averages[: len(unloaded)], []
+    for number, u in enumerate(averages[len(unloaded) :]):
         if at_rest:
             u = u - at_rest[number if len(at_rest) > 1 else 0]
         fields.append(u)

@@ -54,7 +54,7 @@ class LatticeConditions:
 
     @property
     def kind(self) -> str:
-        """Of the conditions."""
+        """Which conditions: "direct" or "paper"."""
         return self.asked.kind
 
     @property
@@ -71,25 +71,27 @@ class LatticeConditions:
         """For each condition: κ of its form Γ + κφφᵗ, its derivative to (κ, v), and the level."""
         sigma = self.classes.count * self.classes.r**2
         mu = sigma @ v  # Σ w r² = 1
-        one = np.zeros(1 + len(v))
-        one[0] = 1.0
+        by_kappa = np.zeros(1 + len(v))
+        by_kappa[0] = 1.0
         schwarz = np.concatenate([[0.0], 2 * sigma / mu**2])
         forms = {
-            "D": (kappa, one, self.zeta),
-            "gamma": (0.0, 0 * one, self.zeta),
+            "D": (kappa, by_kappa, self.zeta),
+            "gamma": (0.0, 0 * by_kappa, self.zeta),
             "gamma_minus_2phi": (-2 / mu, schwarz, 0.0),
         }
         return [forms[name] for name in self.names]
 
-    def margins(self, at: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+    def margins(self, table: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin / s minus the level [TPa] of each condition, shape [J, K]; ≥ 0 where it holds."""
-        return np.array([at.ratio(v, z, form) - level for form, _, level in self._forms(v, kappa)])
+        return np.array(
+            [table.ratio(v, z, form) - level for form, _, level in self._forms(v, kappa)]
+        )
 
-    def gradients(self, at: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+    def gradients(self, table: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Derivatives of the margins to (κ, v, z), shape [J, K, 1 + 2 C]."""
         out = []
         for form, chain, _ in self._forms(v, kappa):
-            by_v, by_z, by_form = at.ratio_gradient(v, z, form)
+            by_v, by_z, by_form = table.ratio_gradient(v, z, form)
             gradient = by_form[:, None] * chain
             gradient[:, 1:] += by_v
             out.append(np.concatenate([gradient, by_z], axis=1))
@@ -113,15 +115,15 @@ class ZoneSearch:
         The wave vectors [1/Å], shape [J · candidates, 2], are the ones to add to a fit.
         """
         margins = self.conditions.margins(self.table, v, z, kappa)
-        smallest, found = [], []
+        smallest, minima = [], []
         for number, values in enumerate(margins):
             best = values.min()
             for start in np.argsort(values)[:candidates]:
                 k, value = self._zoom(self.k[start], number, v, z, kappa)
-                found.append(k)
+                minima.append(k)
                 best = min(best, value)
             smallest.append(best)
-        return np.array(smallest), np.array(found)
+        return np.array(smallest), np.array(minima)
 
     def _zoom(
         self, k: np.ndarray, number: int, v: np.ndarray, z: np.ndarray, kappa: float
@@ -132,8 +134,8 @@ class ZoneSearch:
         value = np.inf
         for _ in range(3):
             near = np.clip(k + reach * patch, 1e-6 * edge, edge)
-            at = symbol(self.conditions.classes, near)
-            values = self.conditions.margins(at, v, z, kappa)[number]
+            table = symbol(self.conditions.classes, near)
+            values = self.conditions.margins(table, v, z, kappa)[number]
             k, value = near[np.argmin(values)], float(values.min())
             reach /= 5
         return k, value

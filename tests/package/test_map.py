@@ -1,0 +1,45 @@
+"""The README's map: every wing is there, in the order of the floors, and its use runs."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warp_peri
+from tests.package.test_order import FLOOR, ROOT
+from tests.support.problems import lattice, smooth
+from warp_peri.cli.main import main
+
+README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
+USES = {
+    wing: re.findall(r"`([^`]*)`", use)
+    for wing, use in re.findall(r"^\| `([a-z]+)/` \|[^|]*\|(.*)\|$", README, re.M)
+}
+
+
+def test_every_wing_is_there_from_the_ground_up():
+    assert set(USES) == {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert sorted(USES, key=FLOOR.get) == list(USES)
+    assert all(len(lines) <= 3 for lines in USES.values())
+
+
+@pytest.mark.filterwarnings("ignore:strain")
+def test_every_use_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    body = lattice(6, 12.5, 5.0)
+    atoms = np.random.default_rng(0).uniform(-40, 70, (4000, 2))
+    known = {"np": np, "warp_peri": warp_peri, "x": body.x, "interior": body.interior}
+    known |= {"u": 0.1 * smooth(body.x, 6, wave_number=0.2), "atoms": atoms, "r": np.ones(1)}
+    known |= {"b": 1e-3 * smooth(body.x, 6, seed=1, wave_number=0.2)}
+    known |= {"d": np.zeros((1, len(atoms), 2)), "f": np.ones((1, len(atoms), 2))}
+    for wing, lines in USES.items():
+        if wing != "cli":
+            exec("\n".join(lines), known)
+    assert known["certificate"].holds
+    assert known["motion"].drift < 1e-9
+    warp_peri.save_dataset("mine.h5", known["data"])
+    for command in USES["cli"]:
+        assert main([*shlex.split(command)[1:], "--degree", "2"]) == 0
+    assert Path("runs/mine/model.json").exists()
