@@ -25,9 +25,10 @@ def on_page_content(content: str, **_: object) -> str:
 def _drawn(found: re.Match) -> str:
     inline, display = found[2], found[3]
     latex = html.unescape(inline if inline is not None else display)
-    number = re.search(r"\\tag\{(\d+)\}", latex)
+    number = re.search(r"\\tag\{([A-Z]?\d+)\}", latex)
     drawn = convert(
-        re.sub(r"\\tag\{\d+\}", "", latex), display="inline" if inline is not None else "block"
+        re.sub(r"\\tag\{[A-Z]?\d+\}", "", latex),
+        display="inline" if inline is not None else "block",
     )
     for typed, sign in DELIMITERS.items():
         drawn = drawn.replace(f">{typed}<", f">{sign}<")

@@ -11,7 +11,7 @@ from warp_peri.models.lps import Model
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
-from warp_peri.statics.nonlinear import solve_nonlinear
+from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
 from warp_peri.statics.solve import solve
 from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.points import model_for
@@ -51,7 +51,9 @@ def evaluate(
         with b on the interior and u given on the collar; E_res_rms and E_u_rms, their
         root-mean-square variants; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the lists of
         per-sample values E_res_samples, E_res_abs_samples, E_u_samples; and of a transferred model
-        transferred_from, the spacing [Å] of the lattice that it comes from.
+        transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear model
+        also linear_solves and largest_gradient, the most linear solves that a sample took and its
+        largest |H|, and unique, whether all answers are proven to be the only ones.
 
     Raises InputError for a set without samples, with a sample that has no load or displacement on
     its interior, or that the model cannot be used on.
@@ -62,8 +64,10 @@ def evaluate(
         model = model_for(model, points, transfer=transfer)
     residual, load = residual_errors(model, points, allow_uncertified=allow_uncertified)
     fields = (points.loads, points.u)
+    records: list[NonlinearRecord] = []
     if isinstance(model, NonlinearModel):
-        solved = solve_nonlinear(model, points, *fields, allow_uncertified=allow_uncertified)
+        options: dict[str, Any] = {"allow_uncertified": allow_uncertified, "records": records}
+        solved = solve_nonlinear(model, points, *fields, **options)
     else:
         solved = solve(model, points, *fields, allow_uncertified=allow_uncertified)
     size = _norms(points.u[:, points.interior])
@@ -80,6 +84,10 @@ def evaluate(
         table[f"{key}_samples"] = values.tolist()
     if isinstance(model, Model) and model.transferred_from is not None:
         table["transferred_from"] = model.transferred_from
+    if records:
+        table["linear_solves"] = max(record.solves for record in records)
+        table["largest_gradient"] = max(record.largest_gradient for record in records)
+        table["unique"] = all(record.unique for record in records)
     return table
 
 

@@ -202,7 +202,7 @@ class NonlinearOperator:
         return found
 
     def tangent(self, u: ArrayLike) -> sp.csr_array:
-        """∂(L u)/∂u at a field [N, 2], without clipping: sparse, shape [2 I, 2 N] (N10)."""
+        """∂(L u)/∂u at a field [N, 2], without clipping: sparse, shape [2 I, 2 N] (N5)."""
         sweeps, tables = self.sweeps, self.tables.numpy()
         if self._matrices is None:
             self._matrices = TangentMatrices(sweeps, tables, float(self.bulk))

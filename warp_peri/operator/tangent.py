@@ -1,4 +1,4 @@
-"""The derivative of the nonlinear force as a sparse matrix (theory.md, N6)."""
+"""The derivative of the nonlinear force as a sparse matrix (theory.md, N5)."""
 
 from __future__ import annotations
 

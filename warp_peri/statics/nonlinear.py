@@ -53,7 +53,8 @@ class NonlinearRecord:
         largest_gradient: largest |H| within δ of the unknowns.
         unique: whether |H| stays below the proven strain, so that no other solution does.
         eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
-            [TPa/Å²]; above zero the answer is stable. None above DIRECT nodes.
+            [TPa/Å²]; above zero the answer is stable. None where not asked for, and above DIRECT
+            nodes.
     """
 
     solves: int = 0
@@ -73,6 +74,7 @@ def solve_nonlinear(
     tolerance: float = TOLERANCE,
     allow_uncertified: bool = False,
     records: list[NonlinearRecord] | None = None,
+    eigenvalues: bool = False,
 ) -> np.ndarray:
     """Displacement in equilibrium with b on the interior, given on the collar.
 
@@ -83,7 +85,8 @@ def solve_nonlinear(
         u_collar: displacement [Å], same shape; only collar values count.
         tolerance: residual over the linear right-hand side.
         allow_uncertified: warn about an uncertified spacing instead of raising.
-        records: takes one NonlinearRecord for each sample, with the eigenvalue of its tangent.
+        records: takes one NonlinearRecord for each sample.
+        eigenvalues: compute the smallest eigenvalue of the tangent at each answer, for the record.
 
     Returns:
         u [Å], shape as given. A UserWarning says where |H| exceeds the proven strain, so that
@@ -112,8 +115,9 @@ def solve_nonlinear(
             field[inside], record = solver.solve(load[inside], field)
         except InputError as error:
             raise InputError(f"sample {number}: {error}") from None
-        if records is not None:
+        if eigenvalues:
             record.eigenvalue = solver.smallest_eigenvalue(field)
+        if records is not None:
             records.append(record)
         found.append(record)
     _warn(found, model.proven_strain(points.spacing))

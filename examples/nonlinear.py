@@ -1,0 +1,148 @@
+"""Nonlinear solids: three more numbers on the main job's data, in two forms, with a proof.
+
+Writes energy.json, filtered.json and exact.json (the filtered form with the exact inverse filter,
+whose constants are the potential's), metrics.json and a picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from matplotlib.figure import Figure
+
+import warp_peri
+from examples.train_graphene import DATA, make_data
+from warp_peri import Bernstein, Dataset, Optimum, Smoothing
+from warp_peri.errors import InputError
+from warp_peri.files.whole import locked, whole_file, write_json
+
+STRAINED = DATA.with_name("graphene_0K_strained.h5")
+OUT = ROOT / "runs" / "nonlinear"
+FORMS = {"energy": None, "filtered": Smoothing(), "exact": Smoothing(ridge=0.0)}
+SETS = ("train", "val", "test", "val_4", "test_4", "val_6", "test_6")
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """Every form, and the linear solid beside them; what metrics.json holds."""
+    data = warp_peri.load_dataset(given.data or make_data(-1, 10.0))
+    larger = warp_peri.load_dataset(strained_file(given))
+    truth = larger.provenance.get("truth", {})
+    train, kernel = data["train"], Bernstein(given.degree, two_functions=True)
+    begin = time.perf_counter()
+    method = Optimum(moduli="isotropic")
+    linear = warp_peri.fit(train, given.horizon, kernel, method=method, normalise=True).model
+    numbers: dict[str, Any] = {"truth": truth, "horizon": given.horizon}
+    numbers["linear"] = {"seconds": time.perf_counter() - begin, **errors(linear, data, larger)}
+    for name, smoothing in FORMS.items():
+        found = warp_peri.fit_nonlinear(train, given.horizon, kernel, smoothing=smoothing)
+        model = found.model
+        table = errors(model, data, larger)
+        guarantee = model.proven.get(f"{train.spacing:g}", {})
+        numbers[name] = {
+            **table,
+            "constants": {key: getattr(model, key) for key in ("t3", "tq2", "q3")},
+            "lambda": model.linear.lam,
+            "mu": model.linear.mu,
+            "proven_strain": model.proven_strain(train.spacing),
+            "kappa": [guarantee.get("kappa_in"), guarantee.get("kappa_out")],
+            "seconds": found.seconds,
+        }
+        record = {key: table[key] for key in ("E_res", "E_u")}
+        dataclasses.replace(model, errors=record).save(given.out / f"{name}.json")
+    return numbers
+
+
+def strained_file(given: argparse.Namespace) -> Path:
+    """The data at larger strain, made if it is not there."""
+    path = Path(given.strained or STRAINED)
+    if not path.exists():
+        from tools.make_strained import make_strained
+
+        print("making data at larger strain with LAMMPS (once)", file=sys.stderr)
+        make_strained(path)
+    return path
+
+
+def errors(model: Any, data: Dataset, larger: Dataset) -> dict[str, Any]:
+    """E_res and E_u of every set there is, by name, with what solves took and how large |H| is."""
+    found: dict[str, Any] = {"E_res": {}, "E_u": {}, "linear_solves": {}, "largest_gradient": {}}
+    for name in SETS:
+        source = data if name in data.sets else larger
+        if name not in source.sets:
+            continue
+        with warnings.catch_warnings():  # beyond the proven or the trained strain: as asked
+            warnings.simplefilter("ignore", UserWarning)
+            try:
+                table = warp_peri.evaluate(model, source[name])
+            except InputError as error:  # a load that the model does not bear
+                print(f"{name}: {error}", file=sys.stderr)
+                continue
+        for key in found:
+            if key in table:
+                found[key][name] = table[key]
+    return {key: value for key, value in found.items() if value}
+
+
+def draw(path: Path, numbers: dict[str, Any]) -> None:
+    """E_u against strain on loads and disks that no fit saw."""
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    for ax, role, title in zip(figure.subplots(1, 2), ("val", "test"), ("patches", "disks")):
+        for name in ("linear", *FORMS):
+            table = numbers[name]["E_u"]
+            named = {2: role, 4: f"{role}_4", 6: f"{role}_6"}
+            there = {strain: table[key] for strain, key in named.items() if key in table}
+            ax.plot(list(there), [100 * value for value in there.values()], "o-", label=name)
+        ax.set(xlabel="largest bond strain [%]", ylabel="E_u [%]", title=f"unseen {title}")
+        ax.set_ylim(bottom=0)
+    ax.legend()
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=150, format="png")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, 1 after a failure, 2 for bad input."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add_argument("--strained", type=Path, help="data at larger strain (made if not there)")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args(arguments)
+    try:
+        with locked(given.out):
+            numbers = run(given)
+            write_json(given.out / "metrics.json", numbers)
+            draw(given.out / "errors.png", numbers)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (OSError, RuntimeError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    if given.json:
+        print(json.dumps(numbers))
+        return 0
+    print("mean E_u [%]".ljust(14) + "".join(name.rjust(8) for name in SETS) + "  proven |H|")
+    for name in ("linear", *FORMS):
+        row = numbers[name]
+        cells = "".join(f"{100 * row['E_u'].get(one, float('nan')):8.2f}" for one in SETS)
+        print(name.ljust(14) + cells + f"{100 * row.get('proven_strain', 0):10.2f} %")
+    print(f"everything is in {given.out}/")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

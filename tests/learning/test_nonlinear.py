@@ -1,0 +1,70 @@
+"""Learning nonlinear solids: what made the data is found again, with its guarantee."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.nonlinear import CONSTANTS, FORMS, solid
+from tests.support.problems import lattice, smooth
+from warp_peri import Bernstein, InputError, Optimum, Samples, TwoStage, evaluate, fit_nonlinear
+from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.operator.nonlinear import NonlinearOperator
+
+HORIZON = 2.5
+
+
+NOISE = 1e-4
+"""Of the loads, relative: an exact fit has no optimum to settle at."""
+
+
+def samples_of(model, size, seed=0, count=6):
+    """Smooth fields in equilibrium with a model, nearly."""
+    points = lattice(6, HORIZON)
+    u = size * smooth(points.x, count, seed, wave_number=0.8)
+    b = np.zeros_like(u)
+    b[:, points.interior] = NonlinearOperator(model, points)(u)
+    b *= 1 + NOISE * np.random.default_rng(seed).normal(size=b.shape)
+    return Samples(points, u, b)
+
+
+@pytest.fixture(scope="module", params=FORMS)
+def learned(request):
+    """A model whose shear modulus is that of long waves, and the fit to data it made."""
+    known = solid(request.param, HORIZON)
+    known = replace(known, linear=replace(known.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
+    train = samples_of(known, 0.02)
+    found = fit_nonlinear(
+        train,
+        HORIZON,
+        Bernstein(3, two_functions=True),
+        smoothing=known.smoothing,
+        axis=known.axis,
+    )
+    return known, train, found
+
+
+def test_what_made_the_data_is_found_again(learned):
+    known, _, found = learned
+    model = found.model
+    assert found.E_res_train < 1.1 * NOISE
+    assert np.allclose([model.t3, model.tq2, model.q3], CONSTANTS, rtol=0.02)
+    assert np.allclose(model.numbers[:2], known.numbers[:2], rtol=1e-3)
+    assert model.linear.certified_on == (1.0,)
+    assert model.proven_strain(1.0) > 0.005
+    unseen = evaluate(model, samples_of(known, 0.02, seed=5, count=2))
+    assert unseen["E_res"] < 1.2 * NOISE
+    assert unseen["E_u"] < NOISE
+    assert unseen["unique"]
+    assert found.linear.history[-1].E_res_train > 10 * found.E_res_train
+    assert isinstance(model, NonlinearModel)
+
+
+def test_what_cannot_be_learned_from_is_refused(learned):
+    _, train, _ = learned
+    with pytest.raises(InputError, match=r"method: expected Optimum\(…\), got TwoStage"):
+        fit_nonlinear(train, HORIZON, method=TwoStage())
+    with pytest.raises(InputError, match="kernel: expected Bernstein"):
+        fit_nonlinear(train, HORIZON, kernel=3)
+    with pytest.raises(InputError, match="loads are not known"):
+        fit_nonlinear(replace(train, b=None), HORIZON, method=Optimum())
