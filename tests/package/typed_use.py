@@ -4,6 +4,7 @@ tests/package/test_types.py has mypy check this file as a user would, and runs i
 """
 
 import sys
+import warnings
 from pathlib import Path
 from typing import assert_type
 
@@ -87,7 +88,8 @@ def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     force = assert_type(operator(tensor), torch.Tensor)
     torch.autograd.grad(force.sum(), tensor)
 
-    u = assert_type(warp_peri.solve(model, test, test.b, test.u), np.ndarray)
+    exact = warp_peri.Iteration(tolerance=1e-10)
+    u = assert_type(warp_peri.solve(model, test, test.b, test.u, iteration=exact), np.ndarray)
     fields = assert_type(stress.node_fields(model, test, u), NodeFields)
     assert_type(fields.stress, np.ndarray)
     mu = torch.tensor(model.mu, dtype=torch.float64, requires_grad=True)
@@ -112,6 +114,23 @@ def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     return float(table["E_u"])
 
 
+def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
+    """Three more numbers, and up to which strain solutions are unique."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a linear law made the data
+        fit = warp_peri.fit_nonlinear(train, HORIZON, warp_peri.Bernstein(1))
+    model = assert_type(assert_type(fit, warp_peri.NonlinearFit).model, warp_peri.NonlinearModel)
+    assert_type(warp_peri.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
+    figures = assert_type(warp_peri.uniqueness(model, spacing=SPACING), warp_peri.Uniqueness)
+    assert_type(figures.strain, float)
+    model.save(folder / "nonlinear.json")
+    model = warp_peri.load_nonlinear(folder / "nonlinear.json")
+    assert_type(warp_peri.NonlinearOperator(model, train)(train.u), np.ndarray)
+    records: list[warp_peri.NonlinearRecord] = []
+    found = warp_peri.solve_nonlinear(model, train, train.loads, train.u, records=records)
+    assert_type(found, np.ndarray)
+
+
 def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Atoms to nodes."""
     omega = warp_peri.smoothing_matrix(atoms, nodes, radius=3.0)
@@ -125,7 +144,9 @@ def main(folder: Path) -> None:
     warp_peri.set_threads(1)
     learn(folder)
     model = assert_type(warp_peri.load_model(folder / "model.json"), warp_peri.Model)
-    test = warp_peri.load_dataset(folder / "data.h5")["test"]
+    data = warp_peri.load_dataset(folder / "data.h5")
+    test = data["test"]
+    nonlinear(data["train"], folder)
     print(use(model, test))
     fine = assert_type(warp_peri.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
     print(fine.transferred_from, warp_peri.model_for(model, test).horizon)
