@@ -10,6 +10,7 @@ from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, sol
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import (
     Bernstein,
+    Conditions,
     InfluenceFunction,
     InputError,
     Optimum,
@@ -74,8 +75,9 @@ def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     true = kernel("sign-changing", HORIZON, lam=-0.3, mu=0.7)
     points = noisy(manufactured(true, lattice(4, HORIZON), 3), 0.02, seed=1)
     shape = table(LENGTHS, first, learned=True)
-    found = fit(points, horizon=HORIZON, kernel=shape, loss="residual")
-    expected = fit(points, horizon=HORIZON, kernel=Bernstein(len(LENGTHS) - 1))
+    asked = Conditions(zeta=0.01)
+    found = fit(points, horizon=HORIZON, kernel=shape, loss="residual", conditions=asked)
+    expected = fit(points, HORIZON, Bernstein(len(LENGTHS) - 1), conditions=asked)
     (loss,), reference = found.starts.values(), min(expected.starts.values())
     assert loss == pytest.approx(reference, rel=1e-5)
     classes = bond_classes(1.0, HORIZON)

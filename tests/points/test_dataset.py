@@ -263,3 +263,30 @@ def test_periods_and_nodes_outside_come_back(tmp_path):
     back = load_dataset(tmp_path / "data.h5")["a"]
     assert back.box == (20.0, 30.0)
     assert np.array_equal(back.outside, outside)
+
+
+@pytest.mark.parametrize("units", [("nm", "GPa"), ("m", "Pa"), ("angstrom", "eV/angstrom^3")])
+def test_files_carry_their_units_and_an_argument_converts(tmp_path, units):
+    path = tmp_path / "data.h5"
+    before = DATA
+    length = {"nm": 10.0, "m": 1e10, "angstrom": 1.0}[units[0]]
+    stress = {"GPa": 1e-3, "Pa": 1e-12, "eV/angstrom^3": 0.1602176634}[units[1]]
+    save_dataset(path, before, units=units)
+    with pytest.raises(InputError, match=r"_unit: expected '.*converts"):
+        load_dataset(path)
+    found = load_dataset(path, units=("angstrom", "TPa"))
+    assert found.thickness == pytest.approx(before.thickness * length)
+    assert found.density == before.density
+    for name in before:
+        one, other = found[name], before[name]
+        assert one.x == pytest.approx(other.x * length)
+        assert one.spacing == pytest.approx(other.spacing * length)
+        assert one.u == pytest.approx(other.u * length)
+        if other.b is not None:
+            assert one.b == pytest.approx(other.b * stress / length)
+    same = load_dataset(path, units=units)
+    assert same[name].x == pytest.approx(before[name].x, rel=0, abs=0)
+    with pytest.raises(InputError, match="length_unit: expected one of angstrom, nm, .* 'mile'"):
+        load_dataset(path, units=("mile", "TPa"))
+    with pytest.raises(InputError, match=r"units: expected \(length, stress\), got 'nm!'"):
+        save_dataset(path, before, units="nm!")

@@ -73,8 +73,8 @@ def train(command: ArgumentParser) -> None:
     command.add_argument(
         "--zeta",
         type=float,
-        default=0.01,
-        help="ζ [TPa] of the condition D(k) ≥ ζ s(k) that is kept",
+        help="ζ [TPa] of the condition D(k) ≥ ζ s(k) that is kept; default: 0.0161 of the "
+        "stiffness that the data show",
     )
     command.add_argument(
         "--loss", choices=LOSSES, default="auto", help="auto: as the noise asks for"

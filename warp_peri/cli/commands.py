@@ -23,6 +23,7 @@ from warp_peri.models.nonlinear import load_any
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
+from warp_peri.points.units import USUAL
 from warp_peri.sources.coarse_graining import smoothing_matrix
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning import methods
     from warp_peri.learning.run import train
 
-    data = load_dataset(given.data)
+    data = load_dataset(given.data, units=USUAL)
     samples = data[given.set]
     kernel: warp_peri.Bernstein | warp_peri.InfluenceFunction
     kernel = warp_peri.Bernstein(DEGREE if given.degree is None else given.degree)
@@ -204,7 +205,7 @@ def run_certify(given: argparse.Namespace) -> Result:
 
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
-    model, data = load_any(given.model), load_dataset(given.data)
+    model, data = load_any(given.model), load_dataset(given.data, units=USUAL)
     tables: dict[str, dict[str, Any]] = {}
     for name in given.sets or data:
         points = data[name]
@@ -224,7 +225,7 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, its collar held: a data file with the solution."""
-    model, data = load_model(given.model), load_dataset(given.data)
+    model, data = load_model(given.model), load_dataset(given.data, units=USUAL)
     points = data[given.set]
     u = warp_peri.solve(
         model,
@@ -257,7 +258,7 @@ def run_export(given: argparse.Namespace) -> Result:
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = load_dataset(given.data)[given.set]
+        points = load_dataset(given.data, units=USUAL)[given.set]
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
         if given.what == "operator" or not given.allow_uncertified:  # which solve warns of
             model = warp_peri.model_for(model, points, **asked)
@@ -276,7 +277,7 @@ def run_export(given: argparse.Namespace) -> Result:
 
 def run_sweep(given: argparse.Namespace) -> Result:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
-    data = load_dataset(given.data)
+    data = load_dataset(given.data, units=USUAL)
     sweep = warp_peri.sweep(
         data[given.set],
         data[given.val],

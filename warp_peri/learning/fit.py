@@ -10,13 +10,15 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from warp_peri.errors import InputError, renamed
+from warp_peri.learning.checks import check_explained, warn_of_bounds
 from warp_peri.learning.loss_choice import LossChoice, choose_loss
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.oracle import Oracle
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.result import Fit, Settings
+from warp_peri.learning.scale import Scale, scaled_data
 from warp_peri.learning.stages import Stages, checkpoint_key
-from warp_peri.learning.training_data import TrainingData, training_data
+from warp_peri.learning.training_data import TrainingData, listed
 from warp_peri.models.shapes import InfluenceFunction, shapes_of
 from warp_peri.operator.symbol import moduli as moduli_of
 from warp_peri.points.samples import Samples
@@ -88,14 +90,17 @@ def fit(
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
     shapes = check_choices(kernel, method, conditions)
-    data = training_data(
-        samples,
+    sets = listed(samples)
+    data, scale = scaled_data(
+        sets,
         horizon,
         conditions,
-        noise=noise,
+        noise=listed(noise),
         normalise=normalise,
         lattice_spacing=_carrier(method),
+        lengths=not shapes,
     )
+    held, method = _second(method).moduli, scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)
     probe = next(iter(starts.values()))
@@ -121,13 +126,15 @@ def fit(
             final = stages.output(final, _second(method), bernstein)
     assert final is not None  # a method is one of three
     oracle.check(final)
+    check_explained(final, choice.name)
+    warn_of_bounds(final, data, scale, method)
     settings = Settings(
-        data.conditions,
+        scale.lattice_conditions(data, horizon),
         normalise,
         bernstein is not None and bernstein.two_functions,
-        _second(method).moduli,
+        held,
     )
-    return _certified(data, final, stages, choice, settings)
+    return _certified(sets, scale.parameters(final), stages.ended(scale), choice, settings, scale)
 
 
 def check_choices(
@@ -198,35 +205,42 @@ def _shaped(data: TrainingData, shapes: Sequence[InfluenceFunction]) -> dict[str
 
 
 def _certified(
-    data: TrainingData, final: Parameters, stages: Stages, choice: LossChoice, settings: Settings
+    sets: Sequence[Samples],
+    final: Parameters,
+    stages: Stages,
+    choice: LossChoice,
+    settings: Settings,
+    scale: Scale,
 ) -> Fit:
     """The model of these parameters with its certificate on every training lattice."""
-    bare = as_model(final, data.horizon)
-    if data.grids:
-        certificates = [certify(bare, spacing=one.spacing, points=one) for one in data.sets]
+    asked = settings.conditions
+    horizon = asked[0].classes.horizon
+    bare = as_model(final, horizon)
+    if all(one.spacing > 0 for one in sets):
+        certificates = [certify(bare, spacing=one.spacing, points=one) for one in sets]
     else:
-        certificates = [certify(bare, spacing=h) for h in data.spacings]
+        certificates = [certify(bare, spacing=one.classes.spacing) for one in asked]
     certified = tuple(
-        one.spacing
-        for one, asked in zip(certificates, data.conditions)
-        if one.holds and (asked.kind != "paper" or bool(one.paper))
+        certificate.spacing
+        for certificate, one in zip(certificates, asked)
+        if certificate.holds and (one.kind != "paper" or bool(certificate.paper))
     )
-    provenance = {}
+    provenance = {"zeta": {"zeta": asked[0].zeta, "stiffness of the data": scale.stiffness}}
     if final.shape is not None:
-        lengths = np.concatenate([one.classes.r for one in data.conditions])
-        _, departure = final.shape.coefficients(lengths, data.horizon)
-        provenance = {"influence": final.shape.record(departure)}
+        lengths = np.concatenate([one.classes.r for one in asked])
+        _, departure = final.shape.coefficients(lengths, horizon)
+        provenance["influence"] = final.shape.record(departure)
     model = dataclasses.replace(
         bare,
-        trained_on=tuple(one.spacing for one in data.sets),
+        trained_on=tuple(one.spacing for one in sets),
         certified_on=certified,
-        trained_strain=max(largest_strain(one, one.u) for one in data.sets),
-        largest_wave_number=max(largest_wave_number(one) or 0.0 for one in data.sets) or None,
+        trained_strain=max(largest_strain(one, one.u) for one in sets),
+        largest_wave_number=max(largest_wave_number(one) or 0.0 for one in sets) or None,
         certificate={f"{one.spacing:g}": one.figures() for one in certificates},
         provenance=provenance,
         versions=_versions(),
     )
-    moduli = [moduli_of(model, one.classes) for one in data.conditions]
+    moduli = [moduli_of(model, one.classes) for one in asked]
     history, starts = stages.history, stages.starts
     return Fit(model, certificates, moduli, history, starts, choice, settings, final.shape)
 

@@ -19,6 +19,7 @@ from warp_peri.learning.methods import Bernstein, TwoStage
 from warp_peri.learning.output_error import STEPS, output_optimum
 from warp_peri.learning.response import responses_of
 from warp_peri.learning.result import Stage
+from warp_peri.learning.scale import Scale
 from warp_peri.learning.training_data import TrainingData
 from warp_peri.learning.two_stage import positive_stage, sign_changing_stage
 from warp_peri.points.samples import Samples
@@ -65,6 +66,14 @@ class Stages:
         error = self.data.errors(*numbers(parameters))
         self.history.append(Stage(name, parameters, error, seconds, parameters.losses))
         return parameters
+
+    def ended(self, scale: Scale) -> Stages:
+        """Itself, with what was found in the units of the data."""
+        self.history = [
+            dataclasses.replace(one, parameters=scale.parameters(one.parameters))
+            for one in self.history
+        ]
+        return self
 
     def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> list[Parameters]:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
@@ -127,8 +136,8 @@ class Stages:
             raise failed
         kept = [reached for reached in results if reached.converged]
         if not kept:
-            margin = max(reached.margin for reached in results)
-            closest = min(reached.departure for reached in results)
+            margin = self.data.stress * max(reached.margin for reached in results)
+            closest = self.data.stress * min(reached.departure for reached in results)
             raise RuntimeError(
                 "stage 3: no start ended with the conditions kept; smallest margin "
                 f"{margin:.1e} TPa, moduli to be held missed by {closest:.1e} TPa or more"
@@ -159,9 +168,10 @@ class Stages:
                 tick=tick,
             )
             if not reached.converged:
+                margin, departure = data.stress * reached.margin, data.stress * reached.departure
                 raise RuntimeError(
-                    f"stage 4: ended with a margin of {reached.margin:.1e} TPa, and moduli to be "
-                    f"held missed by {reached.departure:.1e} TPa"
+                    f"stage 4: ended with a margin of {margin:.1e} TPa, and moduli to be "
+                    f"held missed by {departure:.1e} TPa"
                 )
             return reached.parameters
 

@@ -28,6 +28,7 @@ class TrainingData:
         conditions: what must hold on each lattice.
         noise: fields of noise of each set; empty when nothing is known of it.
         added: what that noise adds to each reduced loss.
+        stress: unit of stress that all of it is in [TPa].
     """
 
     sets: list[Samples]
@@ -37,6 +38,7 @@ class TrainingData:
     conditions: list[LatticeConditions]
     noise: list[Samples]
     added: list[np.ndarray]
+    stress: float = 1.0
 
     @property
     def spacings(self) -> list[float]:

@@ -17,9 +17,9 @@ from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
+from warp_peri.points.units import USUAL, Units, check_units, converted
 
 FORMAT, VERSION = "warp_peri.dataset", 1
-UNITS = {"length_unit": "angstrom", "stress_unit": "TPa"}
 _NEEDED = ("x", "u", "interior")
 MOST_PER_BYTE = 20
 """Arrays may hold so many times the bytes of the file (they may be compressed), and no more."""
@@ -28,20 +28,25 @@ SMALL = 2**20
 LAYOUT = ("v110", "v110")
 
 
-def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
+def save_dataset(path: str | os.PathLike[str], dataset: Dataset, *, units: Units = USUAL) -> None:
     """Write `dataset` to an HDF5 file, whole or not at all.
+
+    `units` names the units of length and stress that its numbers are in, as ("nm", "GPa"): they are
+    written as they are, and the file carries the names.
 
     In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
     the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
 
-    Raises InputError for a provenance that is not JSON.
+    Raises InputError for a provenance that is not JSON, or units that are not known.
     """
+    length, stress = check_units(units)
     try:
         provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"provenance: expected plain JSON values ({error})") from None
     with whole_file(path) as temporary, h5py.File(temporary, "w", libver=LAYOUT) as file:
-        for key, text in {"format": FORMAT, **UNITS}.items():
+        names = {"format": FORMAT, "length_unit": length, "stress_unit": stress}
+        for key, text in names.items():
             file.attrs[key] = _fixed(text)
         file.attrs["version"] = VERSION
         file.attrs["thickness"] = float(dataset.thickness)
@@ -95,8 +100,11 @@ def content_hash(dataset: Dataset) -> str:
     return digest.hexdigest()
 
 
-def load_dataset(path: str | os.PathLike[str]) -> Dataset:
+def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) -> Dataset:
     """Read a data set.
+
+    With `units`, as ("angstrom", "TPa"), its numbers are converted to them from those that the file
+    carries; without, a file in others than Å and TPa is refused.
 
     Nothing outside the file is read: links to other files and arrays kept in other files are
     refused. Sizes are checked before memory is taken, and the contents against the hash that
@@ -109,13 +117,13 @@ def load_dataset(path: str | os.PathLike[str]) -> Dataset:
     try:
         with h5py.File(path, "r") as file:
             _check_sizes(file, os.path.getsize(path))
-            data = _read(file)
+            data, have = _read(file, USUAL if units is None else None)
             expected = _text(file.attrs.get("sha256"))
         if expected is not None and not (
             isinstance(expected, str) and expected == content_hash(data)
         ):
             raise InputError("sha256: the contents are not what was written; the file is damaged")
-        return data
+        return data if units is None else converted(data, have, units)
     except FileNotFoundError:
         raise InputError(f"{path}: no such data set") from None
     except InputError as error:
@@ -163,11 +171,17 @@ def _is_group(item: Any) -> bool:
     return isinstance(item, h5py.Group)
 
 
-def _read(file: h5py.File) -> Dataset:
-    for key, expected in {"format": FORMAT, "version": VERSION, **UNITS}.items():
+def _read(file: h5py.File, only: Units | None) -> tuple[Dataset, Units]:
+    """What a file holds, and its units; any but `only` are refused, where that is given."""
+    for key, expected in {"format": FORMAT, "version": VERSION}.items():
         found = _text(file.attrs.get(key))
         if np.shape(found) != () or found != expected:
             raise InputError(f"{key}: expected {expected!r}, got {found!r}")
+    length, stress = (_text(file.attrs.get(key)) for key in ("length_unit", "stress_unit"))
+    for key, found, usual in (("length_unit", length, USUAL[0]), ("stress_unit", stress, USUAL[1])):
+        if only is not None and (np.shape(found) != () or found != usual):
+            raise InputError(f"{key}: expected {usual!r}, got {found!r}; units={USUAL} converts")
+    units = check_units((length, stress))
     thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
     try:
         provenance = json.loads(_text(file.attrs.get("provenance", "{}")))
@@ -183,7 +197,7 @@ def _read(file: h5py.File) -> Dataset:
             sets[name] = _read_points(group)
         except InputError as error:
             raise InputError(f"set '{name}': {error}") from None
-    return Dataset(sets, thickness, density, provenance)
+    return Dataset(sets, thickness, density, provenance), units
 
 
 def _read_points(group: h5py.Group) -> Samples:

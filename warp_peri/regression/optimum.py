@@ -24,6 +24,8 @@ from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSe
 
 LOSS_TOLERANCE = 1e-14
 """Changes of the loss that SLSQP takes for none; losses are relative to the loads."""
+NO_LOSS = 1e-20
+"""Of data that are in equilibrium to the last digit: nothing is gained below it."""
 RESTARTS, RESTART_GAIN = 10, 1e-6
 """SLSQP is begun again at most so often, while its loss falls by more than this, relative."""
 HEADROOM = 1.01
@@ -139,7 +141,7 @@ class Problem:
         y, loss = self.solve(y, tables)
         for _ in range(RESTARTS):
             again, lower = self.solve(y, tables)
-            if not lower < loss * (1 - RESTART_GAIN) - LOSS_TOLERANCE:
+            if not lower < loss * (1 - RESTART_GAIN) - NO_LOSS:
                 break
             y, loss = again, lower
         return y, loss

@@ -1,0 +1,113 @@
+"""A fit follows the scale of its data: stiffness and lengths of any size, and says what it took."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured
+from tests.support.waves import waves
+from warp_peri import Bernstein, Conditions, InputError, Optimum, fit, load_model, solve
+from warp_peri.learning.scale import RELATIVE_ZETA, scale_of, stiffness_of
+from warp_peri.points.samples import Samples
+
+HORIZON = 2.5
+TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return manufactured(TRUE, lattice(6, HORIZON), 5)
+
+
+def at_scale(samples, length=1.0, stress=1.0):
+    """The same body of another size, of a material that is so much stiffer."""
+    points = replace(samples.points, x=length * samples.x, spacing=length * samples.spacing)
+    return replace(samples, points=points, u=length * samples.u, b=samples.b * (stress / length))
+
+
+def learned(samples, length=1.0, **options):
+    return fit(samples, HORIZON * length, Bernstein(3), progress=False, **options)
+
+
+@pytest.fixture(scope="module")
+def plain(data):
+    return learned(data)
+
+
+@pytest.mark.parametrize("stress", [1e-4, 0.01, 3.0, 1e4, 1e11])
+def test_stiffness_of_any_size(data, plain, stress):
+    found = learned(at_scale(data, stress=stress))
+    for name in ("lam", "mu"):
+        expected = getattr(plain.model, name)
+        assert getattr(found.model, name) / stress == pytest.approx(expected, rel=1e-5)
+        for stage in found.history:
+            assert getattr(stage.parameters, name) / stress == pytest.approx(expected, rel=1e-5)
+    assert found.model.mu / stress == pytest.approx(0.7, rel=1e-4)
+    zeta = found.settings.conditions[0].zeta
+    assert zeta / stress == pytest.approx(plain.settings.conditions[0].zeta)
+    bound = found.certificate.symbol_bound
+    assert bound / stress == pytest.approx(plain.certificate.symbol_bound, rel=1e-4)
+
+
+@pytest.mark.parametrize("length", [1e-10, 0.1, 3.4, 1e4])
+def test_lengths_in_any_unit(data, plain, length):
+    there = at_scale(data, length)
+    found = learned(there, length)
+    assert found.model.horizon == HORIZON * length
+    assert found.model.certified_on == (length,)
+    assert found.model.mu == pytest.approx(plain.model.mu, rel=1e-5)
+    solved = solve(found.model, there, there.b, there.u)
+    assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
+
+
+def test_moduli_to_be_held_are_those_of_the_data(data):
+    found = learned(at_scale(data, stress=1e-4), method=Optimum(moduli=(2e-5, 6e-5)))
+    assert (found.model.lam, found.model.mu) == pytest.approx((2e-5, 6e-5), rel=1e-6)
+    assert found.settings.moduli == (2e-5, 6e-5)
+
+
+def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp_path):
+    stiffness = stiffness_of([data], HORIZON)
+    assert 0.3 < stiffness < 3
+    plain.model.save(tmp_path / "model.json")
+    kept = load_model(tmp_path / "model.json").provenance["zeta"]
+    assert kept == pytest.approx(
+        {"zeta": RELATIVE_ZETA * stiffness, "stiffness of the data": stiffness}
+    )
+    asked = learned(data, conditions=Conditions(zeta=0.02))
+    assert asked.settings.conditions[0].zeta == 0.02
+
+
+def test_noise_does_not_soften_the_stiffness(data):
+    random = np.random.default_rng(0)
+    many = Samples(data.points, np.tile(data.u, (60, 1, 1)), np.tile(data.b, (60, 1, 1)))
+    noisy = replace(many, u=many.u + 0.3 * random.normal(size=many.u.shape))
+    assert stiffness_of([noisy], HORIZON) == pytest.approx(stiffness_of([data], HORIZON), rel=0.05)
+
+
+def test_wave_vectors_go_along_with_lengths():
+    given = at_scale(waves(TRUE, cells=4, highest=2), 1e-10)
+    given.arrays["wave_vector"] = given.arrays["wave_vector"] * 1e10
+    inner = scale_of([given], HORIZON * 1e-10, lengths=True).samples(given)
+    phase = given.arrays["wave_vector"][:, None] * given.x
+    assert inner.arrays["wave_vector"][:, None] * inner.x == pytest.approx(phase)
+
+
+def test_forces_of_the_wrong_sign_are_refused(data):
+    with pytest.raises(InputError, match="work of opposite sign"):
+        learned(at_scale(data, stress=-1.0))
+    with pytest.raises(InputError, match="work of opposite sign, or none"):
+        learned(replace(data, u=np.zeros_like(data.u)))
+
+
+def test_a_fit_that_explains_less_than_nothing_is_an_error(data):
+    """A ζ far above the material makes every kernel too stiff by far."""
+    with pytest.raises(InputError, match=r"the best model leaves [0-9.]+ % of the loads, no less"):
+        learned(data, conditions=Conditions(zeta=50.0))
+
+
+def test_a_modulus_on_its_bound_is_a_warning_with_the_number(data):
+    said = r"^μ and λ \+ μ ended on the lower bound, 0\.758 TPa, where the data show .* 0\.553 TPa"
+    with pytest.warns(UserWarning, match=said):
+        learned(data, conditions=Conditions(zeta=0.75))

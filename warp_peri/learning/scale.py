@@ -1,0 +1,177 @@
+"""The units that a fit works in, and the stiffness that data show (theory.md, U1–U2).
+
+Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
+tolerances of a search are numbers. They are numbers of units that follow the data: powers of two,
+so that going there and back costs no digit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from warp_peri.errors import InputError
+from warp_peri.learning.methods import Constrained, Method, TwoStage
+from warp_peri.learning.training_data import TrainingData, training_data
+from warp_peri.models.solid import Solid
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.lps import lps_force
+from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
+from warp_peri.points.units import scaled
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
+from warp_peri.stability.conditions import Conditions, LatticeConditions
+
+RELATIVE_ZETA = 0.0161
+"""ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
+USUAL_HORIZON, USUAL_STIFFNESS = 16.0, 0.62
+"""A horizon and a stiffness that the search's own numbers suit: those of graphene in Å and TPa."""
+PROBED_HORIZON = 2.0
+"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
+UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
+"""K = 1/r with λ = μ = 1."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Units of a fit.
+
+    Attributes:
+        length, stress: of the fit, in the units of the data; powers of two.
+        stiffness: that the data show [TPa].
+    """
+
+    length: float
+    stress: float
+    stiffness: float
+
+    def samples(self, given: Samples) -> Samples:
+        """The samples in these units."""
+        return scaled(given, 1 / self.length, 1 / self.stress)
+
+    def conditions(self, asked: Conditions) -> Conditions:
+        """The conditions with their ζ [TPa]: that of the stiffness, where none was asked for."""
+        zeta = RELATIVE_ZETA * self.stiffness if asked.zeta is None else asked.zeta
+        return dataclasses.replace(asked, zeta=zeta)
+
+    def inner_conditions(self, asked: Conditions) -> Conditions:
+        """The conditions in these units."""
+        found = self.conditions(asked)
+        assert found.zeta is not None
+        return dataclasses.replace(found, zeta=found.zeta / self.stress)
+
+    def method(self, given: Method) -> Method:
+        """The method with its lengths and moduli in these units."""
+        if isinstance(given, Constrained):
+            first, second = self._two_stage(given.two_stage), self._optimum(given.optimum)
+            return dataclasses.replace(given, two_stage=first, optimum=second)
+        return self._two_stage(given) if isinstance(given, TwoStage) else self._optimum(given)
+
+    def _two_stage(self, given: TwoStage) -> TwoStage:
+        spacing = given.lattice_spacing
+        inner = None if spacing is None else spacing / self.length
+        return dataclasses.replace(given, lattice_spacing=inner)
+
+    def _optimum(self, given: Optimum) -> Optimum:
+        if given.moduli is None or isinstance(given.moduli, str):
+            return given
+        lam, mu = given.moduli
+        return dataclasses.replace(given, moduli=(lam / self.stress, mu / self.stress))
+
+    def lattice_conditions(self, data: TrainingData, horizon: float) -> list[LatticeConditions]:
+        """The conditions of training data in these units, in those of the data."""
+        return [
+            LatticeConditions(
+                bond_classes(one.classes.spacing * self.length, horizon),
+                dataclasses.replace(one.asked, zeta=one.zeta * self.stress),
+            )
+            for one in data.conditions
+        ]
+
+    def parameters(self, found: Parameters) -> Parameters:
+        """What was found in these units, in those of the data."""
+        return dataclasses.replace(found, lam=found.lam * self.stress, mu=found.mu * self.stress)
+
+
+def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale:
+    """The units of a fit to these samples.
+
+    Args:
+        sets: training sets.
+        horizon: δ [Å].
+        lengths: whether lengths may be scaled; those of a shape's own parameters are the user's.
+
+    Raises InputError as stiffness_of does.
+    """
+    stiffness = stiffness_of(sets, horizon)
+    length = _power_of_two(horizon / USUAL_HORIZON) if lengths and horizon > 0 else 1.0
+    return Scale(length, _power_of_two(stiffness / USUAL_STIFFNESS), stiffness)
+
+
+def _power_of_two(ratio: float) -> float:
+    return math.ldexp(1.0, round(math.log2(ratio)))
+
+
+def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
+    """The stiffness that loads and displacements show together [TPa].
+
+    That of the bond-based solid, K = 1/r, whose loads have the given work with the loads: ‖b‖² over
+    b·A u, A of unit stiffness. Noise in u, which b knows nothing of, averages out of it.
+
+    Raises InputError where it is not above zero: loads and displacements of opposite work.
+    """
+    if not sets:
+        raise InputError("points: expected at least one training set, got none")
+    large_b = max(float(np.abs(one.loads[:, one.interior]).max(initial=0.0)) for one in sets)
+    large_u = max(float(np.abs(one.u).max(initial=0.0)) for one in sets)
+    loads = work = 0.0
+    if large_b > 0 and large_u > 0:
+        for one in sets:
+            reach = min(PROBED_HORIZON * one.spacing, horizon) if one.spacing > 0 else horizon
+            bonds = Bonds(one.points, reach, bond_based=True)
+            force = lps_force(bonds, torch.from_numpy(one.u / large_u), UNIT).numpy()
+            b = one.loads[:, one.interior] / large_b
+            loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
+    if not work > 0:
+        raise InputError(
+            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
+            "loads so; expected b to be the load, which is minus the internal force"
+        )
+    return large_b / large_u * loads / work
+
+
+def scaled_data(
+    sets: Sequence[Samples],
+    horizon: float,
+    conditions: Conditions,
+    *,
+    noise: Sequence[Samples],
+    normalise: bool,
+    lattice_spacing: float | None,
+    lengths: bool,
+) -> tuple[TrainingData, Scale]:
+    """Training data in the units of a fit, and these units; see training_data and scale_of."""
+
+    def made(scale: Scale | None) -> TrainingData:
+        length = 1.0 if scale is None else scale.length
+        return training_data(
+            [one if scale is None else scale.samples(one) for one in sets],
+            horizon / length,
+            conditions if scale is None else scale.inner_conditions(conditions),
+            noise=[one if scale is None else scale.samples(one) for one in noise],
+            normalise=normalise,
+            lattice_spacing=None if lattice_spacing is None else lattice_spacing / length,
+        )
+
+    try:
+        scale = scale_of(sets, horizon, lengths=lengths)
+    except InputError:
+        made(None)  # what is wrong with the sets themselves comes first
+        raise
+    return dataclasses.replace(made(scale), stress=scale.stress), scale
