@@ -1,5 +1,5 @@
 # make graphene: everything from a fresh clone to the report of the main job.
-# make test:     the same set-up, then the test suite.
+# make test:     the same set-up, then the test suite, a file of tests to a core at a time.
 # make docs:     the pages in docs/ as a site, in site/.
 PYTHON ?= python3
 VENV   ?= .venv
@@ -11,7 +11,7 @@ graphene: $(VENV)/.installed
 	$(BIN)/python examples/train_graphene.py
 
 test: $(VENV)/.installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

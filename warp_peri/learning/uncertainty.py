@@ -240,10 +240,10 @@ def _sets_and_noise(
         raise InputError(
             f"points, noise: expected {number} sets each, got {len(sets)} and {len(fields)}"
         )
-    for one, of in zip(fields, sets):
-        check_noise(one, of)
-        if len(one) < 2:
-            raise InputError(f"noise: expected two fields at least, got {len(one)}")
+    for unloaded, samples in zip(fields, sets):
+        check_noise(unloaded, samples)
+        if len(unloaded) < 2:
+            raise InputError(f"noise: expected two fields at least, got {len(unloaded)}")
     return sets, fields
 
 
@@ -251,9 +251,9 @@ def _tangent(problem: Problem, y: np.ndarray) -> np.ndarray:
     """Directions that keep the active conditions where they are, shape [Y, T]."""
     point = problem.coordinates.point(y)
     tables = []
-    for one, v, z in zip(problem.asked, point.v, point.z):
-        _, worst = ZoneSearch(one).worst(v, z, point.kappa)
-        tables.append(symbol(one.classes, worst))
+    for asked, v, z in zip(problem.asked, point.v, point.z):
+        _, worst = ZoneSearch(asked).worst(v, z, point.kappa)
+        tables.append(symbol(asked.classes, worst))
     active = problem.margins(point, tables) < ACTIVE * problem.asked[0].zeta
     rows = problem.margin_slopes(point, tables)[active]
     if problem.moduli is not None:
