@@ -13,18 +13,25 @@ import scipy.sparse as sp
 from warp_peri.errors import InputError
 from warp_peri.files.whole import whole_file, write_text
 from warp_peri.models.lps import Model
+from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.matrices import matrices
+from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples
 
 XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
-XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components
+XDMF_TYPES = {
+    1: "Scalar",
+    3: "Vector",
+    6: "Matrix",
+    9: "Tensor",
+}  # of Tensor6 readers permute the components
 
 
 def write_fields(
     folder: str | os.PathLike[str],
-    model: Model,
+    model: Model | NonlinearModel,
     points: Samples,
     u: np.ndarray,
     *,
@@ -36,11 +43,13 @@ def write_fields(
     alone. On all nodes displacement [Å], its error against the set's own u [Å], body_force (a
     density) [TPa/Å] where it is known, and interior (1 or 0). On interior nodes, NaN elsewhere:
     stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ with zeros out of the plane,
-    dilatation, energy density [TPa].
+    dilatation, energy density [TPa]. Those are of the linear solid; of a nonlinear model also
+    piola, P = Ψ′(H) [TPa], which is to be added to the stress, as XX, XY, XZ, YX, … (theory.md,
+    N2).
 
     Args:
         folder: for the files; it is made if it is not there.
-        model: the model.
+        model: linear or nonlinear.
         points: the set, with u to compare, and b where it is known.
         u: displacement [Å], shape [S, N, 2].
         format: "vtu" for one file a sample, sample_0000.vtu and so on; "xdmf" for one file with
@@ -171,8 +180,15 @@ def _write_xdmf(
     return [light, heavy]
 
 
-def _samples(model: Model, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
+def _samples(
+    model: Model | NonlinearModel, points: Samples, u: np.ndarray
+) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
+    piola: np.ndarray | None = None
+    if isinstance(model, NonlinearModel):
+        operator = NonlinearOperator(model, points, allow_uncertified=True)
+        _, P = operator.gradients(u)
+        model, piola = model.linear, P[:, points.interior[operator.sweeps.full]]
     fields = node_fields(model, points, u)
     return [
         {
@@ -180,6 +196,7 @@ def _samples(model: Model, points: Samples, u: np.ndarray) -> list[dict[str, np.
             "error": _vector(field - points.u[s]),
             **({} if points.b is None else {"body_force": _vector(points.b[s])}),
             "stress": _everywhere(points, _tensor(fields.stress[s])),
+            **({} if piola is None else {"piola": _everywhere(points, _matrix(piola[s]))}),
             "strain": _everywhere(points, _tensor(fields.strain[s])),
             "dilatation": _everywhere(points, fields.dilatation[s]),
             "energy": _everywhere(points, fields.energy[s]),
@@ -194,6 +211,13 @@ def _tensor(field: np.ndarray) -> np.ndarray:
     out = np.zeros((len(field), 6))
     out[:, 0], out[:, 1], out[:, 3] = field[:, 0, 0], field[:, 1, 1], field[:, 0, 1]
     return out
+
+
+def _matrix(field: np.ndarray) -> np.ndarray:
+    """The nine components of tensors that are not symmetric, row by row."""
+    out = np.zeros((len(field), 3, 3))
+    out[:, :2, :2] = field
+    return out.reshape(-1, 9)
 
 
 def _vector(field: np.ndarray) -> np.ndarray:

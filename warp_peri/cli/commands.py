@@ -18,8 +18,8 @@ from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.whole import destination, locked, write_json
-from warp_peri.models.lps import Model, load_model
-from warp_peri.models.nonlinear import load_any
+from warp_peri.models.lps import Model
+from warp_peri.models.nonlinear import NonlinearModel, load_any
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
@@ -188,7 +188,8 @@ def training_metrics(run: Run) -> Result:
 
 def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
-    model = load_model(given.model)
+    given_model = load_any(given.model)
+    model = given_model.linear if isinstance(given_model, NonlinearModel) else given_model
     spacings = given.spacing or list(model.trained_on)
     if not spacings:
         raise InputError("spacing: the model names no training lattice; give --spacing")
@@ -200,6 +201,9 @@ def run_certify(given: argparse.Namespace) -> Result:
             "statement": certificate.statement,
             **certificate.figures(),
         }
+        if isinstance(given_model, NonlinearModel):
+            proof = warp_peri.uniqueness(given_model, spacing=spacing)
+            proven[f"{spacing:g} Å"]["nonlinear"] = proof.figures()
     return proven
 
 
@@ -225,17 +229,14 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, its collar held: a data file with the solution."""
-    model, data = load_model(given.model), load_dataset(given.data, units=USUAL)
+    model, data = load_any(given.model), load_dataset(given.data, units=USUAL)
     points = data[given.set]
-    u = warp_peri.solve(
-        model,
-        points,
-        points.loads,
-        points.u,
-        method=given.method,
-        transfer=given.transfer,
-        allow_uncertified=given.allow_uncertified,
-    )
+    fields = (points.loads, points.u)
+    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+    if isinstance(model, NonlinearModel):
+        u = warp_peri.solve_nonlinear(model, points, *fields, **asked)
+    else:
+        u = warp_peri.solve(model, points, *fields, method=given.method, **asked)
     solved = dataclasses.replace(points, u=u)
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
     with locked(given.out):
@@ -249,7 +250,8 @@ def run_solve(given: argparse.Namespace) -> Result:
 
 def run_export(given: argparse.Namespace) -> Result:
     """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
-    model, settings = load_model(given.model), given.out.with_suffix(".export.toml")
+    solid, settings = load_any(given.model), given.out.with_suffix(".export.toml")
+    model = solid.linear if isinstance(solid, NonlinearModel) else solid
     if given.what == "influence":
         if given.spacing is None and not model.trained_on:
             raise InputError("spacing: the model names no training lattice; give --spacing")
@@ -266,10 +268,16 @@ def run_export(given: argparse.Namespace) -> Result:
             paths = [warp_peri.export.write_operator(given.out, model, points)]
         else:
             settings = given.out / "export.toml"
-            u = warp_peri.solve(model, points, points.loads, points.u, **asked)
+            fields = (points.loads, points.u)
+            if isinstance(solid, NonlinearModel):
+                solid = dataclasses.replace(solid, linear=model)
+                u = warp_peri.solve_nonlinear(solid, points, *fields, **asked)
+            else:
+                solid = model
+                u = warp_peri.solve(model, points, *fields, **asked)
             with locked(given.out):
                 paths = warp_peri.export.write_fields(
-                    given.out, model, points, u, format=given.format
+                    given.out, solid, points, u, format=given.format
                 )
     keep(given, settings)
     return {"files": [str(path) for path in paths]}
@@ -304,7 +312,10 @@ def run_sweep(given: argparse.Namespace) -> Result:
 def run_info(given: argparse.Namespace) -> Result:
     """What a model or data file holds."""
     if given.file.suffix == ".json":
-        return model_summary(load_model(given.file))
+        model = load_any(given.file)
+        if isinstance(model, NonlinearModel):
+            return nonlinear_summary(model)
+        return model_summary(model)
     data = load_dataset(given.file)
     return {
         "format": "data set",
@@ -312,6 +323,19 @@ def run_info(given: argparse.Namespace) -> Result:
         "density": data.density,
         "sets": {name: set_summary(data[name]) for name in data},
         "provenance": data.provenance,
+    }
+
+
+def nonlinear_summary(model: NonlinearModel) -> Result:
+    """Constants, guarantee and errors of a nonlinear model, and its linear part."""
+    return {
+        **model_summary(model.linear),
+        "format": f"model, nonlinear, {model.form} form",
+        "t3": model.t3,
+        "tq2": model.tq2,
+        "q3": model.q3,
+        "proven": model.proven,
+        "errors": model.errors,
     }
 
 

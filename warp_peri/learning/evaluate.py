@@ -13,6 +13,7 @@ from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
 from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
 from warp_peri.statics.solve import solve
+from warp_peri.transfer.nonlinear import nonlinear_for
 from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.points import model_for
 
@@ -40,8 +41,8 @@ def evaluate(
     """Errors on every sample of a set and their means.
 
     Args:
-        model: linear or nonlinear, certified on some lattice; on others a linear one is
-            transferred, which is said once.
+        model: linear or nonlinear, certified on some lattice; on others it is transferred, which
+            is said once.
         points: samples with displacement and load.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
@@ -62,6 +63,9 @@ def evaluate(
         raise InputError("the set has no samples to evaluate")
     if isinstance(model, Model) and not allow_uncertified:
         model = model_for(model, points, transfer=transfer)
+    elif isinstance(model, NonlinearModel):
+        asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+        model = nonlinear_for(model, points, **asked)
     residual, load = residual_errors(model, points, allow_uncertified=allow_uncertified)
     fields = (points.loads, points.u)
     records: list[NonlinearRecord] = []
@@ -82,8 +86,9 @@ def evaluate(
     table = {key: float(value) for key, value in table.items()}
     for key, values in (("E_res", relative), ("E_res_abs", residual), ("E_u", displacement)):
         table[f"{key}_samples"] = values.tolist()
-    if isinstance(model, Model) and model.transferred_from is not None:
-        table["transferred_from"] = model.transferred_from
+    linear = model.linear if isinstance(model, NonlinearModel) else model
+    if linear.transferred_from is not None:
+        table["transferred_from"] = linear.transferred_from
     if records:
         table["linear_solves"] = max(record.solves for record in records)
         table["largest_gradient"] = max(record.largest_gradient for record in records)

@@ -28,6 +28,7 @@ from warp_peri.points.samples import PointsLike
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
+from warp_peri.transfer.nonlinear import nonlinear_for
 
 TOLERANCE = 1e-8
 """Residual ‖L u − b‖ over the linear right-hand side ‖b − L u_C‖."""
@@ -72,6 +73,7 @@ def solve_nonlinear(
     u_collar: ArrayLike,
     *,
     tolerance: float = TOLERANCE,
+    transfer: bool = True,
     allow_uncertified: bool = False,
     records: list[NonlinearRecord] | None = None,
     eigenvalues: bool = False,
@@ -79,12 +81,13 @@ def solve_nonlinear(
     """Displacement in equilibrium with b on the interior, given on the collar.
 
     Args:
-        model: the model, its linear part certified for the spacing of the points.
+        model: certified on some lattice; on others its linear part is transferred.
         points: a lattice; its u and b are not looked at.
         b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
         tolerance: residual over the linear right-hand side.
-        allow_uncertified: warn about an uncertified spacing instead of raising.
+        transfer: False refuses lattices that the model itself is not certified on.
+        allow_uncertified: the model's own numbers, with a warning.
         records: takes one NonlinearRecord for each sample.
         eigenvalues: compute the smallest eigenvalue of the tangent at each answer, for the record.
 
@@ -95,7 +98,11 @@ def solve_nonlinear(
     Raises InputError for arrays that do not fit, an uncertified spacing, and a sample for which no
     equilibrium was found.
     """
-    operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
+    asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+    model = nonlinear_for(model, points, **asked)
+    with warnings.catch_warnings():  # said once, above
+        warnings.filterwarnings("ignore", message="spacing: the model is certified")
+        operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
     b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
     nodes = len(points.x)
     if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (nodes, 2):
@@ -131,10 +138,12 @@ class _Solver:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
         self.linear = linear_solver(operator, points, LINEAR_SHARE * tolerance)
-        self.clipped = NonlinearOperator(
-            operator.model, points, radius=self.proven, allow_uncertified=True
-        )
-        self.straight = LPSOperator(operator.model.linear, points, allow_uncertified=True)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="spacing: the model is certified")
+            self.clipped = NonlinearOperator(
+                operator.model, points, radius=self.proven, allow_uncertified=True
+            )
+            self.straight = LPSOperator(operator.model.linear, points, allow_uncertified=True)
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.
