@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import torch
 
 from warp_peri.errors import InputError
 from warp_peri.flow.planar import (
@@ -22,11 +23,16 @@ from warp_peri.flow.planar import (
 )
 
 
+def plain_number(value: Any) -> float:
+    """A float of a number or a torch scalar."""
+    return float(value.detach() if isinstance(value, torch.Tensor) else value)
+
+
 class Law(Protocol):
     """What a flow asks of a law; C has shape [..., 4], and so has K."""
 
     @property
-    def rest(self) -> np.ndarray:
+    def rest(self) -> Any:
         """C of the fluid at rest, shape [4]."""
 
     def rate(self, K: Any, C: Any) -> Any:
@@ -72,7 +78,7 @@ class Giesekus(UpperConvectedMaxwell):
     name: ClassVar[str] = "Giesekus"
 
     def __post_init__(self) -> None:
-        if not 0 <= float(self.alpha) <= 1:
+        if not 0 <= plain_number(self.alpha) <= 1:
             raise InputError(f"alpha: expected a number from 0 to 1, got {self.alpha}")
 
     def rate(self, K: Any, C: Any) -> Any:
@@ -91,13 +97,14 @@ class FENEP:
     name: ClassVar[str] = "FENE-P"
 
     def __post_init__(self) -> None:
-        if not float(self.b) > 3:
+        if not plain_number(self.b) > 3:
             raise InputError(f"b: expected a number above 3, got {self.b}")
 
     @property
-    def rest(self) -> np.ndarray:
+    def rest(self) -> Any:
         """I b/(b + 3)."""
-        return float(self.b) / (float(self.b) + 3) * IDENTITY
+        c = self.b / (self.b + 3)
+        return stack([c, 0 * c, c, c]) if isinstance(c, torch.Tensor) else c * IDENTITY
 
     def rate(self, K: Any, C: Any) -> Any:
         """(F8)."""
@@ -113,5 +120,5 @@ class FENEP:
         """Raises InputError for a C that is not positive definite, or of trace b or more."""
         check_conformation(C)
         longest = float(np.max(trace(C)))
-        if longest >= float(self.b):
+        if longest >= plain_number(self.b):
             raise InputError(f"conformation: expected a trace below {self.b}, got {longest:.4g}")

@@ -109,25 +109,26 @@ class TabulatedRateLaw(RateLaw):
 
     @cached_property
     def _splines(self) -> list[CubicSpline]:
-        """For each input a spline with three values."""
+        """For each input a spline with three values: what it adds to those at the middle."""
         low, high = self._ends
         found = []
         for i, (a, b) in enumerate(zip(low, high)):
-            at = np.linspace(a, b, KNOTS)
-            values = []
-            for process in self.processes:
-                length = process.scale[i] * np.exp(process.log_lengths[i])
-                k = np.exp(-0.5 * ((at[:, None] - process.X[:, i]) / length) ** 2)
-                amplitude = process.size * np.exp(2 * process.log_amplitude)
-                values.append(amplitude * k @ process.weights)
-            found.append(CubicSpline(at, np.array(values).T))
+            X = np.tile((low + high) / 2, (KNOTS, 1))
+            X[:, i] = np.linspace(a, b, KNOTS)
+            values = np.array([process(X) for process in self.processes]) - self._middle[:, None]
+            found.append(CubicSpline(X[:, i], values.T))
         return found
+
+    @cached_property
+    def _middle(self) -> np.ndarray:
+        low, high = self._ends
+        return np.array([process((low + high)[None] / 2)[0] for process in self.processes])
 
     def learned(self, X: np.ndarray) -> list[np.ndarray]:
         """What the tables give at inputs [n, 7]."""
         X = np.clip(X, *self._ends)
         total = np.sum([table(x) for table, x in zip(self._splines, X.T)], axis=0)
-        return [total[:, i] + process.mean for i, process in enumerate(self.processes)]
+        return list(total.T + self._middle[:, None])
 
 
 def learn_rate(

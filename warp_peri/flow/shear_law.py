@@ -73,7 +73,7 @@ def learn_shear(
     Increments belong to the start of their window and have the known noise of (F16). With
     kinematics the part of the increment that the flow makes, K_xy ⟨q_y q_y⟩, is measured on the
     dumbbells and taken off: its fluctuation, √(2/N) of the whole for a relaxation time, is the
-    largest noise there is (theory, F21).
+    largest noise there is (theory, F21). Without, it is known as a covariance.
 
     Args:
         record: of simple shear.
@@ -91,6 +91,8 @@ def learn_shear(
         target = target - (record.K[:T:window, :, 1] * yy).reshape(-1)
     keep = np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))
     k, s, noise = pairs.K[keep, 1], pairs.s[keep, 1], pairs.noise[keep, 1]
+    if not kinematics:
+        noise = np.diag(noise) + _stretch_noise(record, keep, k, pairs.window)
     middle, law = s, None
     for _ in range(rounds):
         X = np.stack([middle, k], axis=-1)
@@ -100,3 +102,12 @@ def learn_shear(
         middle = s + pairs.window / 2 * slope
     assert law is not None
     return law
+
+
+def _stretch_noise(record: Record, keep: np.ndarray, k: np.ndarray, window: float) -> np.ndarray:
+    """Covariance of K_xy (⟨q_y q_y⟩ − 1), which forgets itself in a relaxation time (F21)."""
+    ensembles = record.K.shape[1]
+    t, which = keep // ensembles * window, keep % ensembles
+    same = which[:, None] == which
+    variance = 2 / record.count if record.count else 0.0
+    return np.asarray(variance * np.outer(k, k) * np.exp(-np.abs(t[:, None] - t)) * same)

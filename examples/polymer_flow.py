@@ -1,0 +1,190 @@
+"""Polymer flow with memory: dumbbells → a law with error bars → flows that no fit saw.
+
+A law learned from small runs of dumbbells takes the place of simulating dumbbells under every
+point of a channel. Hookean dumbbells have an exact law to be held to; FENE dumbbells have none.
+
+    python examples/polymer_flow.py --json      # numbers alone; figure and table under runs/
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from warp_peri.files.whole import plain, write_json, write_text
+from warp_peri.flow import series
+from warp_peri.flow.channel import ChannelFlow, Particles
+from warp_peri.flow.channel_run import ChannelRecord, run_channel
+from warp_peri.flow.closure import Closure, Coupled, homogeneous
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.law_file import save_law
+from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
+from warp_peri.flow.pairs import start_pairs
+from warp_peri.flow.paths import Band, band
+from warp_peri.flow.planar import elongation, shear
+from warp_peri.flow.protocols import held, mixed, simulate
+from warp_peri.flow.rate_law import RateLaw, learn_rate
+from warp_peri.flow.spring_law import SpringLaw, learn_spring
+
+DE, UNTIL, RECORDS = 1e-2, 0.03, 50
+B = 50.0
+
+
+def relative(value: np.ndarray, truth: np.ndarray) -> float:
+    """Relative ℓ2 error in %."""
+    return float(100 * np.linalg.norm(value - truth) / np.linalg.norm(truth))
+
+
+def hookean_law(count: int, seed: int) -> RateLaw:
+    """A rate learned from mixed flows of Hookean dumbbells, what the flow itself does known."""
+    K = mixed(22, 200, 0.4, hold=10, seed=seed)
+    pairs = start_pairs(simulate(Dumbbells(22, count, seed=seed), K, 0.05), 2)
+    chosen = pairs.choose(1000, np.random.default_rng(seed))
+    return learn_rate(chosen, kernel="additive", kinematics=True, outside="allow")
+
+
+def fene_law(count: int, seed: int) -> SpringLaw:
+    """A spring learned from FENE dumbbells in shear, elongation and at rest after them."""
+    rates = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
+    K = np.concatenate([shear(rates), elongation(np.array([0.25, 0.5, 1.0, 2.0]))])
+    K = np.concatenate([held(K, 60), np.zeros((40, len(K), 4))])
+    record = simulate(Dumbbells(len(K[0]), count, b=B, seed=seed), K, 0.1, steps=5)
+    return learn_spring(record, points=200, outside="allow")
+
+
+def channel(stress: Any, flow: ChannelFlow) -> tuple[ChannelRecord, float]:
+    """The channel with one kind of fluid, and seconds a step."""
+    steps = RECORDS * 10
+    start = time.perf_counter()
+    record = run_channel(flow, stress, UNTIL, UNTIL / steps, every=10)
+    return record, (time.perf_counter() - start) / steps
+
+
+def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, ChannelRecord], Band]:
+    """Learned, exact and coupled fluids in one channel, and the band around the learned one."""
+    flow = ChannelFlow(DE)
+    n = Particles(flow).fluid
+    law = hookean_law(count, seed)
+    save_law(ROOT / "runs" / "polymer_flow" / "law.json", law, {"dumbbells": count, "seed": seed})
+    fluids = {
+        "exact law": Closure(UpperConvectedMaxwell(), DE, n),
+        "learned law": Closure(law.tabulated(), DE, n),
+        "coupled, 1000 dumbbells": Coupled(Dumbbells(n, 1000, seed=seed, common=True), DE),
+    }
+    found = {name: channel(fluid, flow) for name, fluid in fluids.items()}
+    runs = {name: record for name, (record, _) in found.items()}
+    exact = runs["exact law"]
+    y = np.linspace(0, 1, 401)
+    profile = series.poiseuille(y, exact.t, DE, flow.Re, flow.force)
+    truth = [np.interp(x[:, 1], y, u) for x, u in zip(exact.x, profile)]
+    numbers = {
+        name: {
+            "against the exact law in the same scheme": relative(run.v, exact.v),
+            "seconds a step": found[name][1],
+            "density": float(np.abs(run.rho - 1).max()),
+        }
+        for name, run in runs.items()
+    }
+    numbers["exact law"]["against the exact flow"] = relative(exact.v[..., 0], np.array(truth))
+
+    def centre(one: RateLaw) -> np.ndarray:
+        return channel(Closure(one.tabulated(), DE, n), flow)[0].centre()
+
+    spread = band(law, centre, count=6, seed=seed)
+    numbers["learned law"]["2 sd of the band at the centre"] = float(2 * spread.deviation.max())
+    return numbers, runs, spread
+
+
+def fene_study(count: int, seed: int) -> dict[str, Any]:
+    """Flows no fit saw: relative ℓ2 over time of s_xy and N1, learned spring and FENE-P."""
+    t = (np.arange(60) + 0.5) * 0.1
+    K = np.zeros((60, 4, 4))
+    K[:, 0] = shear(np.where(t < 4, 3.0, 0.0))
+    K[:, 1] = shear(5 * np.sin(t))
+    K[:, 2] = np.multiply.outer(t < 4, [1.0, 2.0, 0.3, -1.0])
+    K[:, 3] = elongation(np.where(t < 4, 1.5, 0.0))
+    names = ["shear 3, then rest", "oscillating shear", "mixed, then rest", "elongation 1.5"]
+    truth = simulate(Dumbbells(4, 4 * count, b=B, seed=seed + 50), K, 0.1, steps=5).stress
+    numbers = {}
+    for law in (fene_law(count, seed), FENEP(B)):
+        C = homogeneous(law, K, 0.1)
+        s = np.asarray(law.stress(C.reshape(-1, 4))).reshape(C.shape)
+        first = s[..., 0] - s[..., 2], truth[..., 0] - truth[..., 2]
+        numbers[law.name] = {
+            name: {
+                "s_xy": relative(s[:, i, 1], truth[:, i, 1]) if i < 3 else None,
+                "N1": relative(first[0][:, i], first[1][:, i]),
+            }
+            for i, name in enumerate(names)
+        }
+    return numbers
+
+
+def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
+    """Velocity in the middle of the channel, and its profile at the end."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    for (name, run), style in zip(runs.items(), ("k-", "C1--", "C0:")):
+        left.plot(run.t, run.centre(), style, label=name)
+        order = np.argsort(run.x[-1, :, 1])
+        right.plot(run.v[-1, order, 0], run.x[-1, order, 1], style)
+    t = runs["exact law"].t
+    low, high = spread.value - 2 * spread.deviation, spread.value + 2 * spread.deviation
+    left.fill_between(t, low, high, color="C1", alpha=0.3, label="learned, ± 2 sd")
+    left.set(xlabel="t / t0", ylabel="u / U in the middle")
+    right.set(xlabel=f"u / U at t = {t[-1]:g}", ylabel="y / L")
+    left.legend(frameon=False)
+    figure.savefig(folder / "channel.png", dpi=130)
+    plt.close(figure)
+
+
+def table(numbers: dict[str, Any]) -> str:
+    """The numbers as Markdown."""
+    lines = ["| fluid | error % | ms a step |", "|---|---|---|"]
+    for name, row in numbers["channel"].items():
+        error = row["against the exact law in the same scheme"]
+        lines.append(f"| {name} | {error:.2f} | {1e3 * row['seconds a step']:.2f} |")
+    lines += ["", "| FENE, flow no fit saw | law | s_xy % | N1 % |", "|---|---|---|---|"]
+    for law, rows in numbers["fene"].items():
+        for name, row in rows.items():
+            xy = "–" if row["s_xy"] is None else f"{row['s_xy']:.1f}"
+            lines.append(f"| {name} | {law} | {xy} | {row['N1']:.1f} |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> dict[str, Any]:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--dumbbells", type=int, default=10_000, help="in each Hookean run")
+    parser.add_argument("--fene", type=int, default=4000, help="in each FENE run")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    options = parser.parse_args(arguments)
+    folder = ROOT / "runs" / "polymer_flow"
+    start = time.perf_counter()
+    rows, runs, spread = channel_study(options.dumbbells, options.seed)
+    numbers: dict[str, Any] = {"channel": rows, "fene": fene_study(options.fene, options.seed)}
+    numbers["sizes"] = {"Hookean": 22 * options.dumbbells, "FENE": 9 * options.fene}
+    numbers["seconds"] = time.perf_counter() - start
+    folder.mkdir(parents=True, exist_ok=True)
+    draw(runs, spread, folder)
+    write_json(folder / "numbers.json", numbers)
+    write_text(folder / "table.md", table(numbers))
+    print(json.dumps(plain(numbers), indent=2) if options.json else table(numbers))
+    return numbers
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,24 @@
+"""The polymer example, as a user runs it."""
+
+import pytest
+
+from examples import polymer_flow
+
+
+@pytest.mark.slow
+def test_the_default_reaches_its_figures(monkeypatch, tmp_path):
+    monkeypatch.setattr(polymer_flow, "ROOT", tmp_path)
+    numbers = polymer_flow.main([])
+    errors = {
+        name: row["against the exact law in the same scheme"]
+        for name, row in numbers["channel"].items()
+    }
+    assert errors["learned law"] < 6
+    assert errors["coupled, 1000 dumbbells"] < 12
+    assert numbers["channel"]["exact law"]["against the exact flow"] < 8
+    learned, peterlin = numbers["fene"]["learned spring"], numbers["fene"]["FENE-P"]
+    for name, row in learned.items():
+        assert row["N1"] < 10
+        assert row["N1"] < 0.5 * peterlin[name]["N1"]
+    files = {path.name for path in (tmp_path / "runs" / "polymer_flow").iterdir()}
+    assert {"channel.png", "law.json", "numbers.json", "table.md"} <= files

@@ -1,0 +1,62 @@
+"""Error bars: drawn laws carried to the velocity, and what a law's form leaves out."""
+
+import numpy as np
+import pytest
+
+from warp_peri import InputError
+from warp_peri.flow.closure import Closure, homogeneous
+from warp_peri.flow.closure_error import corrected_run, missing_stress
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.gaussian_process import fit_process
+from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell
+from warp_peri.flow.paths import band, draw
+from warp_peri.flow.planar import shear
+from warp_peri.flow.plane import PlaneFlow, run_plane
+from warp_peri.flow.protocols import held, simulate
+from warp_peri.flow.shear_law import learn_shear
+
+
+@pytest.mark.parametrize("kernel", ["product", "additive"])
+def test_drawn_functions_have_the_mean_and_spread_of_the_process(kernel):
+    random = np.random.default_rng(0)
+    X = random.uniform(-1, 1, (30, 2))
+    y = np.sin(3 * X[:, 0]) + X[:, 1] + 0.1 * random.standard_normal(30)
+    process = fit_process(X, y, kernel=kernel, noise=np.full(30, 0.01))
+    new = random.uniform(-1.5, 1.5, (25, 2))
+    drawn = np.array([draw(process, random)(new) for _ in range(300)])
+    sd = process.deviation(new)
+    assert np.abs(drawn.mean(0) - process(new)).max() < 5 * sd.max() / np.sqrt(300)
+    assert np.allclose(drawn.std(0), sd, rtol=0.25, atol=0.02)
+
+
+def test_a_process_with_products_two_by_two_is_not_drawn():
+    X = np.random.default_rng(0).uniform(-1, 1, (10, 2))
+    with pytest.raises(InputError, match="product or additive"):
+        draw(fit_process(X, X[:, 0], kernel="second"), np.random.default_rng(0))
+
+
+def test_the_band_holds_the_exact_velocity():
+    flow = PlaneFlow(1.0, 10.0, 16, top=lambda t: 1.0)
+    run = lambda law: run_plane(flow, Closure(law, 1.0, 16), 4.0, 0.04, every=20).u
+    exact, inside = run(UpperConvectedMaxwell()), []
+    for seed in range(4):
+        rates = held(shear(np.linspace(-20, 20, 7)), 300)
+        record = simulate(Dumbbells(7, 2000, seed=seed), rates, 0.01)
+        law = learn_shear(record, 5, outside="allow", most=150)
+        inside.append(band(law, run, 6, seed).covers(exact))
+    assert np.mean(inside) > 0.7  # one mode of error a seed: much or nothing of a run is inside
+
+
+def test_the_error_of_a_closure_is_estimated_from_replayed_cells():
+    flow = PlaneFlow(1.0, 1.0, 24, force=lambda t: 2.0)
+    truth, law = Giesekus(0.1), UpperConvectedMaxwell()
+    run = lambda one: run_plane(flow, Closure(one, 1.0, 24), 4.0, 0.02, every=5)
+    replay = lambda K, interval: truth.stress(homogeneous(truth, K, interval))
+    found, exact = run(law), run(truth)
+    missing = missing_stress(flow, found, law, replay, 12)
+    better = corrected_run(flow, law, missing, 4.0, 0.02, 5)
+    error = np.linalg.norm(exact.u - found.u)
+    assert np.linalg.norm(exact.u - better.u) < 0.4 * error
+    assert 0.7 < np.linalg.norm(better.u - found.u) / error < 1.3
+    with pytest.raises(InputError, match="2 cells"):
+        missing_stress(flow, found, law, replay, 1)

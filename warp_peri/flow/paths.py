@@ -1,0 +1,114 @@
+"""How sure a flow is: laws drawn from a learned one, each carried through the flow (F30).
+
+A path is a whole function, drawn by Matheron's rule: random cosines for the prior, and the data's
+pull on them. It knows the noise and the gaps of the data, not what the form of the law leaves out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from warp_peri.errors import InputError
+from warp_peri.flow.gaussian_process import GaussianProcess
+from warp_peri.flow.rate_law import RateLaw
+
+COSINES = 512
+"""Of one prior function, for each input where the kernel is a sum."""
+
+
+@dataclass(frozen=True)
+class PathProcess(GaussianProcess):
+    """One function drawn from a process.
+
+    Args (beside those of the process):
+        frequencies: of the cosines, shape [M, d].
+        phases: shape [M].
+        sizes: of the cosines, shape [M].
+        pull: what the kernel's columns are multiplied by, shape [n].
+    """
+
+    frequencies: np.ndarray
+    phases: np.ndarray
+    sizes: np.ndarray
+    pull: np.ndarray
+
+    def prior_at(self, Z: np.ndarray) -> np.ndarray:
+        """The prior function at standardised inputs."""
+        return np.asarray(np.cos(Z @ self.frequencies.T + self.phases) @ self.sizes)
+
+    def __call__(self, X: np.ndarray) -> np.ndarray:
+        """Values of this function at inputs [m, d]."""
+        Z = self.standard(X)
+        standard = self.prior_at(Z) + self.covariance(Z, self.points) @ self.pull
+        return np.asarray(self.mean + self.size * standard)
+
+
+def draw(process: GaussianProcess, random: np.random.Generator) -> PathProcess:
+    """One function of a process. Raises InputError for the kernel "second"."""
+    d = len(process.log_lengths)
+    if process.kernel == "product":
+        frequencies = random.standard_normal((COSINES, d))
+    elif process.kernel == "additive":
+        frequencies = np.zeros((COSINES * d, d))
+        for i in range(d):
+            frequencies[i * COSINES : (i + 1) * COSINES, i] = random.standard_normal(COSINES)
+    else:
+        raise InputError(f"paths: expected the kernel product or additive, got {process.kernel}")
+    phases = random.uniform(0, 2 * np.pi, len(frequencies))
+    sizes = np.sqrt(2 * process.prior / len(frequencies)) * random.standard_normal(len(frequencies))
+    known = {field.name: getattr(process, field.name) for field in fields(GaussianProcess)}
+    path = PathProcess(
+        **known, frequencies=frequencies, phases=phases, sizes=sizes, pull=np.zeros(len(process.y))
+    )
+    noise = process.noise / process.size**2
+    if noise.ndim == 1:
+        drawn = np.sqrt(noise) * random.standard_normal(len(noise))
+    else:
+        drawn = np.linalg.cholesky(noise) @ random.standard_normal(len(noise))
+    wanted = (process.y - process.mean) / process.size - path.prior_at(process.points) - drawn
+    return replace(path, pull=sl.cho_solve((process.factor, True), wanted))
+
+
+def drawn_law(law: Any, random: np.random.Generator) -> Any:
+    """A learned law whose processes are drawn; tables are not used."""
+    if isinstance(law, RateLaw):
+        processes = tuple(draw(process, random) for process in law.processes)
+        return RateLaw(processes, law.kinematics, law.outside)  # type: ignore[arg-type]
+    return replace(law, process=draw(law.process, random))
+
+
+@dataclass(frozen=True)
+class Band:
+    """Of a field that a flow gave: with the law itself, and with laws drawn from it [S, ...]."""
+
+    value: np.ndarray
+    drawn: np.ndarray
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard deviation of the drawn fields about the value."""
+        return np.asarray(np.sqrt(np.mean((self.drawn - self.value) ** 2, axis=0)))
+
+    def covers(self, truth: np.ndarray, times: float = 2.0) -> float:
+        """Fraction of places, of those that moved at all, where the truth is inside the band."""
+        moved = self.deviation > 1e-6 * np.abs(self.value).max()
+        inside = np.abs(truth - self.value) < times * self.deviation
+        return float(inside[moved].mean())
+
+
+def band(law: Any, run: Callable[[Any], np.ndarray], count: int = 8, seed: int = 0) -> Band:
+    """Carry a law and `count` laws drawn from it through a flow.
+
+    Args:
+        law: a learned law with product or additive kernels.
+        run: gives the field, a velocity say, that a law makes.
+        count: of drawn laws.
+        seed: of the draws.
+    """
+    random = np.random.default_rng(seed)
+    return Band(run(law), np.array([run(drawn_law(law, random)) for _ in range(count)]))
