@@ -1,8 +1,8 @@
 """The units that a fit works in, and the stiffness that data show (theory.md, U1–U2).
 
 Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
-tolerances of a search are numbers. They are numbers of units that follow the data: powers of two,
-so that going there and back costs no digit.
+tolerances of a search are numbers. They are numbers of units that follow the data in coarse steps:
+powers of 64 and of 16, so that going there and back costs no digit.
 """
 
 from __future__ import annotations
@@ -110,12 +110,13 @@ def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale
     Raises InputError as stiffness_of does.
     """
     stiffness = stiffness_of(sets, horizon)
-    length = _power_of_two(horizon / USUAL_HORIZON) if lengths and horizon > 0 else 1.0
-    return Scale(length, _power_of_two(stiffness / USUAL_STIFFNESS), stiffness)
+    length = _step(horizon / USUAL_HORIZON, 6) if lengths and horizon > 0 else 1.0
+    return Scale(length, _step(stiffness / USUAL_STIFFNESS, 4), stiffness)
 
 
-def _power_of_two(ratio: float) -> float:
-    return math.ldexp(1.0, round(math.log2(ratio)))
+def _step(ratio: float, bits: int) -> float:
+    """The nearest power of 2 to the bits: data of usual sizes stay as they are."""
+    return math.ldexp(1.0, bits * round(math.log2(ratio) / bits))
 
 
 def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:

@@ -13,6 +13,8 @@ from warp_peri.points.families import BondClasses
 CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}
 """What each choice asks for: D ≥ ζ s; with `paper` also μΓ ≥ ζ s and μ(Γ − 2φφᵗ) ≥ 0."""
 
+USUAL_ZETA = 0.01
+"""ζ [TPa] where there are no data whose stiffness it could be a part of."""
 SEARCH_INTERVALS = 120
 """Intervals of the zone grid on which a fit looks for violations."""
 
@@ -60,12 +62,8 @@ class LatticeConditions:
 
     @property
     def zeta(self) -> float:
-        """ζ [TPa]."""
-        if self.asked.zeta is None:
-            raise InputError(
-                "zeta: expected a stiffness > 0 TPa where there are no data to show one"
-            )
-        return self.asked.zeta
+        """ζ [TPa]; without data to take it from, USUAL_ZETA."""
+        return USUAL_ZETA if self.asked.zeta is None else self.asked.zeta
 
     @property
     def names(self) -> tuple[str, ...]:
