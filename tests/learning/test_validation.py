@@ -64,11 +64,37 @@ def test_sets_that_have_no_error_to_speak_of_are_refused(points):
     none = np.empty((0, *points.u.shape[1:]))
     with pytest.raises(InputError, match="the set has no samples"):
         evaluate(MODEL, replace(points, u=none, b=none))
-    for name in ("u", "b"):
-        zero = getattr(points, name).copy()
-        zero[1, points.interior] = 0
-        with pytest.raises(InputError, match=f"{name}: sample 1 is zero on the interior"):
-            evaluate(MODEL, replace(points, **{name: zero}))
+    zero = points.u.copy()
+    zero[1, points.interior] = 0
+    with pytest.raises(InputError, match="u: sample 1 is zero on the interior"):
+        evaluate(MODEL, replace(points, u=zero))
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-16])
+def test_without_load_there_is_no_residual_to_be_relative_to(points, level):
+    """Displacement is solved for as ever: only the sample's E_res is left out."""
+    b = points.b.copy()
+    b[1, points.interior] = level
+    some, every = evaluate(MODEL, replace(points, b=b)), evaluate(MODEL, points)
+    assert some["E_res_samples"][1] is None
+    rest = [one for s, one in enumerate(every["E_res_samples"]) if s != 1]
+    assert some["E_res"] == pytest.approx(np.mean(rest))
+    assert some["E_u_samples"][0] == pytest.approx(every["E_u_samples"][0])
+    assert np.isfinite(some["E_u"])
+    none = evaluate(MODEL, replace(points, b=np.full_like(b, level)))
+    assert none["E_res"] is None
+    assert none["E_res_rms"] is None
+    assert none["E_res_abs"] > 0
+    assert none["E_u"] > 0
+
+
+def test_the_error_of_shape_does_not_see_rigid_motion(points):
+    plain = evaluate(MODEL, points)
+    turn = 0.5 * np.stack([-points.x[:, 1], points.x[:, 0]], axis=1)
+    moved = evaluate(MODEL, replace(points, u=points.u + 100.0 + turn))
+    assert moved["E_u"] < 0.1 * plain["E_u"]
+    assert moved["E_shape"] == pytest.approx(plain["E_shape"], rel=1e-6)
+    assert plain["E_shape"] > plain["E_u"]
 
 
 def test_uncertified_spacings_are_refused_or_warned_about(points):

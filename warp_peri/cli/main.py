@@ -105,13 +105,19 @@ def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
 
 def _print_table(tables: dict[str, dict[str, Any]]) -> None:
     width = max(map(len, tables))
-    print(f"{'set':{width}}  samples   E_res [%]  E_res_abs [TPa/Å]   E_u [%]")
+    print(f"{'set':{width}}  samples   E_res [%]  E_res_abs [TPa/Å]   E_u [%]  E_shape [%]")
     for name, table in tables.items():
         if "error" in table:
             print(f"{name:{width}}  {table['error']}")
             continue
         count = len(table["E_u_samples"])
         print(
-            f"{name:{width}}  {count:7d}  {100 * table['E_res']:10.3f}  "
-            f"{table['E_res_abs']:17.3e}  {100 * table['E_u']:8.3f}"
+            f"{name:{width}}  {count:7d}  {_percent(table['E_res']):>10}  "
+            f"{table['E_res_abs']:17.3e}  {_percent(table['E_u']):>8}  "
+            f"{_percent(table.get('E_shape')):>11}"
         )
+
+
+def _percent(error: float | None) -> str:
+    """An error in %, or a dash where there is nothing that it could be relative to."""
+    return "–" if error is None else f"{100 * error:.3f}"

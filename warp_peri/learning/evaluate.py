@@ -17,18 +17,28 @@ from warp_peri.transfer.nonlinear import nonlinear_for
 from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.points import model_for
 
+ROUNDING = 1e-12
+"""What is less than this beside the parts that cancel in it is rounding."""
+
 
 def residual_errors(
     model: Model | NonlinearModel, points: Samples, *, allow_uncertified: bool = False
 ) -> np.ndarray:
-    """‖L u − b‖₂ and ‖b‖₂ of each sample on the interior [TPa/Å], shape [2, S]."""
-    operator: LPSOperator | NonlinearOperator
-    if isinstance(model, NonlinearModel):
-        operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
-    else:
-        operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
+    """‖L u − b‖₂ and ‖b‖₂ of each sample on the interior [TPa/Å], shape [2, S].
+
+    A load that is rounding beside the forces that cancel in L u counts as none: 0.
+    """
+    linear = model.linear if isinstance(model, NonlinearModel) else model
+    operator = LPSOperator(linear, points, allow_uncertified=allow_uncertified)
     b = points.loads[:, points.interior]
-    return np.array([_norms(operator(points.u) - b), _norms(b)])
+    load = _norms(b)
+    # the force of the interior's displacement alone, which that of the collar takes off again
+    inner = _norms(operator(np.where(points.interior[:, None], points.u, 0.0)))
+    load = np.where(load > ROUNDING * inner, load, 0.0)
+    if isinstance(model, NonlinearModel):
+        nonlinear = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
+        return np.array([_norms(nonlinear(points.u) - b), load])
+    return np.array([_norms(operator(points.u) - b), load])
 
 
 def evaluate(
@@ -50,14 +60,20 @@ def evaluate(
     Returns:
         E_res = mean ‖L u − b‖₂/‖b‖₂, E_u = mean ‖u_solved − u‖₂/‖u‖₂ on interior nodes, u solved
         with b on the interior and u given on the collar; E_res_rms and E_u_rms, their
-        root-mean-square variants; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the lists of
-        per-sample values E_res_samples, E_res_abs_samples, E_u_samples; and of a transferred model
+        root-mean-square variants; E_shape, as E_u with ‖u‖ less its rigid part below the line,
+        which no translation or turn of the body changes; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the
+        lists of per-sample values E_res_samples, E_res_abs_samples, E_u_samples, E_shape_samples;
+        and of a transferred model
         transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear model
         also linear_solves and largest_gradient, the most linear solves that a sample took and its
         largest |H|, and unique, whether all answers are proven to be the only ones.
 
-    Raises InputError for a set without samples, with a sample that has no load or displacement on
-    its interior, or that the model cannot be used on.
+    Samples whose interior carries no load, or one that is rounding, have no E_res, and those that
+    move as a rigid body no E_shape: None, and the means are those of the others; None where there
+    are none.
+
+    Raises InputError for a set without samples, with a sample that has no displacement on its
+    interior, or that the model cannot be used on.
     """
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
@@ -75,17 +91,26 @@ def evaluate(
     else:
         solved = solve(model, points, *fields, allow_uncertified=allow_uncertified)
     size = _norms(points.u[:, points.interior])
-    for name, norm in (("b", load), ("u", size)):
-        if not (norm > 0).all():
-            raise InputError(f"{name}: sample {int(np.argmin(norm))} is zero on the interior")
-    relative = residual / load
-    displacement = _norms((solved - points.u)[:, points.interior]) / size
-    table: dict[str, Any] = {"E_res": relative.mean(), "E_res_abs": residual.mean()}
-    table |= {"E_u": displacement.mean(), "E_res_rms": np.sqrt((relative**2).mean())}
-    table |= {"E_u_rms": np.sqrt((displacement**2).mean())}
-    table = {key: float(value) for key, value in table.items()}
-    for key, values in (("E_res", relative), ("E_res_abs", residual), ("E_u", displacement)):
-        table[f"{key}_samples"] = values.tolist()
+    if not (size > 0).all():
+        raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
+    wrong = _norms((solved - points.u)[:, points.interior])
+    bent = _norms(without_rigid_part(points.x[points.interior], points.u[:, points.interior]))
+    bent = np.where(bent > ROUNDING * size, bent, 0.0)
+    table: dict[str, Any] = {}
+    for key, above, below in (
+        ("E_res", residual, load),
+        ("E_u", wrong, size),
+        ("E_shape", wrong, bent),
+        ("E_res_abs", residual, np.ones(len(residual))),
+    ):
+        some = below > 0
+        ratio = above[some] / below[some]
+        values = np.full(len(above), np.nan)
+        values[some] = ratio
+        table[key] = float(ratio.mean()) if some.any() else None
+        table[f"{key}_samples"] = [None if np.isnan(one) else one for one in values.tolist()]
+        if key in ("E_res", "E_u"):
+            table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if some.any() else None
     linear = model.linear if isinstance(model, NonlinearModel) else model
     if linear.transferred_from is not None:
         table["transferred_from"] = linear.transferred_from
@@ -94,6 +119,17 @@ def evaluate(
         table["largest_gradient"] = max(record.largest_gradient for record in records)
         table["unique"] = all(record.unique for record in records)
     return table
+
+
+def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Fields u, shape [S, N, 2], less the translation and small turn nearest to them."""
+    x = x - x.mean(axis=0)
+    turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
+    u = u - u.mean(axis=1, keepdims=True)
+    size = float((turn**2).sum())
+    angle = np.einsum("sna,na->s", u, turn) / size if size > 0 else np.zeros(len(u))
+    left: np.ndarray = u - angle[:, None, None] * turn
+    return left
 
 
 def _norms(fields: np.ndarray) -> np.ndarray:
