@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,10 +13,11 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from examples.graphene_report import save_figure
+from examples.prose import fill, rows_of
 from warp_peri import plots
 from warp_peri.files.whole import write_json, write_text
 from warp_peri.learning.sweep import COST_TOLERANCE, Sweep, Trial
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model, load_model
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),
@@ -47,27 +49,30 @@ def write_sweep(
         },
     )
     write_text(folder / "sweep.md", _tables(folder, found, truth, command))
+    draw_errors(folder / "sweep_errors.png", found.by_degree)
+    figure, ax = plt.subplots(figsize=(6.4, 4.2))
+    plots.influence_function(load_model(folder / found.printed.model), spacing=spacing, ax=ax)
+    ax.set_title(f"Chosen influence function: {_name(found.printed)} (figure 7, left)")
+    save_figure(figure, folder / "sweep_kernels.png")
 
+
+def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
+    """Figure 6: errors by degree, here and printed."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    degrees = [trial.degree for trial in found.by_degree]
+    degrees = [trial.degree for trial in trials]
+    known = [M for M in degrees if M in PRINTED_TABLE_3]
     for ax, names in zip(axes, (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))):
         for number, name in enumerate(names):
             column = 1 + ERRORS.index(name)
-            ours = [100 * getattr(trial, name) for trial in found.by_degree]
-            printed = [PRINTED_TABLE_3[M][column] for M in degrees if M in PRINTED_TABLE_3]
+            ours = [100 * getattr(trial, name) for trial in trials]
+            printed = [PRINTED_TABLE_3[M][column] for M in known]
             ax.semilogy(degrees, ours, "o-", color=f"C{number}", label=f"{name}, here")
-            known = [M for M in degrees if M in PRINTED_TABLE_3]
             ax.semilogy(known, printed, "s--", color=f"C{number}", label=f"{name}, printed")
         ax.set_xlabel("degree M, each at its δ*")
         ax.set_ylabel("error [%]")
         ax.legend(frameon=False)
     figure.suptitle("Errors by degree (figure 6, 0 K)")
-    save_figure(figure, folder / "sweep_errors.png")
-
-    figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(load_model(folder / found.printed.model), spacing=spacing, ax=ax)
-    ax.set_title(f"Chosen influence function: {_name(found.printed)} (figure 7, left)")
-    save_figure(figure, folder / "sweep_kernels.png")
+    save_figure(figure, path)
 
 
 def _name(trial: Trial) -> str:
@@ -75,61 +80,50 @@ def _name(trial: Trial) -> str:
 
 
 def _tables(folder: Path, found: Sweep, truth: dict[str, float] | None, command: str) -> str:
-    lines = [
-        "# Sweep over horizon and degree",
-        "",
-        f"Made by `{command}`. Errors in %, means over samples. Each fit is the optimum under",
-        "D(k) ≥ ζ s(k); the printed rows are the paper's own.",
-        "",
-        "## Table 3 (0 K)",
-        "",
-        "| M | δ* [Å] | E_res train | E_u train | E_res val | E_u val | AvgE "
-        "| printed: δ*, errors, AvgE |",
-        "|---" * 8 + "|",
-    ]
-    for trial, average in zip(found.by_degree, found.average):
-        errors = " | ".join(f"{100 * getattr(trial, name):.2f}" for name in ERRORS)
-        printed = PRINTED_TABLE_3.get(trial.degree)
-        beside = "–" if printed is None else ", ".join(f"{value:g}" for value in printed)
-        lines.append(
-            f"| {trial.degree} | {trial.horizon:g} | {errors} | {average:.4f} | {beside} |"
-        )
-    lines += [
-        "",
-        f"Chosen as printed (smallest AvgE): **{_name(found.printed)}**. Cheapest with an AvgE "
-        f"within {COST_TOLERANCE:.0%} of the best: **{_name(found.cheapest)}**, "
-        f"{found.cheapest.bonds} bonds a node.",
-        "",
-        "## Table 4 (0 K)",
-        "",
-        "| | M | α | λ | μ | E | ν | E_res train | E_u train | E_res val | E_u val | E_u test |",
-        "|---" * 12 + "|",
-    ]
-    for name, trial in (("smallest AvgE", found.printed), ("cheapest", found.cheapest)):
-        model = load_model(folder / trial.model)
-        numbers = [model.alpha, model.lam, model.mu, model.E, model.nu]
-        percent = [100 * getattr(trial, key) for key in ERRORS]
-        test = "–" if trial.E_u_test is None else f"{100 * trial.E_u_test:.2f}"
-        cells = [f"{value:.4f}" for value in numbers] + [f"{value:.2f}" for value in percent]
-        lines.append(f"| {name} | {trial.degree} | " + " | ".join([*cells, test]) + " |")
-    lines.append("| printed | " + " | ".join(f"{value:g}" for value in PRINTED_TABLE_4) + " |")
+    chosen = {"smallest AvgE": found.printed, "cheapest": found.cheapest}
+    models = {name: load_model(folder / trial.model) for name, trial in chosen.items()}
+    table_4 = [_table_4(name, trial, models[name]) for name, trial in chosen.items()]
+    table_4.append(["printed", *(f"{value:g}" for value in PRINTED_TABLE_4)])
     if truth:
-        cells = [f"{truth[key]:.4f}" for key in ("lambda", "mu", "E", "nu")]
-        lines.append("| the potential's own | – | – | " + " | ".join(cells) + " |" + " |" * 5)
-    lines += [
-        "",
-        "## All fits",
-        "",
-        "| δ [Å] | M | bonds | E_res train | E_u train | E_res val | E_u val | E_u test "
-        "| λ | μ | c |",
-        "|---" * 11 + "|",
-    ]
-    for trial in found.trials:
-        errors = " | ".join(f"{100 * getattr(trial, name):.2f}" for name in ERRORS)
-        test = "–" if trial.E_u_test is None else f"{100 * trial.E_u_test:.2f}"
-        lines.append(
-            f"| {trial.horizon:g} | {trial.degree} | {trial.bonds} | {errors} | {test} | "
-            f"{trial.lam:.4f} | {trial.mu:.4f} | {trial.symbol_bound:.4f} |"
-        )
-    lines += ["", "c: proven D(k)/s(k) [TPa]. The test column takes no part in any choice."]
-    return "\n".join(lines) + "\n"
+        own = [f"{truth[key]:.4f}" for key in ("lambda", "mu", "E", "nu")]
+        table_4.append(["the potential's own", "–", "–", *own, *5 * [""]])
+    return fill(
+        Path(__file__).with_suffix(".md"),
+        command=command,
+        table_3=rows_of(map(_table_3, found.by_degree, found.average)),
+        printed=_name(found.printed),
+        tolerance=COST_TOLERANCE,
+        cheapest=_name(found.cheapest),
+        bonds=found.cheapest.bonds,
+        table_4=rows_of(table_4),
+        trials=rows_of(map(_trial, found.trials)),
+    )
+
+
+def _table_3(trial: Trial, average: float) -> list[str]:
+    """A degree at its δ*, and what is printed."""
+    printed = PRINTED_TABLE_3.get(trial.degree)
+    beside = "–" if printed is None else ", ".join(f"{value:g}" for value in printed)
+    return [f"{trial.degree}", f"{trial.horizon:g}", *_errors(trial), f"{average:.4f}", beside]
+
+
+def _table_4(name: str, trial: Trial, model: Model) -> list[str]:
+    """A choice: its constants and errors."""
+    constants = (model.alpha, model.lam, model.mu, model.E, model.nu)
+    numbers = [f"{value:.4f}" for value in constants]
+    return [name, f"{trial.degree}", *numbers, *_errors(trial), _test(trial)]
+
+
+def _trial(trial: Trial) -> list[str]:
+    """One fit."""
+    numbers = [f"{value:.4f}" for value in (trial.lam, trial.mu, trial.symbol_bound)]
+    names = [f"{trial.horizon:g}", f"{trial.degree}", f"{trial.bonds}"]
+    return [*names, *_errors(trial), _test(trial), *numbers]
+
+
+def _errors(trial: Trial) -> list[str]:
+    return [f"{100 * getattr(trial, name):.2f}" for name in ERRORS]
+
+
+def _test(trial: Trial) -> str:
+    return "–" if trial.E_u_test is None else f"{100 * trial.E_u_test:.2f}"

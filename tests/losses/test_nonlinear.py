@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from warp_peri.losses.response import products
 
 from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import REDUCED, lattice, noise
 from warp_peri import InputError, Samples
+from warp_peri.learning.response import products
 from warp_peri.losses.nonlinear import reduce_nonlinear
 from warp_peri.operator.nonlinear import NonlinearOperator
 

@@ -100,10 +100,10 @@ def _converted(path: str, action: argparse.Action, value: Any) -> Any:
         raise InputError(f"{path}: {action.dest}: {value!r} is not what this option takes")
     kind = action.type if callable(action.type) else str
     try:
-        found = [kind(str(item)) for item in (value if several else [value])]
+        values = [kind(str(item)) for item in (value if several else [value])]
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"{path}: {action.dest}: {error}") from None
-    if action.choices is not None and not set(found) <= set(action.choices):
+    if action.choices is not None and not set(values) <= set(action.choices):
         known = ", ".join(map(str, action.choices))
         raise InputError(f"{path}: {action.dest}: expected of {known}, got {value!r}")
-    return found if several else found[0]
+    return values if several else values[0]

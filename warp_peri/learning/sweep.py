@@ -205,7 +205,7 @@ def _trial(
     tries again. Input that cannot be used ends the sweep.
     """
     try:
-        found = fit(
+        learned = fit(
             train,
             horizon,
             Bernstein(degree),
@@ -215,7 +215,7 @@ def _trial(
         )
     except RuntimeError as error:
         return f"δ = {horizon:g} Å, M = {degree}: {error}"
-    model = found.model
+    model = learned.model
     tables = [evaluate(model, points, allow_uncertified=True) for points in (train, val)]
     E_u_test = None if test is None else evaluate(model, test, allow_uncertified=True)["E_u"]
     model_file = file.with_suffix(".model.json")
@@ -232,7 +232,7 @@ def _trial(
         lam=model.lam,
         mu=model.mu,
         alpha=model.alpha,
-        symbol_bound=found.certificate.symbol_bound,
+        symbol_bound=learned.certificate.symbol_bound,
         model=model_file.name,
     )
     write_json(file, asdict(record))

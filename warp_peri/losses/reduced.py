@@ -125,8 +125,8 @@ class Features:
             outputs=[out],
             device=device,
         )
-        found: np.ndarray = out.numpy()
-        return found
+        forces: np.ndarray = out.numpy()
+        return forces
 
 
 def reduce(

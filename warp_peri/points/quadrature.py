@@ -39,8 +39,8 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
             f"quadrature: no weights are exact for a family of {len(xi)} bonds (relative residual "
             f"{residual[0]:.1e}, allowed {RESIDUAL:.0e}); a larger horizon has more bonds"
         )
-    found: np.ndarray = weights[0]
-    return found
+    family: np.ndarray = weights[0]
+    return family
 
 
 def family_weights(

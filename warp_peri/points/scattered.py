@@ -61,9 +61,9 @@ def neighbours(
     row = np.cumsum(count.numpy(), dtype=np.int64)
     if row[-1] >= 2**31:
         raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
-    found = (ints(row), zeros(row[-1], dtype=wp.int32), zeros(row[-1]))
-    launch(kernel, len(x), (*links, period, reach, 1), found)
-    return row.astype(np.int32), found[1].numpy(), found[2].numpy()
+    bonds = (ints(row), zeros(row[-1], dtype=wp.int32), zeros(row[-1]))
+    launch(kernel, len(x), (*links, period, reach, 1), bonds)
+    return row.astype(np.int32), bonds[1].numpy(), bonds[2].numpy()
 
 
 def reverse_bonds(row: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
@@ -151,8 +151,8 @@ def weights(
         place = np.arange(some_size.max()) < some_size[:, None]
         padded = np.zeros((*place.shape, 2))
         padded[place] = xi
-        found, residual = family_weights(padded, horizon, degree=degree)
-        weight[bond] = found[place]
+        weights, residual = family_weights(padded, horizon, degree=degree)
+        weight[bond] = weights[place]
         poor.append(some[~(residual <= RESIDUAL)])
     wrong = np.sort(np.concatenate(poor))
     if len(wrong):
