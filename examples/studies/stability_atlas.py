@@ -26,6 +26,7 @@ import warp_peri
 from examples.graphene_report import save_figure
 from examples.studies import (
     atlas_conditions,
+    atlas_flow,
     atlas_hyperelastic,
     atlas_kernels,
     atlas_motion,
@@ -72,6 +73,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "strain": lambda: atlas_motion.large_strains(model()),
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
+        "noise-of-its-own": atlas_flow.independent_noise,
     }
 
 

@@ -13,6 +13,7 @@ DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "surfaces",
     "time-step", "energy", "dispersion", "strain", "float32", "compression",
+    "noise-of-its-own",
 )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
 
 BLOCK = 2000
 """Dumbbells a thread sums up in single precision."""
-LARGEST_STEP = 0.5
+LARGEST_STEP = 1.0
 """|K| Δt beyond which the second-order step of FENE dumbbells is not trusted."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
@@ -85,7 +85,7 @@ class Dumbbells:
         """Some steps of dt relaxation times under K [ensembles, 4] held; the moments after them.
 
         Hookean dumbbells take any step exactly, so that steps are one. Raises InputError for a
-        step beyond |K| Δt = 0.5 of FENE dumbbells.
+        step beyond |K| Δt = 1 of FENE dumbbells.
         """
         K = np.broadcast_to(np.asarray(K, dtype=float), (self.ensembles, 4))
         if not np.isfinite(K).all():

@@ -1,0 +1,263 @@
+"""The paper's tables of polymer flow, and what changes them: one study a name.
+
+    python examples/studies/polymer_tables.py couette channel recipes speed fene --json
+
+couette   plates, De 1 and 10, 10³ dumbbells, by pairing, five seeds, and the coupled simulation
+channel   the scheme with the exact law against the exact flow, order, long times
+recipes   the channel from noisy data, De 1e-2, by recipe and number of dumbbells
+speed     one step of the channel by kind of fluid, in one run
+fene      held-out flows and the plane channel of FENE dumbbells; closure error by replay
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+
+from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
+from warp_peri import InputError
+from warp_peri.files.whole import plain, write_json
+from warp_peri.flow import series
+from warp_peri.flow.channel import ChannelFlow, Particles
+from warp_peri.flow.channel_run import ChannelRecord, run_channel
+from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.closure_error import corrected_run, missing_stress
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.gaussian_process import fit_process
+from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
+from warp_peri.flow.pairs import start_pairs, window_pairs
+from warp_peri.flow.planar import elongation, shear
+from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
+from warp_peri.flow.protocols import Record, held, simulate
+from warp_peri.flow.rate_law import learn_rate
+from warp_peri.flow.shear_law import ShearLaw, learn_shear
+
+MAXWELL = UpperConvectedMaxwell()
+SEEDS = range(5)
+
+
+def printed_shear(record: Record, seed: int) -> ShearLaw:
+    """The printed recipe of shear: ten random bins of stress a rate, bin variance as noise."""
+    random, width = np.random.default_rng(seed), 5
+    X, y, noise = [], [], []
+    for i in range(record.K.shape[1]):
+        s = record.stress[:, i, 1]
+        rate = (s[width:] - s[:-width]) / (width * record.interval)
+        s = s[width:]
+        span = np.ptp(s) / 10
+        for low in random.uniform(s.min(), s.max() - span, 10):
+            inside = (s >= low) & (s <= low + span)
+            if inside.sum() > 1:
+                X.append((s[inside].mean(), record.K[0, i, 1]))
+                y.append(rate[inside].mean())
+                noise.append(max(rate[inside].var(), 1e-9))
+    process = fit_process(np.array(X), np.array(y), noise=np.array(noise), mean=0.0)
+    return ShearLaw(process, False, "allow")
+
+
+def couette() -> dict[str, Any]:
+    """Largest error of u against the exact law in the same scheme."""
+    found: dict[str, Any] = {}
+    for De, until in ((1.0, 20.0), (10.0, 60.0)):
+        flow = PlaneFlow(De, 10.0, 128, top=lambda t: 1.0)
+        dt = 0.01 * De**0.5
+
+        def run(fluid: Any, flow: PlaneFlow = flow, until: float = until, dt: float = dt) -> Any:
+            return run_plane(flow, fluid, until, dt, every=20).u
+
+        exact = run(Closure(MAXWELL, De, 128))
+        errors: dict[str, list[float]] = {}
+        for seed in SEEDS:
+            rates = held(De * shear(np.linspace(-150, 150, 9)), 500)
+            record = simulate(Dumbbells(9, 1000, seed=seed), rates, 0.01)
+            laws = {
+                "printed pairing": printed_shear(record, seed),
+                "start pairing": learn_shear(record, 5, kinematics=False, outside="allow"),
+                "start pairing, kinematics known": learn_shear(record, 5, outside="allow"),
+            }
+            for name, law in laws.items():
+                error = float(np.abs(run(Closure(law, De, 128)) - exact).max())
+                errors.setdefault(name, []).append(error)
+        coupled = run(Coupled(Dumbbells(128, 1000, seed=5), De))
+        errors["coupled"] = [float(np.abs(coupled - exact).max())]
+        found[f"De {De:g}"] = {
+            name: {"errors": values, "median": float(np.median(values))}
+            for name, values in errors.items()
+        }
+    return found
+
+
+def exact_channel(flow: ChannelFlow, until: float, fraction: float = 0.5) -> dict[str, float]:
+    """The scheme with the exact law against the exact flow."""
+    steps = int(np.ceil(until / (fraction * flow.longest_step)))
+    fluid = Closure(MAXWELL, flow.De, Particles(flow).fluid)
+    run = run_channel(flow, fluid, until, until / steps, every=max(1, steps // 100))
+    truth = at_particles(flow, run)
+    return {
+        "error": relative(run.v[..., 0], truth),
+        "error at the end": relative(run.v[-1, :, 0], truth[-1]),
+        "density": float(np.abs(run.rho - 1).max()),
+    }
+
+
+def at_particles(flow: ChannelFlow, run: ChannelRecord) -> np.ndarray:
+    """The exact u at the particles' own heights."""
+    y = np.linspace(0, 1, 401)
+    exact = series.poiseuille(y, run.t, flow.De, flow.Re, flow.force)
+    return np.array([np.interp(x[:, 1], y, u) for x, u in zip(run.x, exact)])
+
+
+def channel() -> dict[str, Any]:
+    """Errors in %, the fitted order at De 1e-2, and what is left at t = 0.3."""
+    found: dict[str, Any] = {"De 0.001": exact_channel(ChannelFlow(1e-3), 0.05)}
+    sizes = (20, 30, 40)
+    for smoothing in (1.5, 1.2):
+        rows = {
+            n: exact_channel(ChannelFlow(1e-2, across=n, smoothing=smoothing, length=1.0), 0.03)
+            for n in sizes
+        }
+        errors = np.array([row["error"] for row in rows.values()])
+        order = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+        found[f"De 0.01, smoothing {smoothing}"] = {"across": rows, "order": float(order)}
+    for De in (1e-3, 1e-2):
+        found[f"to t = 0.3, De {De:g}"] = exact_channel(ChannelFlow(De), 0.3, 0.9)
+    return found
+
+
+def printed_data(count: int, seed: int) -> Record:
+    """Eleven rates each of shear and elongation."""
+    rates = np.linspace(-0.2, 0.2, 11)
+    K = held(np.concatenate([elongation(rates), shear(rates)]), 200)
+    return simulate(Dumbbells(22, count, seed=seed), K, 0.05)
+
+
+def recipes(counts: tuple[int, ...] = (10_000, 100_000)) -> dict[str, Any]:
+    """Relative error of v against the exact law in the same scheme, De 1e-2."""
+    flow = ChannelFlow(1e-2)
+    n = Particles(flow).fluid
+
+    def run(law: Any) -> np.ndarray:
+        fluid = Closure(law, flow.De, n, check_every=10**9)
+        return run_channel(flow, fluid, 0.03, 6e-5, every=10).v
+
+    exact, found = run(MAXWELL), {}
+    for count in counts:
+        errors: dict[str, list[float]] = {}
+        for seed in SEEDS if count < 50_000 else range(3):
+            random, record = np.random.default_rng(seed), printed_data(count, seed)
+            windows = window_pairs(record, 2).choose(1000, random)
+            starts = start_pairs(record, 2).choose(1000, random)
+            laws = {
+                "printed": learn_rate(windows, outside="allow"),
+                "start pairing": learn_rate(starts, outside="allow"),
+                "start pairing, kinematics": learn_rate(starts, kinematics=True, outside="allow"),
+                "start pairing, kinematics, mixed flows": hookean_law(count, seed),
+            }
+            for name, law in laws.items():
+                try:
+                    error = relative(run(law.tabulated()), exact)
+                except InputError:
+                    error = float("inf")
+                errors.setdefault(name, []).append(min(error, 1e4))
+        found[f"{count} dumbbells"] = {
+            name: {"errors": values, "median": float(np.median(values))}
+            for name, values in errors.items()
+        }
+    return found
+
+
+def speed() -> dict[str, Any]:
+    """Milliseconds a step of 540 particles, the fluids in turn, best of several rounds."""
+    flow = ChannelFlow(1e-2)
+    particles = Particles(flow)
+    n, law = particles.fluid, hookean_law(2000, 0)
+    fluids = {
+        "exact law": Closure(MAXWELL, flow.De, n),
+        "learned law, tables": Closure(law.tabulated(), flow.De, n),
+        "learned law, sums": Closure(law, flow.De, n),
+        "coupled 1000": Coupled(Dumbbells(n, 1000, common=True), flow.De),
+        "coupled 10000": Coupled(Dumbbells(n, 10_000, common=True), flow.De),
+        "coupled 100000": Coupled(Dumbbells(n, 100_000, common=True), flow.De),
+    }
+    best = dict.fromkeys(fluids, np.inf)
+    for _ in range(4):
+        for name, fluid in fluids.items():
+            count = 1 if name == "coupled 100000" else 10
+            fluid.advance(particles.kappa, 1e-9)
+            start = time.perf_counter()
+            for _ in range(count):
+                particles.step(fluid, 1e-9)
+            best[name] = min(best[name], 1e3 * (time.perf_counter() - start) / count)
+    ratio = best["coupled 100000"] / best["learned law, tables"]
+    return {"milliseconds a step": best, "coupled 100000 over learned": ratio}
+
+
+def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
+    """Held-out flows; start-up of a plane channel, De = Re = 1, F = 12, 64 cells, to t = 8."""
+    found: dict[str, Any] = {"held-out flows": fene_study(count, 0)}
+    flow, b = PlaneFlow(1.0, 1.0, 64, force=lambda t: 12.0), 50.0
+
+    def run(fluid: Any) -> Profiles:
+        return run_plane(flow, fluid, 8.0, 0.004, every=25)
+
+    start = time.perf_counter()
+    truth = run(Coupled(Dumbbells(64, reference, b=b, seed=5, common=True, matched=True), 1.0)).u
+    seconds = {"coupled": time.perf_counter() - start}
+    law = fene_law(count, 0)
+    rows = {}
+    for one in (MAXWELL, FENEP(b), law, law.tabulated()):
+        start = time.perf_counter()
+        name = "learned spring, table" if one is not law and hasattr(one, "shape") else one.name
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            profiles = run(Closure(one, 1.0, 64))
+        seconds[name] = time.perf_counter() - start
+        rows[name] = relative(profiles.u, truth)
+    found["plane channel"], found["seconds"] = rows, seconds
+    found["over FENE-P"] = rows["learned spring"] / rows["FENE-P"]
+    profiles = run(Closure(law, 1.0, 64))
+
+    def replay(K: np.ndarray, interval: float) -> np.ndarray:
+        parts = int(np.ceil(np.abs(K).max() * interval / 0.25))
+        dumbbells = Dumbbells(K.shape[1], 2000, b=b, seed=77, common=True, matched=True)
+        return simulate(dumbbells, K, interval, steps=max(parts, 10)).stress
+
+    for cells in (12,):
+        missing = missing_stress(flow, profiles, law, replay, cells)
+        better = corrected_run(flow, law, missing, 8.0, 0.004, 25)
+        found[f"replay of {cells} cells"] = {
+            "closure error estimated": relative(profiles.u, better.u),
+            "error after": relative(better.u, truth),
+        }
+    return found
+
+
+STUDIES = {f.__name__: f for f in (couette, channel, recipes, speed, fene)}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], help="all, if none is named")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    options = parser.parse_args(arguments)
+    folder = ROOT / "runs" / "polymer_tables"
+    for name in options.studies or STUDIES:
+        numbers = STUDIES[name]()
+        write_json(folder / f"{name}.json", numbers)
+        print(json.dumps(plain({name: numbers}), indent=None if options.json else 2), flush=True)
+
+
+if __name__ == "__main__":
+    main()
