@@ -125,10 +125,10 @@ def train(
     with torch.no_grad():
         model.scale = float(b[:20].norm() / model(u[:20]).norm())
     adam = torch.optim.Adam(model.parameters(), lr=rate)
-    began, best, epochs = time.perf_counter(), np.inf, 0
+    began, best, epochs = time.process_time(), np.inf, 0
     kept = {key: value.clone() for key, value in model.state_dict().items()}
     bar = tqdm(total=round(60 * minutes), unit="s", disable=quiet, leave=False)
-    while (part := (time.perf_counter() - began) / (60 * minutes)) < 1:
+    while (part := (time.process_time() - began) / (60 * minutes)) < 1:
         for group in adam.param_groups:
             group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
         for batch in torch.randperm(len(u)).split(10):
@@ -141,7 +141,7 @@ def train(
         if error < best:
             best = error
             kept = {key: value.clone() for key, value in model.state_dict().items()}
-        bar.n = round(time.perf_counter() - began)
+        bar.n = round(time.process_time() - began)
         bar.set_postfix(validation=f"{100 * error:.2f} %")
     model.load_state_dict(kept)
     return model, {"epochs": epochs, "numbers": sum(p.numel() for p in model.parameters())}
@@ -179,7 +179,7 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--element", choices=ELEMENTS, default="linear")
-    parser.add_argument("--minutes", type=float, default=10.0, help="of training, each")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of processor time, each")
     parser.add_argument("--widths", type=int, nargs=2, default=(32, 64))
     parser.add_argument("--rate", type=float, default=2e-3, help="of Adam")
     parser.add_argument("--samples", type=int, default=200)

@@ -27,6 +27,8 @@ DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
 SMALLEST_STEP = 1 / 64
 """Of the load, in continuation."""
+STIFFER = (6.0, 4.0, 2.8, 2.0, 1.4, 1.18, 1.0)
+"""Times that deviations are stiffened, one after the other, where a plain solve fails."""
 
 
 class NoEquilibrium(RuntimeError):
@@ -44,8 +46,8 @@ class Equilibrium:
             Laplacian on them: positive where the equilibrium is stable [stress].
         iterations: Newton steps.
         load_steps: 1 where no continuation was needed.
-        followed: whether it lies on the branch of stable equilibria that begins at rest, as far as
-            the steps tell; false for another minimum, found by going down from where that ended.
+        followed: whether stable equilibria lead to it, from rest along the load or from stiffer
+            deviations, as far as the steps tell; false for another minimum, found by going down.
     """
 
     u: np.ndarray
@@ -151,6 +153,9 @@ class StaticProblem:
         steps, followed = 1, True
         found, count = self._newton(c, load, first)
         if found is None:
+            found, used = self._soften(c, load, first)
+            count += used
+        if found is None:
             branch, done, steps, used = self._continue(c, load, collar)
             count, followed = count + used, done == 1.0
             found = branch if followed else None
@@ -173,6 +178,24 @@ class StaticProblem:
         if self.pattern is not None:
             other.pattern = replace(self.pattern, op=other.op)
         return other
+
+    def _soften(
+        self, c: np.ndarray, load: np.ndarray, first: np.ndarray
+    ) -> tuple[np.ndarray | None, int]:
+        """Solve with stiffer deviations and follow the answer while they soften."""
+        deviations = slice(self.op.dictionary.first_deviation, self.op.dictionary.first_term)
+        if not np.any(c[deviations] > 0):
+            return None, 0
+        count, found = 0, first
+        for factor in STIFFER:
+            stiff = c.copy()
+            stiff[deviations] *= factor
+            field, used = self._newton(stiff, load, found)
+            count += used
+            if field is None:
+                return None, count
+            found = field
+        return found, count
 
     def _continue(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
@@ -209,7 +232,7 @@ class StaticProblem:
             f = self.op.everywhere(u, c)
             residual = load - f[self.op.interior]
             scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
-            if not np.isfinite(scale):
+            if not np.isfinite(f).all():  # a bond or the short strain is folded
                 return None, count
             step, shift = self._direction(c, u, residual, shifts)
             if shift > 0 and not shifts:
