@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from warp_peri.operator.nonlinear import NonlinearOperator
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.dataset_file import load_dataset, save_dataset
+    from warp_peri.points.interpolation import onto_lattice
     from warp_peri.points.points import Points
     from warp_peri.points.samples import Samples
     from warp_peri.regression.settings import Optimum
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from warp_peri.stability.uniqueness import Uniqueness, uniqueness
     from warp_peri.statics.equilibrium import equilibrium
     from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
+    from warp_peri.statics.scattered import ThroughLattice
     from warp_peri.statics.solve import Iteration, solve, solve_periodic
     from warp_peri.transfer.kept import on_lattice
     from warp_peri.transfer.operator import LPSOperator
@@ -74,6 +76,7 @@ __all__ = [
     "Solid",
     "Solvability",
     "Sweep",
+    "ThroughLattice",
     "TwoStage",
     "Uncertainty",
     "Uniqueness",
@@ -91,6 +94,7 @@ __all__ = [
     "load_nonlinear",
     "model_for",
     "on_lattice",
+    "onto_lattice",
     "save_dataset",
     "set_threads",
     "smoothing_matrix",
@@ -123,6 +127,7 @@ _NAMES = {
     "models.solid": ("Solid",),
     "points.dataset": ("Dataset",),
     "points.dataset_file": ("load_dataset", "save_dataset"),
+    "points.interpolation": ("onto_lattice",),
     "points.points": ("Points",),
     "points.samples": ("Samples",),
     "operator.nonlinear": ("NonlinearOperator",),
@@ -133,6 +138,7 @@ _NAMES = {
     "stability.uniqueness": ("Uniqueness", "uniqueness"),
     "statics.equilibrium": ("equilibrium",),
     "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
+    "statics.scattered": ("ThroughLattice",),
     "statics.solve": ("Iteration", "solve", "solve_periodic"),
     "transfer.kept": ("on_lattice",),
     "transfer.operator": ("LPSOperator",),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import reference
-from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
+from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from warp_peri import InputError, evaluate, solve
 
 HORIZON = 3.0
@@ -107,4 +107,4 @@ def test_uncertified_spacings_are_refused_or_warned_about(points):
 
 def test_scattered_points_are_refused(points):
     with pytest.raises(InputError, match="not on scattered points|expected a lattice"):
-        evaluate(MODEL, replace(with_nodes(points, spacing=0.0), u=noise(points, 3)))
+        evaluate(MODEL, with_nodes(points, spacing=0.0), transfer=False)

@@ -12,6 +12,7 @@ from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
 from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
+from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.statics.solve import solve
 from warp_peri.transfer.nonlinear import nonlinear_for
 from warp_peri.transfer.operator import LPSOperator
@@ -66,7 +67,8 @@ def evaluate(
         and of a transferred model
         transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear model
         also linear_solves and largest_gradient, the most linear solves that a sample took and its
-        largest |H|, and unique, whether all answers are proven to be the only ones.
+        largest |H|, and unique, whether all answers are proven to be the only ones. On
+        scattered points the residual is Tᵗ (L T u − b) of (M7), against Tᵗ b.
 
     Samples whose interior carries no load, or one that is rounding, have no E_res, and those that
     move as a rigid body no E_shape: None, and the means are those of the others; None where there
@@ -78,6 +80,8 @@ def evaluate(
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
     if isinstance(model, Model) and not allow_uncertified:
+        if points.spacing == 0 and transfer and model.certified_on:
+            return _through_lattice(model, points)
         model = model_for(model, points, transfer=transfer)
     elif isinstance(model, NonlinearModel):
         asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
@@ -88,8 +92,33 @@ def evaluate(
     if isinstance(model, NonlinearModel):
         options: dict[str, Any] = {"allow_uncertified": allow_uncertified, "records": records}
         solved = solve_nonlinear(model, points, *fields, **options)
-    else:
-        solved = solve(model, points, *fields, allow_uncertified=allow_uncertified)
+        return _table(points, residual, load, solved, model.linear) | _work(records)
+    solved = solve(model, points, *fields, allow_uncertified=allow_uncertified)
+    return _table(points, residual, load, solved, model)
+
+
+def _through_lattice(model: Model, points: Samples) -> dict[str, Any]:
+    """The table on scattered points, through a lattice (theory.md, M7)."""
+    operator = ThroughLattice(model, points)
+    load = operator.load(points.loads)
+    residual = _norms(operator(points.u) - load)
+    solved = operator.solve(points.loads, points.u)
+    return _table(points, residual, _norms(load), solved, operator.model)
+
+
+def _work(records: list[NonlinearRecord]) -> dict[str, Any]:
+    """What nonlinear solves took, and whether their answers are the only ones."""
+    return {
+        "linear_solves": max(record.solves for record in records),
+        "largest_gradient": max(record.largest_gradient for record in records),
+        "unique": all(record.unique for record in records),
+    }
+
+
+def _table(
+    points: Samples, residual: np.ndarray, load: np.ndarray, solved: np.ndarray, model: Model
+) -> dict[str, Any]:
+    """Errors of solutions by a linear model, or by a nonlinear one around it."""
     size = _norms(points.u[:, points.interior])
     if not (size > 0).all():
         raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
@@ -111,13 +140,8 @@ def evaluate(
         table[f"{key}_samples"] = [None if np.isnan(one) else one for one in values.tolist()]
         if key in ("E_res", "E_u"):
             table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if some.any() else None
-    linear = model.linear if isinstance(model, NonlinearModel) else model
-    if linear.transferred_from is not None:
-        table["transferred_from"] = linear.transferred_from
-    if records:
-        table["linear_solves"] = max(record.solves for record in records)
-        table["largest_gradient"] = max(record.largest_gradient for record in records)
-        table["unique"] = all(record.unique for record in records)
+    if model.transferred_from is not None:
+        table["transferred_from"] = model.transferred_from
     return table
 
 

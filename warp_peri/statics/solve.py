@@ -24,6 +24,7 @@ from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
 from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
 from warp_peri.statics.range import warn_beyond
+from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.kept import model_at
 from warp_peri.transfer.points import model_for
 
@@ -70,7 +71,8 @@ def solve(
 
     Args:
         model: certified on some lattice; on others it is transferred, which is said once.
-        points: a lattice or scattered points; displacement outside the body is handed through.
+        points: a lattice or scattered points, which are solved on through a certified lattice of
+            half their spacing (ThroughLattice); displacement outside the body is handed through.
         b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
         quadrature_degree: as for LPSOperator.
@@ -93,6 +95,8 @@ def solve(
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
     load, u = _checked(nodes_of(points), b, u_collar)
+    if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
+        return _through_lattice(model, points, load, u, method)
     model = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
     nodes = on_nominal_lattice(model, points)
     if method == "auto":
@@ -134,6 +138,21 @@ def _iterated(
             records=iteration.records,
         )
     return found.cpu().numpy()
+
+
+def _through_lattice(
+    model: Model, points: PointsLike, load: np.ndarray, u: np.ndarray, method: str
+) -> np.ndarray:
+    """The solution on scattered points by the operator of a certified lattice."""
+    if method not in ("auto", "lu"):
+        raise InputError(
+            f"method: expected auto or lu on scattered points, got {method!r}, which is for the "
+            "model's own numbers there (allow_uncertified)"
+        )
+    flat = u.reshape(-1, len(points.x), 2)
+    found = ThroughLattice(model, points).solve(load.reshape(flat.shape), flat)
+    warn_beyond(model, nodes_of(points), found)
+    return found.reshape(u.shape)
 
 
 def _checked(

@@ -1,0 +1,96 @@
+"""Solves on scattered points through a certified lattice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.points.test_interpolation import cloud
+from tests.support.problems import kernel
+from warp_peri import InputError, Points, Samples, ThroughLattice, evaluate, solve
+from warp_peri.transfer.waves import dispersion
+
+HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
+pytestmark = pytest.mark.filterwarnings("ignore:transferred")
+
+
+@pytest.fixture(scope="module")
+def operator():
+    x = cloud(17, 0.45, seed=3).x
+    return ThroughLattice(HOME, Points(x, np.abs(x).max(axis=1) <= 4.0, 0.0))
+
+
+def waves(x):
+    """A wave and its load, of the material at home: shape [1, N, 2] each."""
+    k = np.array([0.5, 0.3])
+    u = np.cos(x @ k)[:, None] * (1.0, -0.4)
+    return u[None], (u @ dispersion(HOME, 1.0, k).T)[None]
+
+
+def wrong(operator, found, u):
+    inside = operator.points.interior
+    return np.linalg.norm((found - u)[:, inside]) / np.linalg.norm(u[:, inside])
+
+
+def test_symmetric_and_positive_definite(operator):
+    figures = operator.figures()
+    assert figures.asymmetry < 1e-12
+    assert figures.smallest_eigenvalue > 0
+    assert figures.smallest_singular_value > 0.5
+    assert figures.condition < 1e4
+    A = operator.problem.stiffness.toarray()
+    assert figures.smallest_eigenvalue == pytest.approx(np.linalg.eigvalsh(A)[0], rel=1e-6)
+    T = operator._unknown.toarray()
+    smallest = np.linalg.svd(T, compute_uv=False)[-1]
+    assert figures.smallest_singular_value == pytest.approx(smallest, rel=1e-6)
+
+
+def test_the_patch_test(operator):
+    """Affine displacement needs no load, whatever the points."""
+    x = operator.points.x
+    u = (x @ np.array([[0.01, 0.004], [-0.002, 0.02]]) + 0.3)[None]
+    held = np.where(operator.points.interior[:, None], 0.0, u)
+    assert operator.solve(0 * u, held) == pytest.approx(u, abs=1e-9)
+    assert np.abs(operator(u)).max() < 1e-10
+
+
+def test_waves_are_answered_as_at_home(operator):
+    u, b = waves(operator.points.x)
+    on_lattice = operator.solve(waves(operator.x)[1], u)
+    assert wrong(operator, on_lattice, u) < 0.005
+    at_nodes = operator.solve(b, u)
+    assert wrong(operator, at_nodes, u) < 0.006
+
+
+def test_solve_and_evaluate_go_this_way(operator):
+    u, b = waves(operator.points.x)
+    found = solve(HOME, operator.points, b, u)
+    assert found == pytest.approx(operator.solve(b, u), abs=1e-12)
+    assert np.array_equal(found[:, ~operator.points.interior], u[:, ~operator.points.interior])
+    table = evaluate(HOME, Samples(operator.points, u, b))
+    assert table["E_u"] == pytest.approx(wrong(operator, found, u))
+    assert table["E_res"] < 0.05
+    assert table["transferred_from"] == 1.0
+
+
+def test_own_numbers_and_refusal_stay(operator):
+    u, b = waves(operator.points.x)
+    with pytest.raises(InputError, match="certified on 1 Å, not on scattered points"):
+        solve(HOME, operator.points, b, u, transfer=False)
+    with pytest.raises(InputError, match="method: expected auto or lu on scattered points"):
+        solve(HOME, operator.points, b, u, method="gmres")
+
+
+def test_what_does_not_carry_a_lattice():
+    points = cloud(10)
+    with pytest.raises(InputError, match=r"collar: expected nodes .* Å around the interior"):
+        ThroughLattice(HOME, points)
+    wide = cloud(17)
+    wide = Points(wide.x, np.abs(wide.x).max(axis=1) <= 4.0, 0.0)
+    hole = np.hypot(*(wide.x - (7.0, 0.0)).T) > 2.5
+    with pytest.raises(InputError, match="missing from"):
+        ThroughLattice(HOME, Points(wide.x[hole], wide.interior[hole], 0.0))
+    with pytest.raises(InputError, match="b: expected shape"):
+        ThroughLattice(HOME, wide).load(np.zeros((1, 7, 2)))
+    with pytest.raises(InputError, match="broken bonds do not go through a lattice"):
+        ThroughLattice(HOME, replace(wide, outside=np.zeros(len(wide.x), bool)))
