@@ -35,7 +35,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.statics.large_deformation import StaticProblem, solve_hyperelastic
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
-STIFFNESS = 0.45
+STIFFNESS = 0.35
 """Least coefficient of the deviations, against hourglasses [stress of the data]."""
 QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)
 AREA = (Term("log_area"), Term("area"), Term("inverse_area"))

@@ -102,8 +102,20 @@ def parts(scalar):
         mean = one + wp.dot(lattice.unit[p], short(Ei) + short(Ej))
         return three(half * wp.log(own / mean), one / own, one / mean)
 
+    @wp.func
+    def by_own(d: three):
+        """The derivative of ½ d²/(1 + 2 m) by s."""
+        return d[0] * d[1] * d[2]
+
+    @wp.func
+    def by_mean(d: three):
+        """The derivative of ½ d²/(1 + 2 m) by m."""
+        return -d[0] * (one + d[0]) * d[2] * d[2]
+
     return SimpleNamespace(
         deviation=deviation,
+        by_own=by_own,
+        by_mean=by_mean,
         bond_strain=bond_strain,
         first=first,
         short=short,
@@ -121,7 +133,7 @@ def sweeps(scalar):
     of, energy, part = types(scalar), energies(scalar), parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
-    deviation = part.deviation
+    deviation, by_own, by_mean = part.deviation, part.by_own, part.by_mean
     seen, placed, on_short, acts = part.seen, part.placed, part.on_short, part.acts
     value, slope, bond = energy.value, energy.slope, energy.bond
     zero, half = scalar(0.0), scalar(0.5)
@@ -166,7 +178,7 @@ def sweeps(scalar):
                 strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
                 d = deviation(lattice, p, strained, state, E[s, j])
                 c = terms.c[terms.first_deviation + lattice.deviation[p]]
-                total -= half * c * d[0] * d[2] * on_short(lattice.unit[p])
+                total += half * c * by_mean(d) * on_short(lattice.unit[p])
         G[s, i] = total
 
     @wp.func
@@ -188,7 +200,7 @@ def sweeps(scalar):
             slopes += c * bond(terms.bond_kind[q], s)[1]
         if deviates(lattice, p, i, j):
             d = deviation(lattice, p, s, Ei, Ej)
-            slopes += terms.c[terms.first_deviation + lattice.deviation[p]] * d[0] * d[1]
+            slopes += terms.c[terms.first_deviation + lattice.deviation[p]] * by_own(d)
         return slopes
 
     @wp.kernel(enable_backward=False)
@@ -245,7 +257,7 @@ def sweeps(scalar):
                 if deviates(lattice, p, i, j):
                     d = deviation(lattice, p, strained, E[s, i], E[s, j])
                     c = terms.c[terms.first_deviation + lattice.deviation[p]]
-                    total += half * half * c * d[0] * d[0]
+                    total += half * half * c * d[0] * d[0] * d[2]
         U[s, i] = total
 
     return SimpleNamespace(strain=strain, stress=stress, force=force, energy=energy_of_nodes)

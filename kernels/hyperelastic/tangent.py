@@ -15,10 +15,11 @@ def tangents(scalar):
     of, energy, part = types(scalar), energies(scalar), parts(scalar)
     vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
     bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
-    deviation = part.deviation
+    deviation, by_own = part.deviation, part.by_own
     seen, on_short, acts = part.seen, part.on_short, part.acts
     curve, bond = energy.curve, energy.bond
-    zero, half, two = scalar(0.0), scalar(0.5), scalar(2.0)
+    zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
+    four, six_times = scalar(4.0), scalar(6.0)
 
     @wp.kernel(enable_backward=False)
     def curvature(
@@ -87,9 +88,9 @@ def tangents(scalar):
                 d = deviation(lattice, p, bond_strain(lattice, p, Y), E[s, i], E[s, j])
                 own = wp.dot(Y, v[s, j] - v[s, i]) * lattice.inverse[p] * d[1]
                 mean = half * wp.dot(unit, short(dE[s, i]) + short(dE[s, j])) * d[2]
-                rate = (own - mean - two * d[0] * mean) * d[2]
+                rate = (one + (six_times + four * d[0]) * d[0]) * mean - (one + two * d[0]) * own
                 c = terms.c[terms.first_deviation + lattice.deviation[p]]
-                total -= half * c * rate * on_short(unit)
+                total += half * c * rate * d[2] * d[2] * on_short(unit)
         dG[s, i] = total
 
     @wp.kernel(enable_backward=False)
@@ -127,8 +128,9 @@ def tangents(scalar):
                     d = deviation(lattice, p, strained, E[s, i], E[s, j])
                     own = rate * d[1]
                     mean = half * wp.dot(unit, short(dE[s, i]) + short(dE[s, j])) * d[2]
-                    t += c * d[0] * d[1]
-                    dt += c * (own - mean - two * d[0] * own) * d[1]
+                    t += c * by_own(d)
+                    bent = (one - two * d[0]) * own - (one + two * d[0]) * mean
+                    dt += c * bent * d[1] * d[2]
                 along = t * lattice.inverse[p] + wp.dot(lattice.weight[p], G[s, i] + G[s, j])
                 turned = dt * lattice.inverse[p] + wp.dot(lattice.weight[p], dG[s, i] + dG[s, j])
                 total -= along * y + turned * Y
@@ -145,7 +147,7 @@ def features(scalar):
     of, energy, part = types(scalar), energies(scalar), parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates = part.bond_strain, part.deviates
-    deviation = part.deviation
+    deviation, by_own, by_mean = part.deviation, part.by_own, part.by_mean
     seen, placed, on_short, acts = part.seen, part.placed, part.on_short, part.acts
     slope, bond = energy.slope, energy.bond
     slope_by_angle, slope_by_exponent = energy.slope_by_angle, energy.slope_by_exponent
@@ -184,7 +186,7 @@ def features(scalar):
                 if lattice.deviation[p] == k and deviates(lattice, p, i, j):
                     own = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
                     d = deviation(lattice, p, own, E[s, i], E[s, j])
-                    total -= half * d[0] * d[2] * on_short(lattice.unit[p])
+                    total += half * by_mean(d) * on_short(lattice.unit[p])
         G[s, i, k] = total
 
     @wp.kernel(enable_backward=False)
@@ -212,7 +214,7 @@ def features(scalar):
                 if deviates(lattice, p, i, j):
                     d = deviation(lattice, p, strained, E[s, i], E[s, j])
                     k = terms.first_deviation + lattice.deviation[p]
-                    F[s, t, k] -= d[0] * d[1] * lattice.inverse[p] * Y
+                    F[s, t, k] -= by_own(d) * lattice.inverse[p] * Y
                 for k in range(G.shape[2]):
                     along = wp.dot(lattice.weight[p], G[s, i, k] + G[s, j, k])
                     F[s, t, terms.first_deviation + k] -= along * Y

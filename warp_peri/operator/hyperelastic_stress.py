@@ -31,7 +31,7 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
     near = np.flatnonzero(whole & (op.deviation[k] >= 0))
     mean = 1 + ((E[i[near], 3:] + E[j[near], 3:]) * op.unit[k[near]]).sum(axis=1)
     d = 0.5 * np.log((1 + 2 * s[near]) / mean)
-    tension[near] += c[first:last][op.deviation[k[near]]] * d / (1 + 2 * s[near])
+    tension[near] += c[first:last][op.deviation[k[near]]] * d / (1 + 2 * s[near]) / mean
     along = tension / square + ((G[i] + G[j]) * op.weight[k]).sum(axis=1)
     carried = 0.5 * along[:, None, None] * Y[:, :, None] * xi[:, None, :]
     P = np.zeros((len(u), 2, 2))

@@ -97,11 +97,12 @@ class TangentPattern:
         own, mean = 1 / (1 + 2 * s[bonds]), 1 / (1 + 2 * (self.mean @ E.ravel()))
         with np.errstate(invalid="ignore"):  # a folded field has no tangent: NaN
             d = 0.5 * np.log(mean / own)
-        slopes[bonds] += c * d * own
+        slopes[bonds] += c * d * own * mean
         by_own, by_mean = sp.diags(own) @ B[bonds], sp.diags(mean) @ (self.mean @ QB)
-        both = by_own - by_mean
-        bent = by_mean.T @ sp.diags(2 * c * d) @ by_mean - by_own.T @ sp.diags(2 * c * d) @ by_own
-        return both.T @ sp.diags(c) @ both + bent
+        twice = by_own.T @ sp.diags(c * mean * (1 - 2 * d)) @ by_own
+        twice = twice + by_mean.T @ sp.diags(c * mean * (1 + 6 * d + 4 * d**2)) @ by_mean
+        mixed = by_own.T @ sp.diags(c * mean * (1 + 2 * d)) @ by_mean
+        return twice - mixed - mixed.T
 
     def _bond_rates(self, along: np.ndarray, i: np.ndarray, j: np.ndarray) -> sp.csr_matrix:
         """Bond strains by displacements of the interior, shape [P, 2 I]."""
