@@ -1,0 +1,169 @@
+"""Nonlinear solids held to what they promise: turned bodies, turned crystals, their cost.
+
+Takes the models that examples/nonlinear.py left, prints numbers, and leaves them as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import statistics
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+import torch
+
+import warp_peri
+from examples.nonlinear import OUT
+from examples.train_graphene import DATA
+from tools.make_graphene import on_nodes, read_samples
+from warp_peri import NonlinearModel, NonlinearOperator, Points, Samples
+from warp_peri.errors import InputError
+from warp_peri.files.whole import write_json
+from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.gradient_sweeps import GradientSweeps
+from warp_peri.operator.lps import lps_force
+from warp_peri.operator.nonlinear import class_tables, nonlinear_force
+
+TURN, CRYSTAL = 10.0, 17.0
+"""Degrees that bodies and crystals are turned by."""
+NODES, REPEATS = 200, 15
+
+
+def rotation(degrees: float) -> np.ndarray:
+    """Turns column vectors to the left."""
+    angle = np.deg2rad(degrees)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def turned_body(model: NonlinearModel, samples: Samples) -> dict[str, float]:
+    """E_res of the same equilibria seen after a rigid turn of the deformed body, force only."""
+    turn = rotation(TURN)
+    operator = NonlinearOperator(model, samples)
+    straight = warp_peri.LPSOperator(model.linear, samples)
+    u = (samples.x + samples.u) @ turn.T - samples.x
+    b = samples.loads[:, samples.interior]
+    size = np.linalg.norm(b, axis=(1, 2))
+
+    def error(op: Callable[[np.ndarray], np.ndarray], u: np.ndarray, b: np.ndarray) -> float:
+        return float((np.linalg.norm(op(u) - b, axis=(1, 2)) / size).mean())
+
+    return {
+        "unturned": error(operator, samples.u, b),
+        "turned": error(operator, u, b @ turn.T),
+        "turned_linear": error(straight, u, b @ turn.T),
+    }
+
+
+def turned_crystal(model: NonlinearModel, cache: Path) -> dict[str, float]:
+    """E_u on disks whose atoms lie at an angle to the nodes; also with the axis forgotten."""
+    body, _, found = read_samples(cache, "test")
+    turn, out = rotation(CRYSTAL), {}
+    for name, by in (("straight", np.eye(2)), ("turned", turn)):
+        nodes = on_nodes(
+            body,
+            found[0].reference @ by.T,
+            np.stack([one.displacement for one in found]) @ by.T,
+            np.stack([one.force for one in found]) @ by.T,
+            spacing=5.0,
+        )
+        solid = model
+        if name == "turned":
+            solid = dataclasses.replace(model, axis=model.axis + np.deg2rad(CRYSTAL))
+            out["axis_forgotten"] = warp_peri.evaluate(model, nodes)["E_u"]
+        out[name] = warp_peri.evaluate(solid, nodes)["E_u"]
+    return out
+
+
+def costs(model: NonlinearModel) -> dict[str, float]:
+    """Force, and force with all gradients, over those of the linear part: medians, alternating."""
+    steps = np.argwhere(np.ones((NODES, NODES)))
+    h = model.linear.certified_on[0]
+    points = Points(h * steps, np.ones(len(steps), bool), h, box=(h * NODES, h * NODES))
+    bonds, sweeps = Bonds(points, model.horizon), GradientSweeps(points, model.horizon)
+    random = np.random.default_rng(0)
+    u, g = (torch.from_numpy(random.normal(size=points.x.shape)) for _ in range(2))
+    solid = model.linear.solid.map(
+        lambda value: torch.tensor(np.atleast_1d(value), dtype=torch.float64, requires_grad=True)
+    )
+    weights = [torch.from_numpy(p).requires_grad_() for p in model.weights(sweeps.classes)]
+    numbers = torch.tensor(model.numbers, requires_grad=True)
+    u = (0.01 * u).requires_grad_()
+
+    def linear() -> torch.Tensor:
+        return lps_force(bonds, u, solid)
+
+    def nonlinear() -> torch.Tensor:
+        values = (solid.mu, solid.alpha, solid.D, solid.dilatation)
+        tables = class_tables(sweeps.classes, *values, (weights[0], weights[1]))
+        return nonlinear_force(sweeps, u, tables, solid.lam - solid.mu, numbers)
+
+    def graded(force: Callable[[], torch.Tensor], leaves: list[torch.Tensor]) -> None:
+        torch.autograd.grad((force() * g).sum(), leaves, allow_unused=True)
+
+    leaves = [u, *solid.values()]
+    jobs: dict[str, Callable[[], Any]] = {
+        "force_linear": lambda: linear().detach(),
+        "force": lambda: nonlinear().detach(),
+        "gradient_linear": lambda: graded(linear, leaves),
+        "gradient": lambda: graded(nonlinear, [*leaves, *weights, numbers]),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
+    for turn in range(REPEATS + 1):
+        for name, job in jobs.items():
+            begin = time.perf_counter()
+            job()
+            if turn:  # the first compiles
+                seconds[name].append(time.perf_counter() - begin)
+    medians = {name: statistics.median(times) for name, times in seconds.items()}
+    return {
+        "force": medians["force"] / medians["force_linear"],
+        "force_and_gradient": medians["gradient"] / medians["gradient_linear"],
+        **{f"seconds_{name}": value for name, value in medians.items()},
+    }
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, or 2 for bad input."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--models", type=Path, default=OUT, help="folder of the models")
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args(arguments)
+    numbers: dict[str, Any] = {}
+    try:
+        data = warp_peri.load_dataset(given.data)
+        for name in ("energy", "filtered"):
+            model = warp_peri.load_nonlinear(given.models / f"{name}.json")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                numbers[name] = {
+                    "turned_body": turned_body(model, data["val"]),
+                    "turned_crystal": turned_crystal(model, given.data.with_suffix(".cache")),
+                    "cost": costs(model),
+                }
+        write_json(given.models / "checks.json", numbers)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if given.json:
+        print(json.dumps(numbers))
+        return 0
+    for name, found in numbers.items():
+        for check, values in found.items():
+            line = ", ".join(f"{key} {value:.4g}" for key, value in values.items())
+            print(f"{name}: {check}: {line}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
