@@ -9,7 +9,7 @@ import pytest
 
 import warp_peri
 from tests.package.test_order import FLOOR, ROOT
-from tests.support.problems import lattice, smooth
+from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 
 README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
@@ -31,8 +31,8 @@ def test_every_use_runs(tmp_path, monkeypatch):
     body = lattice(6, 12.5, 5.0)
     atoms = np.random.default_rng(0).uniform(-40, 70, (4000, 2))
     known = {"np": np, "warp_peri": warp_peri, "x": body.x, "interior": body.interior}
-    known |= {"u": 0.1 * smooth(body.x, 6, wave_number=0.2), "atoms": atoms, "r": np.ones(1)}
-    known |= {"b": 1e-3 * smooth(body.x, 6, seed=1, wave_number=0.2)}
+    samples = manufactured(kernel("1/r", 12.5, spacing=5.0), body, 6, wave_number=0.2)
+    known |= {"u": 0.1 * samples.u, "b": 0.1 * samples.b, "atoms": atoms, "r": np.ones(1)}
     known |= {"d": np.zeros((1, len(atoms), 2)), "f": np.ones((1, len(atoms), 2))}
     for wing, lines in USES.items():
         if wing != "cli":
