@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
+
 from warp_peri.errors import InputError
 from warp_peri.statics.solve import DIRECT
 
@@ -30,6 +32,8 @@ class Scene:
     rectangle: bool = False
 
     def __post_init__(self) -> None:
+        if np.shape(self.size) != (2,):
+            raise InputError(f"scene: expected two extents (x, y) [Å], got size {self.size!r:.60}")
         if not all(math.isfinite(v) and v > 0 for v in (*self.size, self.shortest_wave)):
             raise InputError(
                 f"scene: expected lengths > 0 Å, got size {self.size}, wave {self.shortest_wave}"
@@ -85,8 +89,8 @@ def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None
     table = shipped_table() if table is None else table
     if scene.shortest_wave < table["short_wave"]:
         raise InputError(
-            f"scene: waves of {scene.shortest_wave:g} Å were not measured; the shortest are "
-            f"{table['short_wave']:.3g} Å"
+            f"scene: waves of {scene.shortest_wave:.6g} Å were not measured; the shortest are "
+            f"{table['short_wave']:.6g} Å"
         )
     short = scene.shortest_wave < table["long_wave"]
     name = "waves" if short else "disks"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +20,27 @@ SLICE = 2000
 """Least number of nodes a thread is worth starting for."""
 
 wp.config.log_level = wp.LOG_WARNING  # its banner would mix with what commands print
+
+
+def _start() -> None:
+    """Start Warp; without a CUDA driver its native part would say so on every start."""
+    driver = "nvcuda.dll" if os.name == "nt" else "libcuda.so.1"
+    try:
+        ctypes.CDLL(driver)
+    except OSError:
+        kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, 2)
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            os.close(nowhere)
+    else:
+        wp.init()
+
+
+_start()
 _count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 _pool: ThreadPoolExecutor | None = None
 

@@ -100,7 +100,7 @@ def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
     elif given.command == "evaluate":
         _print_table(result)
     else:
-        print("\n".join(commands.lines_of(result)))
+        print("\n".join(map(_printable, commands.lines_of(result))))
 
 
 def _print_table(tables: dict[str, dict[str, Any]]) -> None:
@@ -108,14 +108,19 @@ def _print_table(tables: dict[str, dict[str, Any]]) -> None:
     print(f"{'set':{width}}  samples   E_res [%]  E_res_abs [TPa/Å]   E_u [%]  E_shape [%]")
     for name, table in tables.items():
         if "error" in table:
-            print(f"{name:{width}}  {table['error']}")
+            print(_printable(f"{name:{width}}  {table['error']}"))
             continue
         count = len(table["E_u_samples"])
         print(
-            f"{name:{width}}  {count:7d}  {_percent(table['E_res']):>10}  "
+            f"{_printable(name):{width}}  {count:7d}  {_percent(table['E_res']):>10}  "
             f"{table['E_res_abs']:17.3e}  {_percent(table['E_u']):>8}  "
             f"{_percent(table.get('E_shape')):>11}"
         )
+
+
+def _printable(line: str) -> str:
+    """A line without what a file could make a terminal do."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
 def _percent(error: float | None) -> str:

@@ -10,6 +10,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
 from warp_peri.statics.scattered import ThroughLattice
@@ -44,7 +45,7 @@ def residual_errors(
 
 def evaluate(
     model: Model | NonlinearModel,
-    points: Samples,
+    points: Samples | Dataset,
     *,
     transfer: bool = True,
     allow_uncertified: bool = False,
@@ -54,7 +55,7 @@ def evaluate(
     Args:
         model: linear or nonlinear, certified on some lattice; on others it is transferred, which
             is said once.
-        points: samples with displacement and load.
+        points: samples with displacement and load; of a Dataset its only set.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
 
@@ -77,6 +78,8 @@ def evaluate(
     Raises InputError for a set without samples, with a sample that has no displacement on its
     interior, or that the model cannot be used on.
     """
+    if isinstance(points, Dataset):
+        points = points.obvious()
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
     if isinstance(model, Model) and not allow_uncertified:

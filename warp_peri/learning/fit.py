@@ -21,6 +21,7 @@ from warp_peri.learning.stages import Stages, checkpoint_key
 from warp_peri.learning.training_data import TrainingData, listed
 from warp_peri.models.shapes import InfluenceFunction, shapes_of
 from warp_peri.operator.symbol import moduli as moduli_of
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.points.wave_number import largest_wave_number
@@ -51,7 +52,7 @@ PROBED_EXPONENT = 2.0
     seed="method=TwoStage(seed=…)",
 )
 def fit(
-    samples: Samples | Sequence[Samples],
+    samples: Samples | Dataset | Sequence[Samples],
     horizon: float,
     kernel: Kernel = Bernstein(10),  # noqa: B008 (a frozen value)
     *,
@@ -65,7 +66,8 @@ def fit(
     """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
-        samples: training samples, one set or several on different lattices or scattered points
+        samples: training samples, of a Dataset those of `train` or its only set; one set or several
+            on different lattices or scattered points
             (each sample on its own if need be); interior nodes need the 2δ collar. Scattered
             points train on the full loss, by TwoStage.
         horizon: δ [Å], at least one spacing.
@@ -84,7 +86,7 @@ def fit(
             "corrected" for others.
         noise: fields of noise alone on the nodes of each training set, their loads of no account.
         normalise: divide each sample by ‖b‖ in the residual.
-        progress: show a progress bar for each stage; None shows it on a terminal alone.
+        progress: show a bar for each stage; None shows it on a terminal and in a notebook.
 
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.

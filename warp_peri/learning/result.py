@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
 
 from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.models.lps import Model
@@ -36,7 +39,7 @@ class Settings:
     moduli: tuple[float, float] | str | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """A learned model and how it was learned.
 
@@ -64,3 +67,48 @@ class Fit:
     def certificate(self) -> Certificate:
         """The certificate on the first training lattice."""
         return self.certificates[0]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know of a fit at a glance: name and value."""
+        model, last = self.model, self.history[-1] if self.history else None
+        lattices = ", ".join(f"{h:g} Å" for h in model.certified_on) or "no lattice"
+        found = [
+            ("λ, μ", f"{model.lam:.4g}, {model.mu:.4g} TPa"),
+            ("E, ν", f"{model.E:.4g} TPa, {model.nu:.3g}"),
+            ("kernel", f"M = {model.degree}, δ = {model.horizon:g} Å, α = {model.alpha:.3g}"),
+        ]
+        for one in self.moduli[:1]:
+            numbers = ", ".join(f"{one[key]:.4g}" for key in ("C11", "C12", "C44"))
+            found.append(("C11, C12, C44", f"{numbers} TPa"))
+        if last is not None:
+            found.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
+        found.append(("loss", f"{self.loss.name} ({self.loss.reason})"))
+        found.append(("certified on", lattices))
+        found += [("", one.statement) for one in self.certificates[:1]]
+        return found
+
+    def __repr__(self) -> str:
+        width = max(len(name) for name, _ in self.rows())
+        return "\n".join(["Fit", *(f"  {name:{width}}  {value}" for name, value in self.rows())])
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the same as a table, and K over r."""
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(value)}</td></tr>"
+            for name, value in self.rows()
+        )
+        return f"<table>{cells}</table>{_influence_svg(self.model)}"
+
+
+def _influence_svg(model: Model) -> str:
+    """K(r)/max|K| as a small drawing."""
+    r = np.linspace(model.horizon / 8, model.horizon, 200)
+    K = model.influence(r)
+    x, y = 300 * r / model.horizon, 60 - 50 * K / np.abs(K).max()
+    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y))
+    return (
+        "<svg width='320' height='140' role='img' aria-label='influence function'>"
+        "<line x1='0' y1='60' x2='300' y2='60' stroke='gray'/>"
+        f"<polyline points='{path}' fill='none' stroke='steelblue' stroke-width='2'/>"
+        f"<text x='0' y='135' font-size='11'>K(r), r from 0 to δ = {model.horizon:g} Å</text></svg>"
+    )

@@ -11,6 +11,7 @@ from warp_peri.errors import InputError
 from warp_peri.losses.full import FullLoss, sample_weights
 from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import ReducedLoss, reduce
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.stability.conditions import Conditions, LatticeConditions
@@ -108,8 +109,10 @@ def training_data(
     return TrainingData(sets, horizon, full, grids, asked, unloaded, added)
 
 
-def listed(samples: Samples | Sequence[Samples] | None) -> list[Samples]:
-    """One set, several or none as a list."""
+def listed(samples: Samples | Dataset | Sequence[Samples] | None) -> list[Samples]:
+    """One set, several or none as a list; of a data set the one called train, or the only one."""
     if samples is None:
         return []
+    if isinstance(samples, Dataset):
+        samples = samples.obvious("train")
     return [samples] if isinstance(samples, Samples) else list(samples)

@@ -24,6 +24,8 @@ QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 _NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
 SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
+LARGEST_MODULUS = 1e100
+"""[TPa]; products of larger ones soon are no numbers."""
 LARGEST_FILE = 2**24
 """Bytes of a model file that are read at most."""
 _OPTIONAL = {"trained_strain", "largest_wave_number", "sha256"}
@@ -109,6 +111,10 @@ class Model:
             raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
         if not self.horizon > 0:
             raise InputError(f"horizon: expected a length > 0 Å, got {self.horizon}")
+        if not max(abs(self.lam), abs(self.mu)) <= LARGEST_MODULUS:
+            raise InputError(
+                f"lambda, mu: expected at most {LARGEST_MODULUS:g} TPa, got {self.lam}, {self.mu}"
+            )
         if not (self.mu > 0 and self.lam + self.mu > 0):
             raise InputError(f"lambda, mu: expected μ > 0 and λ + μ > 0, got {self.lam}, {self.mu}")
         if not (np.any(self.D) and np.any(self.dilatation)):

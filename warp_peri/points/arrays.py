@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 
+LARGEST = 1e100
+"""Values above it are no data, and their squares soon no numbers."""
+
 
 def checked(name: str, value: ArrayLike, kind: type) -> np.ndarray:
     """An array of float64 or bool; InputError naming it and the first value that is not finite."""
@@ -23,6 +26,12 @@ def checked(name: str, value: ArrayLike, kind: type) -> np.ndarray:
     if kind is float and not np.isfinite(value).all():
         bad = np.argwhere(~np.isfinite(value))[0].tolist()
         raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
+    if kind is float and value.size and np.abs(value).max() > LARGEST:
+        bad = np.unravel_index(np.abs(value).argmax(), value.shape)
+        at = [int(index) for index in bad]
+        raise InputError(
+            f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {at}"
+        )
     return value
 
 

@@ -48,5 +48,20 @@ class Dataset:
             raise InputError(f"no set '{name}' in the data; it has {', '.join(self.sets)}")
         return self.sets[name]
 
+    def obvious(self, name: str | None = None) -> Samples:
+        """The set that is meant where none was named: that of the usual name, or the only one.
+
+        Raises InputError that lists the sets where neither is there.
+        """
+        if name in self.sets:
+            return self.sets[str(name)]
+        if len(self.sets) == 1:
+            return next(iter(self.sets.values()))
+        first = next(iter(self.sets))
+        raise InputError(
+            f"expected one set of samples, got a data set with {', '.join(self.sets)}; name one, "
+            f"as data[{first!r}]"
+        )
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.sets)

@@ -295,9 +295,12 @@ def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
     grid = np.rint((x - x[0]) / h).astype(np.int32)
     off = np.abs(x - x[0] - h * grid).max(axis=1) > LATTICE_TOLERANCE * h
     if off.any():
+        worst = float(np.abs(x - x[0] - h * grid).max())
         raise InputError(
-            f"points: expected a square lattice of spacing {h} Å; off it: "
-            f"{scattered.listed(np.flatnonzero(off))}"
+            f"points: expected a square lattice of spacing {h} Å within "
+            f"{LATTICE_TOLERANCE * h:.1g} Å ({LATTICE_TOLERANCE:g} spacings), got nodes up to "
+            f"{worst:.2g} Å off it: "
+            f"{scattered.listed(np.flatnonzero(off))}; are positions rounded?"
         )
     return grid - grid.min(0), axes
 

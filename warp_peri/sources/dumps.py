@@ -325,12 +325,19 @@ def _read(text: str) -> Frame:
     # the types it wants when there is no column that tells elements.
     known = {"element", "mass", "type"} & set(columns)
     name = ID if known else "type"
-    given = " ".join(name if column == "id" else column for column in columns)
+    used = next((column for column in POSITIONS if column in columns), None)
+    if used is None or used.replace("x", "y") not in columns:
+        raise ValueError(f"expected x and y of one kind, as xu yu, got {header.strip()}")
+    if not {"z", "zu", "zs", "zsu"} & set(columns):
+        raise ValueError(f"expected z beside x and y, got {header.strip()}")
+    # A sheet's z is not looked at, but ASE wants it of the kind of x and y.
+    height = {f"z{kind}": used.replace("x", "z") for kind in ("", "u", "s", "su")}
+    renamed = {"id": name} | ({} if set(height.values()) & set(columns) else height)
+    given = " ".join(renamed.get(column, column) for column in columns)
     atoms = read_lammps_dump_text(io.StringIO(f"{head}ITEM: ATOMS {given}\n{rows}"), index=-1)
     announced = int(text.split("ITEM: NUMBER OF ATOMS\n", 1)[1].split("\n", 1)[0])
     if len(atoms) != announced:
         raise ValueError(f"{announced} atoms announced, {len(atoms)} there")
-    used = next(column for column in POSITIONS if column in columns)
     cell = np.asarray(atoms.cell)
     tilted = bool((cell != np.diag(np.diag(cell))).any())
     if tilted and used != "xu":

@@ -103,17 +103,19 @@ class Dirichlet:
             torch.set_num_threads(count)
 
     def _solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, Record]:
-        size, record = float(right.norm()), Record()
+        record = Record()
+        largest = float(right.abs().max()) if right.numel() else 0.0
         u = torch.zeros_like(right)
-        if size == 0:
+        if largest == 0:
             return u, record
-        left = right
+        right = right / largest  # squares of very small and very large loads are no numbers
+        size, left = float(right.norm()), right
         for _ in range(1 + RESTARTS):
             u += self._descend(left, 0.9 * tolerance * size, record)
             left = right - self.product(u)
             record.residual = float(left.norm()) / size
             if record.residual <= tolerance:
-                return u, record
+                return u * largest, record
             if record.iterations >= MOST_ITERATIONS:
                 break
         raise InputError(

@@ -1,0 +1,141 @@
+"""What cost a new user an hour each: told in one sentence, or done as was meant."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured, noise
+from warp_peri import (
+    Bernstein,
+    Dataset,
+    InputError,
+    Model,
+    Scene,
+    choose_model,
+    evaluate,
+    fit,
+    save_dataset,
+    solve,
+)
+from warp_peri.choice import shipped_table
+from warp_peri.cli.main import main
+from warp_peri.points.families import families_of
+from warp_peri.sources.dumps import dump_frames
+
+HORIZON = 2.5
+TRUE = kernel("positive", HORIZON)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return manufactured(TRUE, lattice(4, HORIZON), 3)
+
+
+@pytest.fixture(scope="module")
+def found(samples):
+    return fit(Dataset({"only": samples}, 3.35, 2200.0), HORIZON, Bernstein(2))
+
+
+def test_a_data_set_with_one_obvious_set_is_taken(samples, found):
+    data = Dataset({"train": samples, "val": samples}, 3.35, 2200.0)
+    assert fit(data, HORIZON, Bernstein(2)).model.mu == found.model.mu
+    one = evaluate(found.model, Dataset({"val": samples}, 3.35, 2200.0))
+    assert one == evaluate(found.model, samples)
+    with pytest.raises(InputError, match=r"a data set with train, val; name one, as data\['train'"):
+        evaluate(found.model, data)
+
+
+def test_a_fit_is_shown_in_a_few_lines(found):
+    assert len(repr(found)) < 900
+    assert len(str(found).splitlines()) < 12
+    assert "certified on   1 Å" in repr(found)
+    html = found._repr_html_()
+    assert html.startswith("<table>")
+    assert "<polyline" in html
+
+
+def test_rounded_positions_are_refused_with_the_tolerance():
+    points = lattice(4, HORIZON, spacing=1.2345678)
+    rounded = replace(points, x=points.x.round(2))
+    with pytest.raises(InputError, match=r"within 1e-06 Å \(1e-06 spacings\), got nodes up to 0.0"):
+        families_of(rounded, HORIZON)
+
+
+@pytest.mark.parametrize("columns", ["xu yu z", "x y zu", "xu yu zs"])
+def test_a_height_of_another_kind_is_no_matter(tmp_path, columns):
+    head = (
+        "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS pp pp pp\n0 9\n0 9\n-1 1\n"
+    )
+    path = tmp_path / "a.dump"
+    path.write_text(f"{head}ITEM: ATOMS id type {columns}\n2 1 3.5 4.5 0\n1 1 1.5 2.5 0\n")
+    frame = next(dump_frames(path))
+    assert frame.x == pytest.approx(np.array([[1.5, 2.5], [3.5, 4.5]]))
+    path.write_text(f"{head}ITEM: ATOMS id type xu y zu\n2 1 3.5 4.5 0\n1 1 1.5 2.5 0\n")
+    with pytest.raises(InputError, match="expected x and y of one kind, as xu yu"):
+        next(dump_frames(path))
+
+
+def test_numbers_beyond_all_data_are_refused(samples):
+    with pytest.raises(InputError, match=r"u: expected values below 1e\+100, got"):
+        replace(samples, u=1e200 * samples.u)
+    with pytest.raises(InputError, match=r"lambda, mu: expected at most 1e\+100 TPa"):
+        Model(0.3, 1e308, 1.0, [1.0], 3.0)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e90])
+def test_conjugate_gradients_take_loads_of_any_size(samples, size):
+    zero, load = np.zeros_like(samples.u[0]), noise(samples)
+    by = [solve(TRUE, samples, size * load, zero, method=name) for name in ("cg", "lu")]
+    assert by[0] / size == pytest.approx(by[1] / size, abs=1e-6 * np.abs(by[1]).max() / size)
+
+
+def test_a_scene_has_two_extents_and_its_wave_is_told_apart():
+    for size in ((100.0,), (100.0, 100.0, 100.0)):
+        with pytest.raises(InputError, match="expected two extents"):
+            Scene(size, 30.0)
+    shortest = shipped_table()["short_wave"]
+    with pytest.raises(InputError, match="were not measured") as caught:
+        choose_model(tolerance=0.1, scene=Scene((100.0, 100.0), shortest * (1 - 1e-4)))
+    said = [word for word in str(caught.value).split() if word[0].isdigit()]
+    assert said[0] != said[1]
+
+
+def test_a_file_cannot_write_to_the_terminal(samples, tmp_path, capsys):
+    path = tmp_path / "data.h5"
+    evil = {"note": "\x1b[31mred\x1b[2J", "\x1b]0;title\x07": 1}
+    save_dataset(path, Dataset({"a\x1b[1m": samples}, 3.35, 2200.0, evil))
+    assert main(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "\x1b" not in out
+    assert "\x07" not in out
+    assert "red" in out
+
+
+def command(*words):
+    """A process of the command, its streams in hand."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, "-m", "warp_peri", *words], **pipes)
+
+
+def test_warp_says_nothing_of_a_driver_that_is_not_there(found, tmp_path):
+    found.model.save(tmp_path / "model.json")
+    process = command("certify", str(tmp_path / "model.json"), "--json")
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert "CUDA" not in errors
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize("wait", [0.15, 0.3])
+def test_an_early_interrupt_is_no_traceback(wait):
+    process = command("certify", "no such model")
+    time.sleep(wait)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert "warp_peri" not in errors or "Traceback" not in errors
