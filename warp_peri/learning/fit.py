@@ -66,16 +66,13 @@ def fit(
     """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
-        samples: training samples, of a Dataset those of `train` or its only set; one set or several
-            on different lattices or scattered points
-            (each sample on its own if need be); interior nodes need the 2δ collar. Scattered
-            points train on the full loss, by TwoStage.
+        samples: one set or several, on different lattices or scattered points (each sample on its
+            own if need be); of a Dataset `train`, or its only set. Interior nodes need the 2δ
+            collar. Scattered points train on the full loss, by TwoStage.
         horizon: δ [Å], at least one spacing.
-        kernel: Bernstein polynomials, or in their place a function of the bond length whose
-            parameters are learned; on lattices, from the values it has, straight to the optimum.
-            Several functions are several starts, of one function or of different ones, and the
-            best of them is kept; a start from which the search leaves the domain of its function
-            is passed over.
+        kernel: Bernstein polynomials, or on lattices a function of the bond length whose parameters
+            are learned, from the values it has. Several functions are several starts, and the best
+            is kept; a start that leads out of the domain of its function is passed over.
         method: Optimum() starts at the constrained optimum, from plain kernels; TwoStage() is
             Algorithm 1 of You et al. (2021); Constrained() goes on from it to the optimum.
         conditions: what must hold on every lattice.
@@ -92,51 +89,56 @@ def fit(
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
     shapes = check_choices(kernel, method, conditions)
-    sets = listed(samples)
-    data, scale = scaled_data(
-        sets,
-        horizon,
-        conditions,
-        noise=listed(noise),
-        normalise=normalise,
-        lattice_spacing=_carrier(method),
-        lengths=not shapes,
-    )
+    sets, quiet, on = listed(samples), listed(noise), _carrier(method)
+    given = sets, horizon, conditions, quiet, on
+    data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes)
     held, method = _second(method).moduli, scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)
-    probe = next(iter(starts.values()))
-    if bernstein is not None:
-        probe = dataclasses.replace(probe, alpha=PROBED_EXPONENT)
-    choice = choose_loss(loss, data, probe, responds=not isinstance(method, TwoStage))
+    probe, responds = _probe(starts, bernstein), not isinstance(method, TwoStage)
+    choice = choose_loss(loss, data, probe, responds=responds)
     oracle = Oracle(data.grids, data.full)
     rough = _rough(bernstein, method)
     oracle.check(rough)
     stages = Stages(data, data.losses(choice.name), progress)
-    final = second = None
-    if bernstein is not None and not isinstance(method, Optimum):
-        asked = (bernstein, conditions, normalise, choice.name)
-        first, second = stages.two_stage(
-            rough, _first(method), checkpoint_key(data, _first(method), *asked)
-        )
-        final = second
-        bare = dataclasses.replace(probe, alpha=second.alpha)
-        starts = {"stage 2": second, "stage 1": first, f"r^-{second.alpha:.3g}": bare}
-    if not isinstance(method, TwoStage):
-        final = stages.optimum(starts, _second(method), bernstein)
-        if choice.name == "output":
-            final = stages.output(final, _second(method), bernstein)
-    assert final is not None  # a method is one of three
+    depends = (bernstein, conditions, normalise, choice.name)
+    final = _learned(stages, starts, rough, method, depends)
     oracle.check(final)
     check_explained(final, choice.name)
     warn_of_bounds(final, data, scale, method)
-    settings = Settings(
-        scale.lattice_conditions(data, horizon),
-        normalise,
-        bernstein is not None and bernstein.two_functions,
-        held,
-    )
+    two_functions = bernstein is not None and bernstein.two_functions
+    kept = scale.lattice_conditions(data, horizon)
+    settings = Settings(kept, normalise, two_functions, held)
     return _certified(sets, scale.parameters(final), stages.ended(scale), choice, settings, scale)
+
+
+def _learned(
+    stages: Stages,
+    starts: dict[str, Parameters],
+    rough: Parameters,
+    method: Method,
+    depends: tuple[Bernstein | None, Conditions, bool, str],
+) -> Parameters:
+    """The stages of a method, one after the other; `depends` is what a checkpoint depends on."""
+    kernel, _, _, loss = depends
+    if kernel is not None and not isinstance(method, Optimum):
+        first = _first(method)
+        key = checkpoint_key(stages.data, first, *depends)
+        positive, final = stages.two_stage(rough, first, key)
+        bare = dataclasses.replace(_probe(starts, kernel), alpha=final.alpha)
+        starts = {"stage 2": final, "stage 1": positive, f"r^-{final.alpha:.3g}": bare}
+        if isinstance(method, TwoStage):
+            return final
+    final = stages.optimum(starts, _second(method), kernel)
+    if loss == "output":
+        final = stages.output(final, _second(method), kernel)
+    return final
+
+
+def _probe(starts: dict[str, Parameters], kernel: Bernstein | None) -> Parameters:
+    """The kernel from which the share of noise is found."""
+    first = next(iter(starts.values()))
+    return first if kernel is None else dataclasses.replace(first, alpha=PROBED_EXPONENT)
 
 
 def check_choices(

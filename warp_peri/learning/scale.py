@@ -151,10 +151,10 @@ def scaled_data(
     sets: Sequence[Samples],
     horizon: float,
     conditions: Conditions,
-    *,
     noise: Sequence[Samples],
-    normalise: bool,
     lattice_spacing: float | None,
+    *,
+    normalise: bool,
     lengths: bool,
 ) -> tuple[TrainingData, Scale]:
     """Training data in the units of a fit, and these units; see training_data and scale_of."""

@@ -266,14 +266,10 @@ def coarse_grain_dumps(
 
     bar = tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress)
     averages = [displacement(path) for path in bar]
-    at_rest, fields = averages[: len(unloaded)], []
-    for number, u in enumerate(averages[len(unloaded) :]):
-        if at_rest:
-            u = u - at_rest[number if len(at_rest) > 1 else 0]
-        fields.append(u)
+    fields, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
     u, b = coarse_grain(
         omega,
-        displacement=np.stack(fields),
+        displacement=fields - np.stack(at_rest) if at_rest else fields,
         force=force,
         mass=atoms.mass,
         node_area=node_area,

@@ -111,14 +111,21 @@ def solve(
             )
         answer = _iterated(nodes, load, u, model, method, iteration)
     else:
-        parts = matrices(model, nodes, quadrature_degree=quadrature_degree)
-        problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
-        answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-        stiffness, degree = problem.stiffness, quadrature_degree
-        refuse_indefinite(nodes, model.horizon, model.solid, stiffness, degree=degree)
+        answer = _direct(nodes, load, u, model, method, quadrature_degree)
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
     return u.reshape(shape)
+
+
+def _direct(
+    nodes: Points, load: np.ndarray, u: np.ndarray, model: Model, method: str, degree: int
+) -> np.ndarray:
+    """The solution of the assembled problem."""
+    parts = matrices(model, nodes, quadrature_degree=degree)
+    problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
+    answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
+    refuse_indefinite(nodes, model.horizon, model.solid, problem.stiffness, degree=degree)
+    return answer
 
 
 def _iterated(
