@@ -17,6 +17,7 @@ from warp_peri.flow.protocols import Record, held, simulate
 from warp_peri.flow.rate_law import learn_rate
 from warp_peri.flow.shear_law import learn_shear
 from warp_peri.flow.spring_law import learn_spring
+from warp_peri.flow.twisted_law import learn_twisted
 
 MAXWELL = UpperConvectedMaxwell()
 
@@ -169,3 +170,25 @@ def test_moments_that_are_not_positive_are_refused():
     C = np.array([[[1.0, 2.0, 1.0, 1.0]]])
     with pytest.raises(InputError, match="positive eigenvalues"):
         learn_spring(Record(0.1, np.zeros((0, 1, 4)), C, C, 10))
+
+
+def test_a_second_memory_turns_the_spring(tmp_path):
+    K = np.concatenate([held(shear(np.array([1.0, 3.0, 6.0])), 40), np.zeros((20, 3, 4))])
+    record = simulate(Dumbbells(3, 3000, b=50.0, seed=1), K, 0.1, steps=5)
+    law = learn_twisted(record, 50.0, points=100, turns=40, outside="allow")
+    K = held(shear(np.array([4.5])), 40)
+    truth = simulate(Dumbbells(1, 12_000, b=50.0, seed=9), K, 0.1, steps=5)
+
+    def error(one):
+        state = homogeneous(one, K, 0.1)
+        C = state[..., :4]
+        return np.linalg.norm(C - truth.C) / np.linalg.norm(truth.C)
+
+    assert error(law) < 0.6 * error(law.spring_law)
+    assert np.abs(law.stress(law.rest[None])).max() < 1e-9
+    save_law(tmp_path / "law.json", law, {})
+    again, state = load_law(tmp_path / "law.json"), homogeneous(law, K, 0.1)[-1]
+    assert np.allclose(again.rate(K[0], state), law.rate(K[0], state), atol=1e-12)
+    still = np.eye(4)[[0, 2, 3]].sum(0) * np.ones((3, 1, 1))
+    with pytest.raises(InputError, match="shear or mixed"):
+        learn_twisted(Record(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)

@@ -49,7 +49,7 @@ class Corrected:
 
     def restore(self, state: np.ndarray) -> None:
         """Go on from it."""
-        self.closure.restore(state[:-1].reshape(-1, 4))
+        self.closure.restore(state[:-1].reshape(self.closure.C.shape))
         self.t = float(state[-1])
 
 
@@ -80,7 +80,7 @@ def missing_stress(
     K = flow.De * shear((rate[:-1] + rate[1:])[:, at] / 2)
     interval = float(gaps[0]) / flow.De
     C = homogeneous(law, K, interval)
-    known = np.asarray(law.stress(C.reshape(-1, 4))).reshape(C.shape)
+    known = np.asarray(law.stress(C.reshape(-1, C.shape[-1]))).reshape(*C.shape[:2], 4)
     lacking = (replay(K, interval) - known) / flow.De
     middle = (np.arange(flow.cells) + 0.5) / flow.cells
     spread = [[np.interp(middle, middle[at], now[:, i]) for i in range(4)] for now in lacking]

@@ -14,10 +14,16 @@ from warp_peri.flow.gaussian_process import GaussianProcess
 from warp_peri.flow.rate_law import RateLaw
 from warp_peri.flow.shear_law import ShearLaw
 from warp_peri.flow.spring_law import SpringLaw
+from warp_peri.flow.twisted_law import TwistedSpringLaw
 
 FORMAT, VERSION = "warp_peri.flow_law", 1
 UNITS = {"time": "relaxation time", "stress": "n k T", "conformation": "<q q> of a Hookean at rest"}
-KINDS = {"rate": RateLaw, "shear": ShearLaw, "spring": SpringLaw}
+KINDS = {
+    "rate": RateLaw,
+    "shear": ShearLaw,
+    "spring": SpringLaw,
+    "twisted": TwistedSpringLaw,
+}
 
 
 def save_law(path: str | os.PathLike[str], law: Any, provenance: dict[str, Any]) -> None:
@@ -25,7 +31,7 @@ def save_law(path: str | os.PathLike[str], law: Any, provenance: dict[str, Any])
 
     Args:
         path: of the file.
-        law: a RateLaw, ShearLaw or SpringLaw; of one with tables the processes are kept.
+        law: a RateLaw, ShearLaw, SpringLaw or TwistedSpringLaw; tables are made again.
         provenance: what it was learned from; plain values.
 
     Raises InputError for a law that is not learned.
@@ -33,14 +39,21 @@ def save_law(path: str | os.PathLike[str], law: Any, provenance: dict[str, Any])
     kind = next((name for name, cls in KINDS.items() if isinstance(law, cls)), None)
     if kind is None:
         raise InputError(f"law: expected a learned one, got {type(law).__name__}")
-    processes = law.processes if kind == "rate" else [law.process]
+    b, base = None, law
+    if isinstance(law, TwistedSpringLaw):
+        b, base = law.b, law.spring_law
+        processes = [base.process, law.process]
+    else:
+        processes = law.processes if kind == "rate" else [law.process]
     content = {"format": FORMAT, "version": VERSION, "kind": kind, "units": UNITS}
-    content |= {"outside": law.outside, "kinematics": getattr(law, "kinematics", None)}
+    content |= {"outside": base.outside, "kinematics": getattr(law, "kinematics", None), "b": b}
     content |= {"provenance": provenance, "processes": [vars_of(p) for p in processes]}
     write_json(path, content)
 
 
-def load_law(path: str | os.PathLike[str]) -> RateLaw | ShearLaw | SpringLaw:
+def load_law(
+    path: str | os.PathLike[str],
+) -> RateLaw | ShearLaw | SpringLaw | TwistedSpringLaw:
     """Read a learned law.
 
     Raises InputError for a file that cannot be read, of another format or version, in other units,
@@ -64,6 +77,9 @@ def load_law(path: str | os.PathLike[str]) -> RateLaw | ShearLaw | SpringLaw:
         if head["kind"] == "rate":
             first, second, third = processes
             return RateLaw((first, second, third), kinematics, outside)
+        if head["kind"] == "twisted":
+            spring, turn = processes
+            return TwistedSpringLaw(SpringLaw(spring, outside), turn, float(content["b"]))
         (process,) = processes
         if head["kind"] == "shear":
             return ShearLaw(process, kinematics, outside)
