@@ -76,7 +76,8 @@ def table(
         few = Samples(samples.points, samples.u[:solved], samples.loads[:solved])
         errors = hyperelastic_errors(solid, samples, solve=False)
         errors |= {k: v for k, v in hyperelastic_errors(solid, few).items() if k != "E_res"}
-        found[name] = {k: v for k, v in errors.items() if np.ndim(v) == 0}
+        numbers = {k: v for k, v in errors.items() if np.ndim(v) == 0}
+        found[name] = {k: None if np.isnan(v) else v for k, v in numbers.items()}
         found[name]["E_u_max"] = float(np.nanmax([*errors["displacements"], 0.0]))
     return found
 
@@ -166,7 +167,7 @@ def main() -> None:
                 print(f"{element} elements, errors in %: E_res / E_u (not solved)")
                 continue
             parts = [
-                f"{key} {100 * model[key]['E_res']:.2f} / {100 * model[key]['E_u']:.2f}"
+                f"{key} {100 * model[key]['E_res']:.2f} / {100 * (model[key]['E_u'] or np.nan):.2f}"
                 f" ({model[key]['not_solved']})"
                 for key in ("train", "val", "test", "disks")
             ]
