@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from warp_peri.statics.scattered import ThroughLattice
     from warp_peri.statics.solve import Iteration, solve, solve_periodic
     from warp_peri.transfer.kept import on_lattice
+    from warp_peri.transfer.many import one_kernel
     from warp_peri.transfer.operator import LPSOperator
     from warp_peri.transfer.points import model_for
 
@@ -94,6 +95,7 @@ __all__ = [
     "load_nonlinear",
     "model_for",
     "on_lattice",
+    "one_kernel",
     "onto_lattice",
     "save_dataset",
     "set_threads",
@@ -141,6 +143,7 @@ _NAMES = {
     "statics.scattered": ("ThroughLattice",),
     "statics.solve": ("Iteration", "solve", "solve_periodic"),
     "transfer.kept": ("on_lattice",),
+    "transfer.many": ("one_kernel",),
     "transfer.operator": ("LPSOperator",),
     "transfer.points": ("model_for",),
 }

@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
 from warp_peri.statics.solve import DIRECT
+from warp_peri.transfer.kept import on_lattice
 
 LU_POWER = 1.5
 """Cost of a sparse factorisation in two dimensions grows with this power of the unknowns."""
+SPACINGS, RATIO = 8, 2**0.25
+"""Lattices that a model is tried on, each so much finer than the one before."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +74,22 @@ def shipped_table() -> dict[str, Any]:
     return table
 
 
-def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None = None) -> Choice:
+def choose_model(
+    *,
+    tolerance: float,
+    scene: Scene,
+    table: dict[str, Any] | None = None,
+    model: Model | None = None,
+) -> Choice:
     """The cheapest spacing, horizon, degree and solver for a scene.
 
     Args:
         tolerance: largest displacement error, a fraction.
         scene: domain and load.
         table: of examples/studies/speed_accuracy.py; that of the project when None.
+        model: pick spacing and horizon from transfers of this one instead: the coarsest lattice,
+            and on it the fewest bonds, that answer waves as long as the scene's shortest within
+            the tolerance, against the model at home. Costs are those of the table's solvers.
 
     Loads at least as long as `long_wave` of the table are held to the errors on the disks, shorter
     ones to those on the short waves. Costs are the measured ones: of LU grown with
@@ -87,6 +100,8 @@ def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None
     the table keeps.
     """
     table = shipped_table() if table is None else table
+    if model is not None:
+        return _of_transfers(model, tolerance, scene, table)
     if scene.shortest_wave < table["short_wave"]:
         raise InputError(
             f"scene: waves of {scene.shortest_wave:.6g} Å were not measured; the shortest are "
@@ -123,3 +138,38 @@ def choose_model(*, tolerance: float, scene: Scene, table: dict[str, Any] | None
         f"{100 * error:.2g} %, about {seconds:.2g} s for {nodes:.0f} nodes."
     )
     return Choice(row["spacing"], row["horizon"], row["degree"], method, error, seconds, reason)
+
+
+def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str, Any]) -> Choice:
+    """The coarsest lattice that a model transfers to within the tolerance.
+
+    Raises InputError for waves that the model's data did not hold, or a tolerance that no lattice
+    keeps, with the last attempt's reason.
+    """
+    wave = scene.shortest_wave
+    reason = InputError("scene: no lattice was tried")
+    for number in range(SPACINGS):
+        spacing = float(f"{wave / 3 / RATIO**number:.2g}")
+        try:
+            found = on_lattice(model, spacing=spacing, tolerance=tolerance, shortest_wave=wave)
+        except InputError as error:
+            reason = error
+            continue
+        nodes = math.prod(length / spacing for length in scene.size)
+        method = "lu" if nodes <= DIRECT else "sine" if scene.rectangle else "multigrid"
+        if method == "lu":
+            row = next(row for row in table["rows"] if row["method"] == "lu")
+            whole = row["disks_setup"] + row["disks_solve"]
+            seconds = whole * (nodes / row["disks_nodes"]) ** LU_POWER
+        else:
+            seconds = table["seconds_per_node"][method] * nodes
+        record = found.provenance["transfer"]
+        pairs = zip(record["wavelength"], record["error"])
+        reached = max((e for length, e in pairs if length >= wave), default=tolerance)
+        words = (
+            f"{record['statement']}; the coarsest of {number + 1} lattices within "
+            f"{100 * tolerance:g} % of the model at home on waves of {wave:g} Å, by {method}, "
+            f"about {seconds:.2g} s for {nodes:.0f} nodes."
+        )
+        return Choice(spacing, found.horizon, found.degree, method, reached, seconds, words)
+    raise reason

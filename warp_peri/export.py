@@ -20,6 +20,8 @@ from warp_peri.operator.stress import node_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples
 
+KERNEL_ROWS = 400
+"""Distances that a kernel for many lattices is written at."""
 XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
 XDMF_TYPES = {
     1: "Scalar",
@@ -90,6 +92,35 @@ def write_influence(path: str | os.PathLike[str], model: Model, spacing: float) 
         "r [angstrom],bonds,K,K/m [1/angstrom^4],K/m of the dilatation [1/angstrom^4],"
         "W [angstrom^2]",
     ]
+    lines += [",".join(f"{value:.17g}" for value in row) for row in zip(*columns)]
+    write_text(path, "\n".join(lines) + "\n")
+    return Path(path)
+
+
+def write_kernel(path: str | os.PathLike[str], model: Model) -> Path:
+    """One influence function for many lattices (`one_kernel`), as text with commas.
+
+    Columns: r [Å], K, and its quadrature-free part r^α K. The head says for which h/δ it is meant,
+    and its error on lattices there that it was not fitted on.
+
+    Raises InputError for a model that is of one lattice.
+    """
+    record = model.provenance.get("many_lattices")
+    if not isinstance(record, dict):
+        raise InputError("model: expected one of one_kernel, which is fitted on many lattices")
+    ratios = record["h_over_horizon"]
+    lines = [
+        f"# one influence function for lattices of h/horizon from {ratios[0]:.3g} to "
+        f"{ratios[-1]:.3g}, horizon {model.horizon:g} angstrom, lambda = {model.lam:.17g}, "
+        f"mu = {model.mu:.17g} TPa",
+        f"# displacement against the model at {record['from_spacing']:g} angstrom, waves longer "
+        f"than {record['waves_longer_than']:.3g} angstrom; h/horizon: mean, largest error",
+    ]
+    rows = zip(ratios, record["mean_error"], record["largest_error"])
+    lines += [f"# {h:.3g}: {100 * mean:.2g} %, {100 * most:.2g} %" for h, mean, most in rows]
+    lines.append("r [angstrom],K,r^alpha K")
+    r = model.horizon * np.arange(1, KERNEL_ROWS + 1) / KERNEL_ROWS
+    columns = (r, model.influence(r), r**model.alpha * model.influence(r))
     lines += [",".join(f"{value:.17g}" for value in row) for row in zip(*columns)]
     write_text(path, "\n".join(lines) + "\n")
     return Path(path)

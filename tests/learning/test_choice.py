@@ -1,8 +1,11 @@
 """The cheapest measured way within a tolerance, and how it explains itself."""
 
+from dataclasses import replace
+
 import pytest
 
-from warp_peri import InputError
+from tests.support.problems import kernel
+from warp_peri import InputError, on_lattice
 from warp_peri.choice import Scene, choose_model, shipped_table
 
 
@@ -85,3 +88,15 @@ def test_the_shipped_table_serves_a_real_scene():
     found = choose_model(tolerance=0.05, scene=SMALL)
     errors = [r["disks_error"] for r in table["rows"] if r["method"] == "lu"]
     assert min(errors) <= found.error <= 0.05
+
+
+def test_spacing_and_horizon_from_transfers_of_a_model():
+    home = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
+    found = choose_model(tolerance=0.02, scene=Scene((60.0, 60.0), 8.0), table=TABLE, model=home)
+    assert found.spacing <= 1.05 * 8.0 / 3  # to two digits
+    assert found.error <= 0.02
+    assert "coarsest of" in found.reason
+    here = on_lattice(home, spacing=found.spacing, tolerance=0.02, shortest_wave=8.0)
+    assert here.horizon == found.horizon
+    with pytest.raises(InputError, match="the data held waves down to 3.14 Å"):
+        choose_model(tolerance=0.02, scene=Scene((60.0, 60.0), 3.0), table=TABLE, model=home)

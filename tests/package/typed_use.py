@@ -150,6 +150,7 @@ def main(folder: Path) -> None:
     print(use(model, test))
     fine = assert_type(warp_peri.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
     print(fine.transferred_from, warp_peri.model_for(model, test).horizon)
+    print(warp_peri.one_kernel(model, horizon=3 * SPACING).certified_on)
     carried = assert_type(warp_peri.onto_lattice(test, spacing=SPACING), warp_peri.Samples)
     through = warp_peri.ThroughLattice(model, carried, spacing=SPACING / 2, neighbours=12)
     print(assert_type(through.figures().smallest_eigenvalue, float))

@@ -118,13 +118,13 @@ def solve(command: ArgumentParser) -> None:
 
 def export(command: ArgumentParser) -> None:
     """What is exported, and to which format."""
-    command.add_argument("what", choices=("fields", "influence", "operator"))
+    command.add_argument("what", choices=("fields", "influence", "kernel", "operator"))
     command.add_argument("model", type=Path, metavar="MODEL.json")
     command.add_argument(
         "--out",
         required=True,
         type=Path,
-        help="folder for fields, .csv for influence, .npz for operator",
+        help="folder for fields, .csv for influence and kernel, .npz for operator",
     )
     command.add_argument(
         "--format",
@@ -135,6 +135,9 @@ def export(command: ArgumentParser) -> None:
     command.add_argument("--data", type=Path, metavar="DATA.h5", help="nodes, loads and collar")
     command.add_argument("--set", default="test")
     command.add_argument("--spacing", type=float, help="influence: of the lattice [Å]")
+    command.add_argument(
+        "--horizon", type=float, help="kernel, one for many lattices: δ [Å]; default: the model's"
+    )
     _uncertified(command)
 
 

@@ -256,7 +256,14 @@ def run_export(given: argparse.Namespace) -> Result:
         if given.spacing is None and not model.trained_on:
             raise InputError("spacing: the model names no training lattice; give --spacing")
         spacing = model.trained_on[0] if given.spacing is None else given.spacing
+        if given.transfer and not given.allow_uncertified and model.certified_on:
+            at_home = model.is_certified_on(spacing)
+            model = model if at_home else warp_peri.on_lattice(model, spacing=spacing)
         paths = [warp_peri.export.write_influence(given.out, model, spacing)]
+    elif given.what == "kernel":
+        horizon = model.horizon if given.horizon is None else given.horizon
+        many = warp_peri.one_kernel(model, horizon=horizon)
+        paths = [warp_peri.export.write_kernel(given.out, many)]
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:

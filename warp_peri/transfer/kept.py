@@ -54,6 +54,11 @@ def on_lattice(
     return found
 
 
+def forget() -> None:
+    """Drop what is kept in memory, so that the next call reads the files."""
+    _memory.clear()
+
+
 def model_at(
     model: Model,
     spacing: float,

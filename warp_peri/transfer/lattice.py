@@ -43,7 +43,7 @@ RADII = 40
 
 
 @dataclass(frozen=True)
-class _Home:
+class Home:
     """What is known at home: the model there, its spacing, and the shortest wave it speaks of."""
 
     model: Model
@@ -86,12 +86,11 @@ def new_lattice(
     the lattice can carry, a horizon below two spacings, or a tolerance that no horizon meets
     (saying the best there is).
     """
-    home = _home(model)
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
+    home = home_of(model, spacing)
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance}")
-    home = dataclasses.replace(home, spacing=_nearest(model, spacing))
     band = min(home.largest, SHARE * np.pi / home.spacing, SHARE * np.pi / spacing)
     asked = band / 2
     if shortest_wave is not None:
@@ -129,19 +128,20 @@ class _Candidate:
     error: float
 
 
-def _home(model: Model) -> _Home:
+def home_of(model: Model, spacing: float) -> Home:
+    """What the nearest certified lattice knows; InputError where there is none."""
     if not model.certified_on:
         raise InputError(
             "model: expected one that is certified on a lattice, which others are fitted to; "
             "this one is certified on none"
         )
-    spacing = model.certified_on[0]
-    figures = model.certificate.get(f"{spacing:g}", {})
+    at = _nearest(model, spacing)
+    figures = model.certificate.get(f"{at:g}", {})
     proven = figures.get("symbol_bound", ZETA) if isinstance(figures, dict) else ZETA
     largest = model.largest_wave_number
     if largest is None:  # an older file does not tell
         largest = SHARE * np.pi / min(model.certified_on)
-    return _Home(model, spacing, largest, min(ZETA, proven) or ZETA)
+    return Home(model, at, largest, min(ZETA, proven) or ZETA)
 
 
 def _nearest(model: Model, spacing: float) -> float:
@@ -149,7 +149,7 @@ def _nearest(model: Model, spacing: float) -> float:
     return min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
 
 
-def _asked(home: _Home, spacing: float, shortest_wave: float) -> float:
+def _asked(home: Home, spacing: float, shortest_wave: float) -> float:
     """|k| of the shortest wave asked for.
 
     Raises InputError for waves that the data did not hold or the lattice does not carry.
@@ -186,26 +186,29 @@ def _horizons(spacing: float, largest: float | None) -> list[float]:
 
 
 def _fitted(
-    home: _Home, spacing: float, horizon: float, band: float, asked: float
+    home: Home, spacing: float, horizon: float, band: float, asked: float
 ) -> _Candidate | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
     classes = bond_classes(spacing, horizon)
     k = wave_vectors(band)
-    loss = wave_loss(dispersion(home.model, home.spacing, k), k, classes)
+    unit = home.model.mu  # of stiffness, so that soft materials meet the same tolerances
+    loss = wave_loss(dispersion(home.model, home.spacing, k) / unit, k, classes)
     terms = len(classes.r) + 1
     two = not np.array_equal(home.model.D, home.model.dilatation)
-    start = Parameters(home.model.lam, home.model.mu, 1.0, np.ones(terms))
+    start = Parameters(home.model.lam / unit, 1.0, 1.0, np.ones(terms))
     best = constrained_optimum(
         [loss],
         start,
-        [LatticeConditions(classes, Conditions(zeta=home.zeta))],
+        [LatticeConditions(classes, Conditions(zeta=home.zeta / unit))],
         Optimum(smoothness=SMOOTHNESS),
         two_functions=two,
     )
     if not best.converged:
         return None
     at = best.parameters
-    model = Model(at.lam, at.mu, at.alpha, at.D, horizon, D_dilatation=at.D_dilatation)
+    model = Model(
+        unit * at.lam, unit * at.mu, at.alpha, at.D, horizon, D_dilatation=at.D_dilatation
+    )
     waves = rings(asked * (np.arange(RADII) + 1) / RADII)
     errors = wave_errors(
         dispersion(model, spacing, waves), dispersion(home.model, home.spacing, waves)
@@ -213,7 +216,7 @@ def _fitted(
     return _Candidate(model, classes, home.zeta, float(errors.max()))
 
 
-def _recorded(home: _Home, spacing: float, band: float, found: _Candidate) -> Model:
+def _recorded(home: Home, spacing: float, band: float, found: _Candidate) -> Model:
     """The model with its certificate and its record.
 
     Raises InputError when the proof does not hold.
@@ -239,7 +242,7 @@ def _recorded(home: _Home, spacing: float, band: float, found: _Candidate) -> Mo
 
 
 def _record(
-    home: _Home, spacing: float, band: float, found: _Candidate, certificate: Certificate
+    home: Home, spacing: float, band: float, found: _Candidate, certificate: Certificate
 ) -> dict[str, Any]:
     """Where a transferred model comes from, and its error by wavelength, long waves first."""
     largest = min(home.largest, 0.99 * np.pi / spacing, 0.99 * np.pi / home.spacing)

@@ -1,0 +1,285 @@
+"""A material, not a lattice: one model of graphene on other grids and on any points.
+
+The model of the main job, learned on nodes 5 Å apart, is used where it never saw data: on lattices
+from 2.5 to 10 Å, turned ones, with fewer bonds at home, on scattered nodes; a model is learned from
+scattered fields; one influence function is fitted for many lattices. Displacement errors are
+against molecular statics, smoothed at those nodes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.spatial import cKDTree
+
+import warp_peri
+from tools.graphene import THICKNESS
+from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
+from warp_peri import Bernstein, InputError, Model, Points, Samples, ThroughLattice, on_lattice
+from warp_peri.files.whole import locked, whole_file, write_json, write_text
+from warp_peri.transfer import kept
+from warp_peri.transfer.lattice import new_lattice
+from warp_peri.transfer.many import one_kernel
+
+LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (2.5, 7.5), (7.5, 22.5), (10.0, 25.0))
+"""Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
+TURNS = (15.0, 30.0, 45.0)
+"""Of a lattice of 4 Å [degrees]."""
+REDUCED = ((5.0, 15.0), (5.0, 20.0), (2.5, 7.5))
+SETS = {"disks": "test", "smooth": "val", "short": "train"}
+
+
+class Atoms:
+    """The molecular samples, smoothed at any nodes."""
+
+    def __init__(self, cache: Path) -> None:
+        self.read = functools.cache(lambda name: read_samples(cache, name))
+
+    def at(self, x: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """u [Å] and b [TPa/Å] at nodes, each of shape [S, N, 2]."""
+        body, _, samples = self.read(name)
+        omega = warp_peri.smoothing_matrix(
+            samples[0].reference, x, radius=SMOOTHING_RADIUS, box=body.box, density=True
+        )
+        return warp_peri.coarse_grain(
+            omega,
+            displacement=np.stack([one.displacement for one in samples]),
+            force=np.stack([one.force for one in samples]),
+            node_area=1.0,
+            thickness=THICKNESS,
+        )
+
+    def on(self, points: Points, name: str) -> Samples:
+        """The samples of a set on points; of a disk, those that its atoms cover."""
+        if self.read(name)[0].box is None:
+            size: np.ndarray = np.linalg.norm(points.x, axis=1)
+            kept = size <= REACH
+            points = Points(points.x[kept], size[kept] < INTERIOR, points.spacing)
+        return Samples(points, *self.at(points.x, name))
+
+
+def lattice(spacing: float, degrees: float = 0.0) -> Points:
+    """Nodes to 100 Å, 2δ of collar around the interior of 50 Å."""
+    count = int(1.5 * REACH / spacing)
+    line = spacing * np.arange(-count, count + 1)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    angle = np.deg2rad(degrees)
+    x = x @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    size: np.ndarray = np.abs(x).max(axis=1)
+    kept = size <= REACH * (1 + 1e-9)
+    return Points(x[kept], size[kept] <= INTERIOR * (1 + 1e-9), spacing)
+
+
+def clouds(seed: int = 1) -> dict[str, Points]:
+    """Nodes shifted by parts of 5 Å, and blue noise as dense."""
+    nodes = lattice(5.0).x
+    random = np.random.default_rng(seed)
+    found = {
+        f"shifted by {part}": nodes + 5 * part * random.uniform(-1, 1, nodes.shape)
+        for part in (0.2, 0.45)
+    }
+    x = random.uniform(-REACH, REACH, nodes.shape)
+    for _ in range(60):  # nodes that are too close push each other away
+        r, near = cKDTree(x).query(x, 7)
+        away = (x[:, None] - x[near[:, 1:]]) / r[:, 1:, None]
+        x = x + 0.15 * (away * np.maximum(5.25 - r[:, 1:], 0)[..., None]).sum(axis=1)
+        x = np.clip(x, -REACH, REACH)
+    found["blue noise"] = x
+    size = {name: np.asarray(np.abs(x).max(axis=1)) for name, x in found.items()}
+    return {name: Points(x, size[name] <= INTERIOR, 0.0) for name, x in found.items()}
+
+
+def errors(model: Model, atoms: Atoms, points: Points) -> dict[str, float]:
+    """E_u in % of the sets."""
+    return {
+        key: 100 * warp_peri.evaluate(model, atoms.on(points, name))["E_u"]
+        for key, name in SETS.items()
+    }
+
+
+def transferred(
+    model: Model, atoms: Atoms, spacing: float, horizon: float | None
+) -> dict[str, Any]:
+    """Errors on one lattice, how long the transfer took, and the second time."""
+    seconds = []
+    for make in (new_lattice, on_lattice, on_lattice):
+        kept.forget()  # as another process would ask for it
+        begin = time.perf_counter()
+        found = make(model, spacing=spacing, horizon=horizon)
+        seconds.append(time.perf_counter() - begin)
+    record = found.provenance["transfer"]
+    return {
+        "spacing": spacing,
+        "horizon": found.horizon,
+        "bonds": record["bonds"],
+        "c": record["symbol_bound"],
+        "agreement": record["statement"],
+        "seconds": seconds[0],
+        "seconds_again": seconds[2],
+        **errors(found, atoms, lattice(spacing)),
+    }
+
+
+def scattered(
+    model: Model, atoms: Atoms, data: warp_peri.Dataset, points: Points
+) -> dict[str, Any]:
+    """Solves on scattered nodes, b on the lattice or at the nodes; learning from their fields."""
+    operator = ThroughLattice(model, points)
+    row: dict[str, Any] = {}
+    for key in ("smooth", "short"):
+        u, b = atoms.at(points.x, SETS[key])
+        for where, load in (("lattice", atoms.at(operator.x, SETS[key])[1]), ("nodes", b)):
+            wrong = (operator.solve(load, u) - u)[:, points.interior]
+            size = np.linalg.norm(u[:, points.interior], axis=(1, 2))
+            row[f"{key}_b_on_{where}"] = 100 * float(
+                (np.linalg.norm(wrong, axis=(1, 2)) / size).mean()
+            )
+    figures = operator.figures()
+    row |= {"asymmetry": figures.asymmetry, "smallest_eigenvalue": figures.smallest_eigenvalue}
+    row |= {"condition": figures.condition, "sigma_min": figures.smallest_singular_value}
+    carried = warp_peri.onto_lattice(Samples(points, *atoms.at(points.x, "train")), spacing=5.0)
+    learned = warp_peri.fit(carried, 20.0, Bernstein(10)).model
+    row["learned_disks"] = 100 * warp_peri.evaluate(learned, data["test"])["E_u"]
+    return row
+
+
+def many(model: Model, atoms: Atoms) -> dict[str, Any]:
+    """One influence function for lattices of h/δ from 0.11 to 0.3."""
+    found = one_kernel(model, horizon=20.0)
+    record = found.provenance["many_lattices"]
+    rows = {f"{h:g}": float("nan") for h in (5.0, 4.0, 2.5)}
+    for h in rows:
+        points = atoms.on(lattice(float(h)), "test")
+        table = warp_peri.evaluate(found, points, allow_uncertified=True)
+        rows[h] = 100 * table["E_u"]
+    return {**record, "disks": rows}
+
+
+def measure(
+    model: Model, data: warp_peri.Dataset, cache: Path, part: Callable[..., Any]
+) -> dict[str, Any]:
+    """All tables; `part` keeps each as it is finished."""
+    atoms = Atoms(cache)
+    nodes = lattice(5.0)
+    rich = functools.cache(lambda: warp_peri.fit(data["train"], 25.0, Bernstein(15)).model)
+    return {
+        "home": part("home", lambda: {"horizon": model.horizon, **errors(model, atoms, nodes)}),
+        "lattices": [
+            part(f"lattice_{h:g}_{d or 0:g}", transferred, model, atoms, h, d) for h, d in LATTICES
+        ],
+        "turned_4": [
+            {"degrees": angle}
+            | part(f"turned_{angle:g}", errors, model, atoms, lattice(4.0, angle))
+            for angle in (0.0, *TURNS)
+        ],
+        "rich_teacher": part(
+            "rich_teacher", lambda: {"horizon": 25.0, **errors(rich(), atoms, nodes)}
+        ),
+        "reduced": [
+            part(f"reduced_{h:g}_{d:g}", lambda h=h, d=d: transferred(rich(), atoms, h, d))
+            for h, d in REDUCED
+        ],
+        "scattered": [
+            {"nodes": name} | part(f"on {name}", scattered, model, atoms, data, points)
+            for name, points in clouds().items()
+        ],
+        "one_kernel": part("one_kernel", many, model, atoms),
+    }
+
+
+def kept_part(folder: Path, name: str, make: Callable[..., Any], *given: Any) -> Any:
+    """What a part of the measurement found, from its file when it was finished before."""
+    file = folder / f"{name.replace(' ', '_')}.json"
+    if not file.exists():
+        write_json(file, make(*given))
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Rows as Markdown."""
+    columns = [key for key in rows[0] if key != "agreement"]
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    for row in rows:
+        cells = (
+            f"{row[key]:.3g}" if isinstance(row[key], float) else str(row[key]) for key in columns
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def report(found: dict[str, Any]) -> str:
+    """The tables, E_u in %."""
+    lines = ["# One model, learned at 5 Å, elsewhere", "", "Displacement errors in %.", ""]
+    for name in ("home", "rich_teacher"):
+        lines += [f"**{name}**", "", table([found[name]]), ""]
+    for name in ("lattices", "turned_4", "reduced", "scattered"):
+        lines += [f"**{name}**", "", table(found[name]), ""]
+    lines += [f"- {row['agreement']}" for row in found["lattices"]]
+    kernel = found["one_kernel"]
+    rows = zip(kernel["h_over_horizon"], kernel["mean_error"], kernel["largest_error"])
+    lines += ["", "**one kernel for many lattices**, error of the response in %", ""]
+    lines.append(table([{"h/δ": h, "mean": 100 * a, "largest": 100 * b} for h, a, b in rows]))
+    disks = ", ".join(f"{e:.2f} at {h} Å" for h, e in kernel["disks"].items())
+    return "\n".join([*lines, "", f"Disks: {disks}.", ""])
+
+
+def figure(model: Model, file: Path) -> None:
+    """Error against home by wavelength."""
+    _, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    for spacing, horizon in LATTICES:
+        found = on_lattice(model, spacing=spacing, horizon=horizon)
+        record = found.provenance["transfer"]
+        label = f"{spacing:g} Å, δ = {found.horizon:.3g} Å, {record['bonds']} bonds"
+        ax.loglog(record["wavelength"], 100 * np.array(record["error"]), label=label)
+    ax.set(xlabel="wavelength [Å]", ylabel="displacement against home [%]", ylim=(0.05, 100))
+    ax.set_title("A kernel of its own on each lattice, from one learned at 5 Å")
+    ax.legend(fontsize=8)
+    with whole_file(file) as path:
+        plt.savefig(path, dpi=130, format="png")
+    plt.close()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--model", type=Path, default=ROOT / "runs" / "graphene_0K" / "model.json")
+    parser.add_argument("--data", type=Path, default=ROOT / "data" / "graphene_0K.h5")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "any_lattice")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args(arguments)
+    try:
+        model, data = warp_peri.load_model(given.model), warp_peri.load_dataset(given.data)
+        with locked(given.out), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # each transfer would say so
+            part = functools.partial(kept_part, given.out / "parts")
+            found = measure(model, data, given.data.with_suffix(".cache"), part)
+            write_json(given.out / "any_lattice.json", found)
+            write_text(given.out / "report.md", report(found))
+            figure(model, given.out / "any_lattice.png")
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(json.dumps(found) if given.json else report(found))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

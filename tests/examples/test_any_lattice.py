@@ -1,0 +1,60 @@
+"""The tables of any_lattice.py against what is promised of them."""
+
+import json
+
+import pytest
+
+from examples import any_lattice
+from warp_peri import Bernstein, fit, load_dataset
+from warp_peri.files.whole import write_json
+
+
+def test_parts_are_measured_once(tmp_path):
+    calls = []
+    for _ in range(2):
+        found = any_lattice.kept_part(tmp_path, "a part", lambda: calls.append(1) or {"E": 0.5})
+        assert found == {"E": 0.5}
+    assert len(calls) == 1
+    write_json(tmp_path / "a_part.json", {"E": 0.25})
+    assert any_lattice.kept_part(tmp_path, "a part", None) == {"E": 0.25}
+
+
+def test_every_kind_of_nodes():
+    points = any_lattice.lattice(5.0)
+    assert (len(points.x), points.interior.sum()) == (1681, 441)
+    turned = any_lattice.lattice(5.0, 30.0)
+    assert turned.interior.sum() == pytest.approx(441, rel=0.1)
+    for cloud in any_lattice.clouds().values():
+        assert len(cloud.x) == 1681
+        assert cloud.spacing == 0
+
+
+@pytest.mark.slow
+def test_the_tables(graphene, tmp_path):
+    data = load_dataset(graphene)
+    fit(data["train"], 20.0, Bernstein(10)).model.save(tmp_path / "model.json")
+    given = ["--model", tmp_path / "model.json", "--data", graphene, "--out", tmp_path / "out"]
+    assert any_lattice.main([*map(str, given), "--json"]) == 0
+    found = json.loads((tmp_path / "out" / "any_lattice.json").read_text())
+    home = found["home"]
+    for row in found["lattices"]:
+        assert row["c"] >= 0.0099
+        assert row["seconds"] <= 5
+        assert row["seconds_again"] <= 0.1
+        if row["spacing"] in (4.0, 2.5):
+            assert row["disks"] <= home["disks"] + 0.1
+    smooth = {row["spacing"]: row["smooth"] for row in found["lattices"]}
+    assert smooth[7.5] <= 0.8
+    assert smooth[10.0] <= 2.4
+    assert max(row["disks"] for row in found["turned_4"]) <= home["disks"] + 0.1
+    assert found["reduced"][0]["disks"] <= 0.7
+    assert found["reduced"][0]["smooth"] <= 0.9
+    for row in found["scattered"]:
+        assert row["asymmetry"] <= 1e-12
+        assert row["smallest_eigenvalue"] > 0
+        assert row["smooth_b_on_lattice"] <= 0.75
+        assert row["smooth_b_on_nodes"] <= 0.75
+        assert row["short_b_on_lattice"] <= 2.1
+        assert row["short_b_on_nodes"] <= 4.5
+    learned = [row["learned_disks"] for row in found["scattered"]]
+    assert all(one <= most for one, most in zip(learned, (1.3, 1.7, 1.4)))

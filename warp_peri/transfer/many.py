@@ -1,0 +1,102 @@
+"""One influence function for many lattices, to be carried to other codes (theory.md, M8)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.points.families import bond_classes
+from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
+from warp_peri.stability.certificate import certify
+from warp_peri.stability.conditions import Conditions, LatticeConditions
+from warp_peri.transfer.lattice import home_of
+from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, wave_vectors
+
+LATTICES = 13
+"""That a kernel is fitted on, their spacings in equal steps."""
+BETWEEN = 10
+"""Lattices between and beside them, never fitted on, whose errors are recorded."""
+RATIOS = (0.11, 0.3)
+"""Spacings over the horizon that a kernel is meant for."""
+MARGIN = 1.05
+"""Lattices are fitted a little beyond the ratios that are claimed."""
+DEGREE = 14
+SMOOTHNESS = 1e-9
+RADII = 12
+
+
+def one_kernel(
+    model: Model,
+    *,
+    horizon: float,
+    ratios: tuple[float, float] = RATIOS,
+    degree: int = DEGREE,
+) -> Model:
+    """One influence function for a range of lattices, h/δ from ratios[0] to ratios[1].
+
+    For codes that take K on grids of their own: a K learned on one lattice means nothing between
+    its bond lengths. Fitted to the dispersion of the model on LATTICES spacings at once.
+
+    Args:
+        model: certified on some lattice.
+        horizon: δ [Å].
+        ratios: smallest and largest h/δ, the largest at most 0.45.
+        degree: M of the Bernstein polynomials.
+
+    Returns:
+        A model certified on the spacings it was fitted on, as far as the proof holds; its
+        provenance tells, under "many_lattices", the errors by h/δ on lattices it was not fitted on.
+
+    Raises InputError for ratios that are none, or a fit that does not keep its conditions.
+    """
+    low, high = ratios
+    if not 0.02 <= low < high <= 0.45:
+        raise InputError(f"ratios: expected 0.02 ≤ smallest < largest ≤ 0.45, got {ratios}")
+    home = home_of(model, horizon * high)
+    spacings = horizon * np.linspace(low / MARGIN, high * MARGIN, LATTICES)
+    classes = [bond_classes(float(h), horizon) for h in spacings]
+    band = min(home.largest, 0.5 * np.pi / home.spacing, 0.5 * np.pi / (horizon * high))
+    k = wave_vectors(band)
+    target = dispersion(model, home.spacing, k)
+    unit = model.mu
+    best = constrained_optimum(
+        [wave_loss(target / unit, k, one) for one in classes],
+        Parameters(model.lam / unit, 1.0, 1.0, np.ones(degree + 1)),
+        [LatticeConditions(one, Conditions(zeta=home.zeta / unit)) for one in classes],
+        Optimum(smoothness=SMOOTHNESS),
+    )
+    if not best.converged:
+        raise InputError(
+            f"ratios, degree: no kernel of degree {degree} keeps the conditions on lattices of h/δ "
+            f"from {low:g} to {high:g}"
+        )
+    at = best.parameters
+    found = Model(unit * at.lam, unit * at.mu, at.alpha, at.D, horizon, trained_on=model.trained_on)
+    certificates = [certify(found, spacing=float(h)) for h in spacings]
+    waves = rings(band * (np.arange(RADII) + 1) / RADII)
+    wanted = dispersion(model, home.spacing, waves)
+    unseen = np.linspace(low, high, BETWEEN)
+    errors = [
+        wave_errors(dispersion(found, float(horizon * ratio), waves), wanted) for ratio in unseen
+    ]
+    record = {
+        "from_spacing": home.spacing,
+        "h_over_horizon": unseen.tolist(),
+        "mean_error": [float(one.mean()) for one in errors],
+        "largest_error": [float(one.max()) for one in errors],
+        "waves_longer_than": 2 * np.pi / band,
+    }
+    return dataclasses.replace(
+        found,
+        certified_on=tuple(one.spacing for one in certificates if one.holds),
+        trained_strain=model.trained_strain,
+        largest_wave_number=band,
+        certificate={f"{one.spacing:g}": one.figures() for one in certificates},
+        provenance={**model.provenance, "many_lattices": record},
+        versions=model.versions,
+    )
