@@ -3,8 +3,8 @@
 The peridynamic neural operator as printed (Jafarzadeh et al. 2024, 3.3–3.11: a network of the bond
 length for ω, one of ω, dilatation, extension and length for the scalar force state, rectifiers,
 relative ℓ2 error of b, Adam), and a monotone form of it: T = k(r) g(s) + k_d(r) g_d(θ) with
-g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths and minutes of
-training are options: the printed widths are 256, 512 and 512, 512.
+g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths and minutes
+of training are options: the printed widths are 256, 512 and 512, 512.
 """
 
 from __future__ import annotations
