@@ -18,8 +18,12 @@ GRID = 41
 """Wave vectors along each axis of the square that weights are fitted on."""
 HELD = 1e4
 """Weight of Σ n r² p = 1 beside relative errors of the symbol."""
-EXACT, RIDGED = (0.33, 1e-6), (0.62, 1e-4)
-"""Half width of the square [1/Å] and weight of the size of p, without a ridge and with one."""
+CORE, EDGE, FAINT = 0.36, 0.62, 0.05
+"""Half widths [1/Å] of the square of waves that the inverse is fitted on, and of a wider one whose
+waves count by so much: they are to stay small, for the sake of the proof."""
+EXACT_CORE = 0.33
+SIZE = 1e-6
+"""Weight of the size of p beside relative errors."""
 
 
 @dataclass(frozen=True)
@@ -62,26 +66,31 @@ class Smoothing:
         Σ n r² p = 1, and 2 Σ p sin(k·ξ) ξ fits k times the inverse, or the transform, of the
         smoothing by least squares of relative errors.
         """
-        ridged = RIDGED if self.ridge > 0 else EXACT
-        return _fitted(classes, self.inverse, *ridged), _fitted(classes, self.transform, *EXACT)
+        squares = {CORE: 1.0, EDGE: FAINT} if self.ridge > 0 else {EXACT_CORE: 1.0}
+        inward = _fitted(classes, self.inverse, squares)
+        return inward, _fitted(classes, self.transform, {EXACT_CORE: 1.0})
 
 
 def _fitted(
-    classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float, size: float
+    classes: BondClasses,
+    factor: Callable[[np.ndarray], np.ndarray],
+    squares: dict[float, float],
 ) -> np.ndarray:
-    """Weights p whose symbol fits k factor(|k|) over the square of half width `reach`."""
-    line = np.linspace(-reach, reach, GRID)
-    k = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    k = k[np.hypot(*k.T) > 1e-6]
-    number = np.hypot(*k.T)
-    slope = 2 * np.sin(k @ classes.xi.T)
-    member = np.eye(len(classes.r))[classes.bond_class]
-    symbol = np.stack([slope @ (x[:, None] * member) for x in classes.xi.T], axis=1)
-    symbol /= number[:, None, None]
-    wanted = k * (factor(number) / number)[:, None]
+    """Weights p whose symbol fits k factor(|k|) over squares of waves, by half width and weight."""
     sigma = classes.count * classes.r**2
-    rows = [symbol.reshape(-1, len(sigma)), HELD * sigma[None], size * 2 * len(k) * np.diag(sigma)]
-    right = [wanted.ravel(), [HELD], np.zeros(len(sigma))]
+    member = np.eye(len(classes.r))[classes.bond_class]
+    rows, right = [HELD * sigma[None]], [np.array([HELD])]
+    for reach, weight in squares.items():
+        line = np.linspace(-reach, reach, GRID)
+        k = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        k = k[np.hypot(*k.T) > 1e-6]
+        number = np.hypot(*k.T)
+        slope = 2 * np.sin(k @ classes.xi.T)
+        symbol = np.stack([slope @ (x[:, None] * member) for x in classes.xi.T], axis=1)
+        rows.append((weight * symbol / number[:, None, None]).reshape(-1, len(sigma)))
+        right.append((weight * k * (factor(number) / number)[:, None]).ravel())
+        rows.append(weight * SIZE * 2 * len(k) * np.diag(sigma))
+        right.append(np.zeros(len(sigma)))
     p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
     found: np.ndarray = p / (sigma @ p)
     return found

@@ -1,0 +1,257 @@
+"""Neural force states on the main job's data, beside the nonlinear solids of three constants.
+
+The peridynamic neural operator as printed (Jafarzadeh et al. 2024, 3.3–3.11: a network of the bond
+length for ω, one of ω, dilatation, extension and length for the scalar force state, rectifiers,
+relative ℓ2 error of b, Adam), and a monotone form of it: T = k(r) g(s) + k_d(r) g_d(θ) with
+g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths and minutes
+of training are options: the printed widths are 256, 512 and 512, 512.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+import warp_peri
+from examples.nonlinear import OUT, STRAINED
+from examples.train_graphene import DATA
+from warp_peri import NonlinearModel, NonlinearOperator, Samples
+from warp_peri.errors import InputError
+from warp_peri.files.whole import write_json
+from warp_peri.points.families import families_of
+from warp_peri.statics.nonlinear import anderson, linear_solver
+
+HORIZON, STRAIN = 20.0, 0.02
+"""δ [Å], and the scale of the networks' inputs."""
+BATCH, SOLVED = 7, 1e-5
+
+
+class Bonds:
+    """Bonds of one set: extensions and directions of all samples, in single precision."""
+
+    def __init__(self, samples: Samples) -> None:
+        families = families_of(samples, HORIZON)
+        count = len(families.pattern)
+        self.samples, self.full, self.rows = samples, families.whole, families.rows
+        self.neighbour = families.neighbour.reshape(-1, count)
+        place = np.zeros(len(samples.x), int)
+        place[self.full] = np.arange(len(self.full))
+        self.own = torch.from_numpy(place[self.rows])
+        self.far = torch.from_numpy(place[self.neighbour[self.rows]])
+        self.back = torch.from_numpy(families.reverse.astype(int)).expand_as(self.far)
+        self.xi = families.pattern
+        self.r = torch.tensor(np.hypot(*families.pattern.T), dtype=torch.float32)
+        loads = samples.loads[:, samples.interior]
+        self.b = torch.tensor(loads, dtype=torch.float32)
+        self.size = self.b.flatten(1).norm(dim=1)
+        self.e, self.M = self.stretched(samples.u)
+
+    def stretched(self, u: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Extensions [S, F, B] and, on the interior, directions [S, I, B, 2]."""
+        eta = u[:, self.neighbour[self.full]] - u[:, self.full, None]
+        Y = self.xi + eta
+        length = np.linalg.norm(Y, axis=-1)
+        e = torch.tensor(length - self.r.double().numpy(), dtype=torch.float32)
+        M = (Y / length[..., None])[:, self.own.numpy()]
+        return e, torch.tensor(M, dtype=torch.float32)
+
+    def force(self, T: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
+        """−Σ (T_ij + T_ji) M on the interior, from T [S, F, B]."""
+        both = T[:, self.own] + T[:, self.far, self.back]
+        return -(M * both[..., None]).sum(2)
+
+
+def network(*widths: int) -> torch.nn.Sequential:
+    """Linear layers with rectifiers between them."""
+    layers: list[torch.nn.Module] = []
+    for width, following in itertools.pairwise(widths):
+        layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
+    return torch.nn.Sequential(*layers[:-1])
+
+
+class Printed(torch.nn.Module):
+    """Two networks: ω of the length, σ of (ω, θ, e, r)."""
+
+    def __init__(self, first: tuple[int, int], second: tuple[int, int]) -> None:
+        super().__init__()
+        self.influence, self.state = network(1, *first, 1), network(4, *second, 1)
+        self.scale = 1.0
+
+    def forward(self, e: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
+        omega = self.influence(r[:, None] / HORIZON)[:, 0]
+        theta = (e * omega * r).sum(-1, keepdim=True) / (omega * r**2).sum()
+        parts = [omega, theta / STRAIN, e / (STRAIN * r), r / HORIZON]
+        inputs = torch.stack([part.expand_as(e) for part in parts], dim=-1)
+        return self.scale * self.state(inputs)[..., 0]
+
+
+class Increasing(torch.nn.Module):
+    """A function of one number that grows: weights through a softplus, tanh between."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first, self.second = torch.nn.Linear(1, width), torch.nn.Linear(width, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        positive = torch.nn.functional.softplus
+        hidden = torch.tanh(x[..., None] * positive(self.first.weight[:, 0]) + self.first.bias)
+        rest = torch.tanh(self.first.bias)
+        return ((hidden - rest) * positive(self.second.weight[0])).sum(-1) + 0.1 * x
+
+
+class Monotone(torch.nn.Module):
+    """T = k(r) g(e/r) + k_d(r) g_d(θ), all k positive, both g growing: convex energies."""
+
+    def __init__(self, first: tuple[int, int], second: tuple[int, int]) -> None:
+        super().__init__()
+        self.kernel, self.dilatation = network(1, *first, 1), network(1, *first, 1)
+        self.g, self.g_d = Increasing(second[0]), Increasing(second[1])
+        self.scale = 1.0
+
+    def forward(self, e: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
+        positive = torch.nn.functional.softplus
+        k, k_d = (
+            positive(one(r[:, None] / HORIZON)[:, 0]) for one in (self.kernel, self.dilatation)
+        )
+        theta = (e * k_d * r).sum(-1, keepdim=True) / (k_d * r**2).sum()
+        return self.scale * (k * self.g(e / (STRAIN * r)) + k_d * r * self.g_d(theta / STRAIN))
+
+
+def errors_of(net: torch.nn.Module, bonds: Bonds, some: torch.Tensor) -> torch.Tensor:
+    """Relative ℓ2 errors of b."""
+    found = bonds.force(net(bonds.e[some], bonds.r), bonds.M[some])
+    return (found - bonds.b[some]).flatten(1).norm(dim=1) / bonds.size[some]
+
+
+def train(
+    net: Any, bonds: Bonds, val: Bonds, minutes: float, rate: float, quiet: bool
+) -> dict[str, Any]:
+    """Adam with a falling rate; the weights of least training and validation error count."""
+    everything, unseen = torch.arange(len(bonds.b)), torch.arange(len(val.b))
+    with torch.no_grad():
+        size = bonds.force(net(bonds.e[:BATCH], bonds.r), bonds.M[:BATCH]).norm()
+        net.scale = float(bonds.b[:BATCH].norm() / size)
+    adam = torch.optim.Adam(net.parameters(), lr=rate)
+    began, best, epochs, kept = time.process_time(), np.inf, 0, net.state_dict()
+    bar = tqdm(total=round(60 * minutes), unit="s", disable=quiet or None, leave=False)
+    while (part := (time.process_time() - began) / (60 * minutes)) < 1:
+        for group in adam.param_groups:
+            group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
+        total = 0.0
+        for some in everything[torch.randperm(len(everything))].split(BATCH):
+            adam.zero_grad()
+            loss = errors_of(net, bonds, some).mean()
+            loss.backward()
+            adam.step()
+            total += float(loss.detach()) * len(some) / len(everything)
+        epochs += 1
+        with torch.no_grad():
+            score = total + float(errors_of(net, val, unseen).mean())
+        if score < best:
+            best = score
+            kept = {key: value.clone() for key, value in net.state_dict().items()}
+        bar.n = round(time.process_time() - began)
+        bar.set_postfix(both=f"{100 * score:.2f} %")
+    net.load_state_dict(kept)
+    numbers = sum(p.numel() for p in net.parameters())
+    return {"epochs": epochs, "numbers": numbers, "minutes": minutes, "rate": rate}
+
+
+def solved(net: Any, bonds: Bonds, model: NonlinearModel) -> dict[str, float]:
+    """E_u by the accelerated fixed point of the linear solid, and the share that converged."""
+    samples = bonds.samples
+    solver = linear_solver(NonlinearOperator(model, samples), samples, SOLVED)
+    straight = warp_peri.LPSOperator(model.linear, samples)
+    inside, misses, ended = samples.interior, [], 0
+    for u, b in zip(samples.u, samples.loads):
+        field = u.copy()
+        field[inside] = 0
+        right = b[inside] - straight(field)
+        scale = float(np.linalg.norm(right))
+
+        def left(
+            inner: np.ndarray, field: np.ndarray = field, b: np.ndarray = b, scale: float = scale
+        ) -> np.ndarray:
+            field[inside] = inner
+            with torch.no_grad():
+                e, M = bonds.stretched(field[None])
+                found = bonds.force(net(e, bonds.r), M)[0].double().numpy()
+            return np.asarray((b[inside] - found) / scale)
+
+        def correction(residual: np.ndarray, scale: float = scale) -> np.ndarray:
+            return solver(residual * scale)
+
+        inner, size = anderson(left, correction, solver(right), SOLVED)
+        ended += size <= 100 * SOLVED  # single precision
+        misses.append(np.linalg.norm(inner - u[inside]) / np.linalg.norm(u[inside]))
+    return {"E_u": float(np.mean(misses)), "converged": ended / len(misses)}
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """Both networks on every set."""
+    torch.manual_seed(given.seed)
+    torch.set_num_threads(1)
+    data, larger = warp_peri.load_dataset(DATA), warp_peri.load_dataset(STRAINED)
+    named = {name: data[name] for name in ("train", "val", "test")}
+    named |= {name: larger[name] for name in larger}
+    sets = {name: Bonds(samples) for name, samples in named.items()}
+    model = warp_peri.load_nonlinear(given.models / "energy.json")
+    first, second = tuple(given.first), tuple(given.second)
+    found: dict[str, Any] = {}
+    for name, kind in (("printed", Printed), ("monotone", Monotone)):
+        net = kind(first, second)
+        found[name] = train(net, sets["train"], sets["val"], given.minutes, given.rate, given.json)
+        with torch.no_grad():
+            found[name]["E_res"] = {
+                key: float(errors_of(net, bonds, torch.arange(len(bonds.b))).mean())
+                for key, bonds in sets.items()
+            }
+        answers = {key: solved(net, bonds, model) for key, bonds in sets.items()}
+        found[name]["E_u"] = {key: one["E_u"] for key, one in answers.items()}
+        found[name]["converged"] = {key: one["converged"] for key, one in answers.items()}
+        write_json(given.models / "pno.json", found)
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns 0, or 2 for bad input."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=10.0, help="of processor time, each")
+    parser.add_argument("--first", type=int, nargs=2, default=(32, 64), help="widths of ω")
+    parser.add_argument("--second", type=int, nargs=2, default=(64, 64), help="widths of σ")
+    parser.add_argument("--rate", type=float, default=3e-3, help="of Adam")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args(arguments)
+    try:
+        found = run(given)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if given.json:
+        print(json.dumps(found))
+        return 0
+    for name, table in found.items():
+        for key in ("E_res", "E_u"):
+            cells = "  ".join(f"{one} {100 * value:.2f}" for one, value in table[key].items())
+            print(f"{name}, {table['numbers']} numbers: {key} in %: {cells}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
