@@ -29,7 +29,7 @@ NEEDS_TORCH = "No module named 'torch'"
 def interpreters() -> dict[str, Path]:
     """Interpreters by version, the first of each that is found."""
     names = [f"python3.{minor}" for minor in range(OLDEST[1], 30)]
-    found = [Path(path) for name in names if (path := shutil.which(name))]
+    found = [Path(there) for name in names if (there := shutil.which(name))]
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
     found += sorted(pyenv.glob("versions/*/bin/python3"))
     versions: dict[str, Path] = {}
