@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from warp_peri.dynamics.verlet import Motion, critical_time_step, velocity_verlet
     from warp_peri.errors import InputError
     from warp_peri.launch import set_threads
+    from warp_peri.learning.diagnosis import Diagnosis, diagnose
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.fit import fit
     from warp_peri.learning.methods import Bernstein, Constrained, TwoStage
@@ -58,6 +59,7 @@ __all__ = [
     "Conditions",
     "Constrained",
     "Dataset",
+    "Diagnosis",
     "Fit",
     "InfluenceFunction",
     "InputError",
@@ -85,6 +87,7 @@ __all__ = [
     "choose_model",
     "coarse_grain",
     "critical_time_step",
+    "diagnose",
     "equilibrium",
     "evaluate",
     "fit",
@@ -114,6 +117,7 @@ _NAMES = {
     "dynamics.verlet": ("Motion", "critical_time_step", "velocity_verlet"),
     "errors": ("InputError",),
     "launch": ("set_threads",),
+    "learning.diagnosis": ("Diagnosis", "diagnose"),
     "learning.evaluate": ("evaluate",),
     "learning.fit": ("fit",),
     "learning.methods": ("Bernstein", "Constrained", "TwoStage"),

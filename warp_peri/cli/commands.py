@@ -129,10 +129,11 @@ def _take_sheet(given: argparse.Namespace) -> Dataset | None:
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
     from warp_peri.learning import methods
+    from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.run import train
 
     data = load_dataset(given.data, units=USUAL)
-    samples = data[given.set]
+    samples, noise = data[given.set], data[given.noise] if given.noise else None
     kernel: warp_peri.Bernstein | warp_peri.InfluenceFunction
     kernel = warp_peri.Bernstein(DEGREE if given.degree is None else given.degree)
     if given.influence:
@@ -145,7 +146,7 @@ def run_train(given: argparse.Namespace) -> Result:
             given.horizon,
             kernel,
             data.sets,
-            noise=data[given.noise] if given.noise else None,
+            noise=noise,
             method=methods.named(given.method, seed=given.seed),
             conditions=warp_peri.Conditions(given.conditions, given.zeta),
             loss=given.loss,
@@ -153,6 +154,9 @@ def run_train(given: argparse.Namespace) -> Result:
             progress=not given.json,
         )
         metrics = training_metrics(run)
+        if samples.spacing and len(samples) >= LEAST_SAMPLES:
+            found = diagnose(run.fit.model, samples, noise)
+            metrics["residual"] = {"why": found.sentence, **found.shares}
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / f"{given.command}.toml")

@@ -297,10 +297,10 @@ def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
     if off.any():
         worst = float(np.abs(x - x[0] - h * grid).max())
         raise InputError(
-            f"points: expected a square lattice of spacing {h} Å within "
-            f"{LATTICE_TOLERANCE * h:.1g} Å ({LATTICE_TOLERANCE:g} spacings), got nodes up to "
-            f"{worst:.2g} Å off it: "
-            f"{scattered.listed(np.flatnonzero(off))}; are positions rounded?"
+            f"points: expected a square lattice of spacing {h} Å; off it: "
+            f"{scattered.listed(np.flatnonzero(off))}, by up to {worst:.2g} Å, where "
+            f"{LATTICE_TOLERANCE * h:.1g} Å ({LATTICE_TOLERANCE:g} spacings) are allowed: are "
+            "positions rounded?"
         )
     return grid - grid.min(0), axes
 

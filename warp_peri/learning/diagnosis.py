@@ -1,0 +1,235 @@
+"""What is left after a fit, and why: dispersion, anisotropy, nonlinearity, heterogeneity or noise.
+
+Richer models are fitted to the residual one after the other on one half of the samples and judged
+on the other half, so that what they explain is there, and not what they have coefficients for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.learning.response import products
+from warp_peri.losses.full import sample_weights
+from warp_peri.losses.noise import noise_loss
+from warp_peri.models.lps import Model
+from warp_peri.operator.lps import LPSOperator
+from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.samples import Samples
+
+LEAST_SAMPLES = 8
+RIDGE = 1e-2
+"""Of the fits at single nodes, relative to the sum of their squared features."""
+TINY = 1e-300
+Feature: TypeAlias = Callable[[np.ndarray], np.ndarray]
+WORDS = {
+    "noise": "noise in the displacement",
+    "dispersion": "short waves: another kernel of the same symmetry would take it",
+    "anisotropy": "anisotropy: the material is stiffer along some directions than the square",
+    "nonlinearity": "nonlinearity: forces that grow with the square of the strain",
+    "heterogeneity": "heterogeneity: the stiffness, or the ripple that smoothing leaves, differs "
+    "from place to place",
+    "unexplained": "what none of these explains",
+}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where the squared residual of a model on training data comes from.
+
+    Attributes:
+        residual: ‖L u − b‖ / ‖b‖ over all samples.
+        shares: of its square, by the name of the cause (see WORDS); they add up to 1. Noise is
+            told only where fields of it were given.
+    """
+
+    residual: float
+    shares: dict[str, float]
+
+    @property
+    def sentence(self) -> str:
+        """The largest cause in words."""
+        name = max(self.shares, key=lambda key: self.shares[key])
+        return (
+            f"The model leaves {100 * self.residual:.3g} % of the loads; "
+            f"{100 * self.shares[name]:.0f} % of its square is {WORDS[name]}."
+        )
+
+
+def diagnose(model: Model, samples: Samples, noise: Samples | None = None) -> Diagnosis:
+    """Tell the causes of the residual of a model on the data it was fitted to.
+
+    Args:
+        model: the model, certified on their lattice.
+        samples: training samples on a lattice, eight at least.
+        noise: fields of noise alone on their nodes.
+
+    Raises InputError for scattered points, too few samples, or no load.
+    """
+    if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
+        raise InputError(
+            f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {len(samples)} at a "
+            f"spacing of {samples.spacing:g} Å"
+        )
+    (weight,) = sample_weights([samples], normalise=False)
+    b = samples.loads[:, samples.interior]
+    operator = LPSOperator(model, samples.points, allow_uncertified=True)
+    grid = _Grid(samples, model.horizon)
+    left = (b - operator(samples.u)) @ grid.axes
+    size = float((b**2).sum())
+    total = float((left**2).sum())
+    found: dict[str, float] = {}
+    if noise is not None:
+        c = products(model, bond_classes(samples.spacing, model.horizon))
+        R = noise_loss(noise, samples, model.horizon, weight)
+        found["noise"] = min(1.0, float(np.sum((R @ c) ** 2)) * size / max(total, TINY))
+    level = total
+    for name, below in _levels(grid, left).items():
+        found[name], level = max(0.0, level - below) / max(total, TINY), below
+    rest = 1.0 - found.get("noise", 0.0)  # what noise makes, the others would take again
+    found = {name: value if name == "noise" else rest * value for name, value in found.items()}
+    found["unexplained"] = max(0.0, 1.0 - sum(found.values()))
+    return Diagnosis(float(np.sqrt(total / size)), found)
+
+
+def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
+    """‖residual‖² after each cause is taken off, one after the other; none makes it larger.
+
+    Coefficients come from one half of the samples, the numbers from the other, and once more with
+    the halves exchanged.
+    """
+    order = np.random.default_rng(0).permutation(len(left))
+    one, two = np.sort(order[::2]), np.sort(order[1::2])
+    levels: dict[str, float] = {}
+    for fitted, judged in ((one, two), (two, one)):
+        best = left[fitted], left[judged]
+        base: tuple[Feature, ...] = ()
+        for name, features in (
+            ("dispersion", (grid.orbits,)),
+            ("anisotropy", (grid.pairs,)),
+            ("nonlinearity", (grid.quadratic,)),
+        ):
+            asked = features if name != "nonlinearity" else (*base, *features)
+            rows, others = (
+                np.concatenate([one(some) for one in asked], axis=-1) for some in (fitted, judged)
+            )
+            c = _coefficients(rows, left[fitted])
+            tried = left[fitted] - rows @ c, left[judged] - others @ c
+            if (tried[1] ** 2).sum() < (best[1] ** 2).sum():
+                best, base = tried, asked
+            levels[name] = levels.get(name, 0.0) + float((best[1] ** 2).sum())
+        local = best[1] - grid.predicted(best[0], fitted, judged)
+        lowest = min(float((one**2).sum()) for one in (local, best[1]))
+        levels["heterogeneity"] = levels.get("heterogeneity", 0.0) + lowest
+    return levels
+
+
+def _coefficients(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Of least squares, features scaled to one size; those that are not there get none."""
+    scale = np.sqrt((rows**2).sum(axis=(0, 1, 2)))
+    scale = np.where(scale > 0, scale, np.inf)
+    flat = (rows / scale).reshape(-1, rows.shape[-1])
+    found: np.ndarray = np.linalg.lstsq(flat, left.ravel(), rcond=1e-9)[0] / scale
+    return found
+
+
+class _Grid:
+    """Differences of the displacement on a lattice, along its own axes, at the interior nodes."""
+
+    def __init__(self, samples: Samples, horizon: float) -> None:
+        steps, self.axes = lattice_steps(samples)
+        classes = bond_classes(samples.spacing, horizon)
+        pad = int(np.abs(classes.steps).max()) + 2
+        shape = (*(steps.max(axis=0) + 1 + 2 * pad), 2)
+        u = np.zeros((len(samples), *shape))
+        at = steps + pad
+        u[:, at[:, 0], at[:, 1]] = samples.u @ self.axes
+        self.u, self.h = u, samples.spacing
+        self.at = at[samples.interior]
+        half = (classes.steps[:, 0] > 0) | ((classes.steps[:, 0] == 0) & (classes.steps[:, 1] > 0))
+        self.steps, self.kind = classes.steps[half], classes.bond_class[half]
+
+    def shifted(self, some: np.ndarray, step: tuple[int, int] | np.ndarray) -> np.ndarray:
+        """u of some samples at the nodes a step away, shape [S, I, 2]."""
+        row, column = (self.at + step).T
+        found: np.ndarray = self.u[some][:, row, column]
+        return found
+
+    def second(self, some: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """u(x + ξ) + u(x − ξ) − 2 u(x), shape [S, I, 2]."""
+        middle = self.shifted(some, (0, 0))
+        found: np.ndarray = self.shifted(some, step) + self.shifted(some, -step) - 2 * middle
+        return found
+
+    def orbits(self, some: np.ndarray) -> np.ndarray:
+        """Forces of unit bonds of each class, along the bonds and whole: [S, I, 2, F]."""
+        out = np.zeros((len(some), len(self.at), 2, 2 * (self.kind.max() + 1)))
+        for step, kind in zip(self.steps, self.kind):
+            d, n = self.second(some, step), step / np.linalg.norm(step)
+            out[..., 2 * kind] += (d @ n)[..., None] * n
+            out[..., 2 * kind + 1] += d
+        return out
+
+    def pairs(self, some: np.ndarray) -> np.ndarray:
+        """The same for each bond by itself, with every symmetric matrix: [S, I, 2, F]."""
+        parts = []
+        for step in self.steps:
+            d = self.second(some, step)
+            zero = np.zeros_like(d[..., 0])
+            parts += [
+                np.stack([d[..., 0], zero], axis=-1),
+                np.stack([zero, d[..., 1]], axis=-1),
+                d[..., ::-1],
+            ]
+        return np.stack(parts, axis=-1)
+
+    def gradient(self, some: np.ndarray) -> np.ndarray:
+        """∂u by central differences everywhere, entries 11, 12, 21, 22: [S, n₁, n₂, 4]."""
+        u = self.u[some]
+        parts = [(np.roll(u, -1, axis) - np.roll(u, 1, axis)) / (2 * self.h) for axis in (1, 2)]
+        return np.concatenate([parts[0], parts[1]], axis=-1)
+
+    def quadratic(self, some: np.ndarray) -> np.ndarray:
+        """Divergences of every stress that is a product of two gradients: [S, I, 2, 30]."""
+        gradient = self.gradient(some)
+        i, j = np.triu_indices(4)
+        stress = gradient[..., i] * gradient[..., j]
+        slopes = [
+            ((np.roll(stress, -1, axis) - np.roll(stress, 1, axis)) / (2 * self.h))[
+                :, self.at[:, 0], self.at[:, 1]
+            ]
+            for axis in (1, 2)
+        ]
+        zero = np.zeros_like(slopes[0])
+        columns = [
+            np.stack([slopes[0], zero], axis=2),
+            np.stack([zero, slopes[1]], axis=2),
+            np.stack([slopes[1], slopes[0]], axis=2),
+        ]
+        return np.concatenate(columns, axis=-1)
+
+    def local(self, some: np.ndarray) -> np.ndarray:
+        """Strains and second differences around each node, shape [S, I, 11]."""
+        gradient = self.gradient(some)[:, self.at[:, 0], self.at[:, 1]]
+        strain = np.stack(
+            [gradient[..., 0], gradient[..., 3], gradient[..., 1] + gradient[..., 2]], axis=-1
+        )
+        seconds = [
+            self.second(some, np.array(step)) / self.h for step in ((1, 0), (0, 1), (1, 1), (1, -1))
+        ]
+        return np.concatenate([strain, *seconds], axis=-1)
+
+    def predicted(self, left: np.ndarray, fitted: np.ndarray, judged: np.ndarray) -> np.ndarray:
+        """What coefficients that differ from node to node say of the other half's residual."""
+        rows, asked = self.local(fitted), self.local(judged)
+        scale = np.sqrt((rows**2).mean(axis=(0, 1))) + TINY
+        rows, asked = rows / scale, asked / scale
+        gram = np.einsum("snf,sng->nfg", rows, rows)
+        gram += RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(rows.shape[-1])
+        c = np.linalg.solve(gram, np.einsum("snf,sna->nfa", rows, left))
+        found: np.ndarray = np.einsum("snf,nfa->sna", asked, c)
+        return found
