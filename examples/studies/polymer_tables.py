@@ -181,7 +181,7 @@ def speed() -> dict[str, Any]:
     flow = ChannelFlow(1e-2)
     particles = Particles(flow)
     n, law = particles.fluid, hookean_law(2000, 0)
-    fluids = {
+    fluids: dict[str, Closure | Coupled] = {
         "exact law": Closure(MAXWELL, flow.De, n),
         "learned law, tables": Closure(law.tabulated(), flow.De, n),
         "learned law, sums": Closure(law, flow.De, n),
