@@ -96,15 +96,15 @@ def cracked_sheet(
     if armchair:
         positions = positions[:, ::-1].copy()
     positions = positions[(np.abs(positions) < width).all(axis=1)]
-    while True:
+    while True:  # atoms with one bond left, on the rim or along a slanted crack, are taken away
         pairs = find_bonds(positions, None)
-        enough = np.bincount(pairs.ravel(), minlength=len(positions)) >= 2
+        cut = np.zeros(len(pairs), bool)
+        for start, end in cracks:
+            cut |= _crossing(positions[pairs], np.asarray(start, float), np.asarray(end, float))
+        enough = np.bincount(pairs[~cut].ravel(), minlength=len(positions)) >= 2
         if enough.all():
             break
         positions = positions[enough]
-    cut = np.zeros(len(pairs), bool)
-    for start, end in cracks:
-        cut |= _crossing(positions[pairs], np.asarray(start, float), np.asarray(end, float))
     return CrackedSheet(positions, pairs, cut, (np.abs(positions) > half).any(axis=1), step)
 
 
