@@ -6,7 +6,7 @@ import pytest
 from examples.published_plate import plate, pulled, same_toughness
 from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
-from warp_peri import InputError
+from warp_peri import InputError, Model
 from warp_peri.statics.cracked import CutSolid
 from warp_peri.statics.softening import SoftBody
 
@@ -17,7 +17,7 @@ def test_without_softness_it_is_the_linear_body():
     run = pulled(20, times, 0.0, np.inf, horizon=10.05)
     assert run.force[1] == pytest.approx(2 * run.force[0])
     crack = [[(-10, 0), (10, 0)]]
-    linear = CutSolid(solid(horizon=10.05).model, soft.body, soft.held, cracks=crack)
+    linear = CutSolid(Model(1.0, 1.0, 0.0, [1.0], 10.05), soft.body, soft.held, cracks=crack)
     np.testing.assert_allclose(
         soft.rest(unit.ravel().astype(float), np.ones(len(soft._k))).reshape(-1, 2),
         linear.solve(unit),
