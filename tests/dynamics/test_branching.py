@@ -8,7 +8,7 @@ from examples.branching import main
 
 
 def test_a_short_run_prints_and_draws(tmp_path, capsys):
-    command = ["--spacing", "1e-3", "--ratio", "3", "--time", "2e-5", "--json"]
+    command = ["--spacing", "1e-3", "--ratio", "3", "--time", "4e-6", "--json"]
     assert main([*command, "--out", str(tmp_path), "--series", "--hole", "4e-3"]) == 0
     numbers = json.loads(capsys.readouterr().out)
     assert 3940 < numbers["nodes"] < 3960
