@@ -31,6 +31,7 @@ SMALL_PEAK, LARGE_PEAK = (96.0, 572.0), (67.0, 928.0)
 ALPHA = 0.0
 """K = r^(−α). Constant, the small plate's peak comes at its published time; at K = 1/r a little
 sooner. The large plate has no say in it."""
+SMALL_TIMES = np.concatenate([np.arange(40, 80, 6.0), np.arange(80, 130, 1.0)])
 SPACING, HORIZON = 5.0, 15.05
 """Those of the network that was published beside them [1e-10 m]."""
 
@@ -88,16 +89,12 @@ def fit_whole() -> tuple[float, float, float]:
 
 def critical_stretch(softness: float, stiffness: float) -> float:
     """The stretch at which the small cracked plate's peak is the published one."""
-    times = np.concatenate([np.arange(40, 80, 6), np.arange(80, 150, 2)])
-
-    def over(stretch: float) -> float:
-        return stiffness * pulled(50, times, softness, stretch).peak[1] - SMALL_PEAK[1]
-
-    low, high = 0.04, 0.09
-    for _ in range(6):
+    low, high, found = 0.05, 0.07, {}
+    for _ in range(7):
         middle = (low + high) / 2
-        low, high = (low, middle) if over(middle) > 0 else (middle, high)
-    return (low + high) / 2
+        found[middle] = stiffness * pulled(50, SMALL_TIMES, softness, middle).peak[1]
+        low, high = (low, middle) if found[middle] > SMALL_PEAK[1] else (middle, high)
+    return min(found, key=lambda stretch: abs(found[stretch] - SMALL_PEAK[1]))
 
 
 def same_toughness(stretch: float, softness: float, times: float) -> float:
@@ -119,7 +116,7 @@ def main(argv: list[str] | None = None) -> int:
     softness, stiffness, error = fit_whole()
     stretch = critical_stretch(softness, stiffness)
     times = np.concatenate([np.arange(40, 56, 4), np.arange(56, 100, 1.0)])
-    small = pulled(50, 1.4 * times, softness, stretch)
+    small = pulled(50, SMALL_TIMES, softness, stretch)
     large = pulled(100, times, softness, stretch)
     longer = same_toughness(stretch, softness, 2.0)
     coarse = pulled(100, times, softness, longer, spacing=2 * SPACING, horizon=2 * HORIZON)

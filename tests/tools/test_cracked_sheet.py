@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from tools.cracked_sheet import CutSession, Pulled, cracked_sheet, longer_cutoff
+from tools.cracked_sheet import (
+    CutSession,
+    Pulled,
+    _uniaxial_stress,
+    cracked_sheet,
+    longer_cutoff,
+)
+from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 
 STEP = np.sqrt(3) * bond_length()
@@ -29,6 +36,15 @@ def test_an_uncut_sheet_is_at_rest_and_a_cut_one_is_not(tmp_path):
             inside.append(np.abs(forces[~body.held]).max())
     assert inside[0] < 1e-6
     assert inside[1] > 1
+
+
+def test_a_whole_sheet_has_the_moduli_at_small_strains_and_a_largest_stress(tmp_path):
+    bond, potential = bond_length(), longer_cutoff(tmp_path)
+    constants = elastic_constants(bond)
+    stiffness = constants["lambda"] + 2 * constants["mu"]
+    stress = [_uniaxial_stress(bond, e, potential) for e in (1e-4, 0.1, 0.18, 0.3)]
+    assert stress[0] == pytest.approx(1e-4 * stiffness, rel=2e-3)
+    assert stress[1] < stress[2] > stress[3]
 
 
 @pytest.mark.slow
