@@ -33,12 +33,13 @@ def rayleigh(lam: float, mu: float, density: float) -> float:
     return float(np.sqrt(mu / density) * (0.862 + 1.14 * nu) / (1 + nu))
 
 
-def glass(h: float, ratio: float, stress: float, toughness: float = 135.0):
-    """The plate, and the crack that it starts with."""
+def glass(h: float, ratio: float, stress: float, toughness: float = 135.0, hole: float = 0.0):
+    """The plate, maybe with a round hole off its path, and the crack that it starts with."""
     mu = 72e9 * 3 / 8  # λ = μ: ν = 1/3 in plane stress
     model = Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
     solid = BrittleSolid(model, 2440.0, toughness=toughness)
     x = rectangle(0.1, 0.04, h)
+    x = x[np.hypot(x[:, 0] - 0.02, x[:, 1] - 0.008) >= hole]
     edge = np.abs(x[:, 1]) > 0.02 - h
     load = np.where(edge[:, None], np.sign(x) * (0.0, stress / h), 0.0)
     no_fail = np.abs(x[:, 1]) > 0.02 - ratio * h
@@ -100,13 +101,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--time", type=float, default=45e-6, help="[s]")
     parser.add_argument("--share", type=float, default=0.4, help="of the longest step")
     parser.add_argument("--kalthoff", action="store_true", help="the plate that is hit, instead")
+    parser.add_argument("--hole", type=float, default=0.0, help="radius of a hole [m]")
     parser.add_argument("--series", action="store_true", help="write files for ParaView")
     parser.add_argument("--progress", action="store_true", help="show how far it is")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "branching")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     h = args.spacing
-    body, cracks = steel(h, args.ratio) if args.kalthoff else glass(h, args.ratio, 12e6)
+    if args.kalthoff:
+        body, cracks = steel(h, args.ratio)
+    else:
+        body, cracks = glass(h, args.ratio, 12e6, hole=args.hole)
     series = args.out / "series" if args.series else None
     run, state, tips = march(body, cracks, args.time, args.share, args.progress, series)
     x, phi = body.body.x, body.damage(state)

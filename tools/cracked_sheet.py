@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+from scipy.optimize import brentq
 from scipy.sparse.csgraph import breadth_first_order
 
-from tools.graphene import bond_length, sheet
+from tools.graphene import THICKNESS, bond_length, sheet
 from tools.hessian import ColouredHessian
 from tools.lammps_session import (
     CARBON_MASS,
@@ -37,6 +38,8 @@ HALF = 100.0
 """Half side of the square inside the rim [Å]."""
 OPEN = SWITCH - WIDTH
 """A bond this long is broken [Å]."""
+EV = 0.1602176634
+"""1 eV/Å³ in TPa."""
 PLACE = 1e-4
 """Largest force at rest [eV/Å]."""
 
@@ -96,15 +99,15 @@ def cracked_sheet(
     if armchair:
         positions = positions[:, ::-1].copy()
     positions = positions[(np.abs(positions) < width).all(axis=1)]
-    while True:
+    while True:  # atoms with one bond left, on the rim or along a slanted crack, are taken away
         pairs = find_bonds(positions, None)
-        enough = np.bincount(pairs.ravel(), minlength=len(positions)) >= 2
+        cut = np.zeros(len(pairs), bool)
+        for start, end in cracks:
+            cut |= _crossing(positions[pairs], np.asarray(start, float), np.asarray(end, float))
+        enough = np.bincount(pairs[~cut].ravel(), minlength=len(positions)) >= 2
         if enough.all():
             break
         positions = positions[enough]
-    cut = np.zeros(len(pairs), bool)
-    for start, end in cracks:
-        cut |= _crossing(positions[pairs], np.asarray(start, float), np.asarray(end, float))
     return CrackedSheet(positions, pairs, cut, (np.abs(positions) > half).any(axis=1), step)
 
 
@@ -275,3 +278,39 @@ def critical_strain(
         "atoms": len(body.positions),
         "seconds": time.perf_counter() - began,
     }
+
+
+def ideal_strength(*, step: float = 0.01) -> tuple[float, float]:
+    """Largest stress of a whole sheet under uniaxial strain along y [TPa], and the strain there.
+
+    The sheet is pulled across its zigzag rows, its width kept, sublattices free to shift.
+    """
+    bond = bond_length()
+    best = (0.0, 0.0)
+    with tempfile.TemporaryDirectory() as folder:
+        potential = longer_cutoff(Path(folder))
+        for strain in np.arange(step, 0.4, step):
+            stress = _uniaxial_stress(bond, float(strain), potential)
+            if stress < best[0]:
+                break
+            best = (stress, float(strain))
+    return best
+
+
+def _uniaxial_stress(bond: float, strain: float, potential: Path) -> float:
+    """σ_yy [TPa] of a periodic sheet strained along y, one sublattice shifted to rest."""
+    positions, box = sheet(bond, cells=(4, 3))
+    stretched, sides = positions * (1, 1 + strain), (box[0], box[1] * (1 + strain))
+    with LammpsSession(stretched, box=sides, potential=potential, elements=("C", "C")) as session:
+        with _lammps_words():
+            for kind in (1, 2):
+                session._lammps.command(f"neigh_modify exclude type {kind} {kind}")
+
+        def pull(shift: float) -> float:
+            moved = stretched.copy()
+            moved[::2, 1] += shift
+            return float(session.forces(moved)[::2, 1].mean())
+
+        brentq(pull, -0.1 - bond * strain, 0.1 + bond * strain, xtol=1e-8)
+        stress = session.membrane_stress()[1, 1]
+    return float(stress * EV / THICKNESS)

@@ -6,9 +6,11 @@ import pytest
 from examples import inclusion as inclusions
 from examples import pressurised_crack
 from tests.support.bodies import plate, solid
-from warp_peri import InputError
+from tests.support.clouds import state_based_field, state_based_load
+from warp_peri import InputError, Model
 from warp_peri.operator.damage import bond_weights, cut_matrix
-from warp_peri.points.body import cracked
+from warp_peri.points.body import cracked, lattice_body, rectangle
+from warp_peri.statics.cracked import CutSolid
 from warp_peri.statics.inclusions import ball_excess, bond_modulus, mixed_matrix
 from warp_peri.statics.pressurised import crack_load
 
@@ -37,6 +39,32 @@ def test_one_material_is_the_plain_operator():
         bond_modulus(body, np.ones(64), "geometric")
     with pytest.raises(InputError, match="mu: expected values > 0"):
         bond_modulus(body, -np.ones(64))
+
+
+def square_error(cells, lam, edge):
+    """A smooth field with its load, or uniaxial stress below a free edge: error of u."""
+    h = 1 / cells
+    side = 2 * (1 + 6 * h)
+    x = rectangle(side, side, h)
+    held, load = (np.abs(x) > 1).any(axis=1), None
+    if edge:
+        x = x[x[:, 1] < 0]
+        held = (np.abs(x[:, 0]) > 1) | (x[:, 1] < -1)
+        exact = x * (1, -lam / (lam + 2))
+    else:
+        exact, load = state_based_field(x, lam, 1.0), state_based_load(x, lam, 1.0)
+    model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
+    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve(exact, load)
+    return np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
+
+
+def test_nearly_incompressible_bodies_keep_second_order_and_free_edges_converge():
+    def order(edge):
+        errors = [square_error(n, 1e4, edge) for n in CELLS]
+        return -np.polyfit(np.log(CELLS), np.log(errors), 1)[0]
+
+    assert order(edge=False) > 2
+    assert order(edge=True) > 1.4
 
 
 def test_a_pressurised_crack_opens_as_sneddons():

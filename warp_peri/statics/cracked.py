@@ -88,13 +88,16 @@ class CutSolid:
 
 
 def symmetric_factors(matrix: sp.csc_array) -> Any:
-    """Sparse factors of a symmetric matrix, pivots on the diagonal."""
-    return splu(
-        sp.csc_matrix(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    """Sparse factors of a symmetric matrix, pivots on the diagonal; InputError if singular."""
+    try:
+        return splu(
+            sp.csc_matrix(matrix),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:
+        raise InputError(f"operator: parts of the body hang loose ({error})") from None
 
 
 def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:

@@ -1,0 +1,145 @@
+"""From atoms to unseen cracks: one G_c fitted on one crack of a graphene sheet predicts the others.
+
+Sheets with cracks are pulled to the fold by LAMMPS, athermal. The continuum takes the sheet's own
+λ and μ into K = 1/r; its critical strains follow from the release of energy at the tips. Bonds near
+a tip carry no more than the whole sheet's strength, so every crack counts as longer by Irwin's
+r = E G_c / (2π σ²) at each tip; strength and moduli come from sheets without a crack.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.interpolate import CubicSpline
+from tqdm import tqdm
+
+from tools.cracked_sheet import critical_strain, ideal_strength
+from tools.elastic import elastic_constants
+from tools.graphene import bond_length
+from warp_peri import Model
+from warp_peri.files.whole import write_json
+from warp_peri.points.body import lattice_body, rectangle
+from warp_peri.statics.cracked import CutSolid
+
+FITTED, DEFAULT, ALL = 24, (12, 16), (8, 12, 16, 32, 36)
+"""Cut bonds of the crack that G_c is fitted on, of those predicted, and of all."""
+INNER, OUTER = 4, 14
+"""Ends of the right one of two collinear cracks, in hexagons from the middle."""
+HALF = 40
+"""Half side of the sheet inside its rim, in hexagons."""
+
+
+class Continuum:
+    """The sheet as a solid with K = 1/r at a spacing of one hexagon, pulled by its rim."""
+
+    def __init__(self, lam: float, mu: float, step: float) -> None:
+        self.step = step
+        self.model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * step)
+        side = 2 * (HALF + 6) * step
+        self.body = lattice_body(rectangle(side, side, step), step, 3 * step)
+        self.held = (np.abs(self.body.x) > HALF * step).any(axis=1)
+        self.unit = self.body.x * (0.0, 1.0)
+
+    def energy(self, cracks: list) -> float:
+        """Elastic energy per thickness at unit strain [TPa Å²]."""
+        lines = [[(a * self.step, 0), (b * self.step, 0)] for a, b in cracks]
+        solid = CutSolid(self.model, self.body, self.held, cracks=lines)
+        return solid.energy(solid.solve(self.unit))
+
+    def release(self, longest: int):
+        """G at unit strain as a function of a central crack's half length in hexagons [TPa Å]."""
+        halves = np.arange(0, longest + 4, 2)
+        found = [self.energy([(-a, a)] if a else []) for a in tqdm(halves, desc="energies")]
+        curve = CubicSpline(halves, found, bc_type=((1, 0.0), "not-a-knot"))
+        return lambda half: -float(curve(half, 1)) / (2 * self.step)
+
+    def release_of_two(self, zone: float) -> float:
+        """The larger G at unit strain of the tips of two collinear cracks [TPa Å].
+
+        zone: hexagons, up to 2, by which each tip is further out than the crack's own.
+        """
+        inner, outer = INNER - np.arange(-1, 4), OUTER + np.arange(-1, 4)
+        table = [self.energy([(a, OUTER + 1), (-OUTER - 1, -a)]) for a in inner]
+        by_inner = CubicSpline(inner[::-1], table[::-1])(INNER - zone, 1)
+        table = [self.energy([(INNER - 1, b), (-b, 1 - INNER)]) for b in outer]
+        by_outer = -CubicSpline(outer, table)(OUTER + zone, 1)
+        return float(max(by_inner, by_outer) / (2 * self.step))
+
+
+def fitted(release, strain: float, E: float, strength: float, step: float) -> tuple[float, float]:
+    """G_c [TPa Å] of the fitted crack, and Irwin's zone [hexagons], which needs G_c itself."""
+    zone = 0.0
+    for _ in range(50):
+        toughness = release(FITTED / 2 + zone) * strain**2
+        zone = E * toughness / (2 * np.pi * strength**2) / step
+    return toughness, zone
+
+
+def atoms(names: dict[str, tuple[list, float]], step: float, kept: Path) -> dict[str, float]:
+    """Critical strains by LAMMPS; each is written down when it is found, and not found again."""
+    found = json.loads(kept.read_text()) if kept.exists() else {}
+    for name, (cracks, expected) in tqdm(names.items(), desc="sheets", unit="sheet"):
+        if name not in found:
+            lines = [np.array([(a * step, 0), (b * step, 0)]) for a, b in cracks]
+            found[name] = critical_strain(lines, expected, half=HALF * step)
+            write_json(kept, found)
+    return {name: found[name]["strain"] for name in names}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--all", action="store_true", help="six cracks, and two collinear ones")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "cracked_graphene")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    args.out.mkdir(parents=True, exist_ok=True)
+    bond = bond_length()
+    step = float(np.sqrt(3) * bond)
+    constants = elastic_constants(bond)
+    sheet = Continuum(constants["lambda"], constants["mu"], step)
+    lengths = (FITTED, *(ALL if args.all else DEFAULT))
+    release = sheet.release(max(lengths) // 2 + 1)
+    guess = {n: 0.03 * np.sqrt(release(FITTED / 2) / release(n / 2)) for n in lengths}
+    names = {f"{n} bonds": ([(-n / 2, n / 2)], guess[n]) for n in lengths}
+    if args.all:
+        names["collinear"] = ([(INNER, OUTER), (-OUTER, -INNER)], 0.038)
+    found = atoms(names, step, args.out / "atoms.json")
+    strength, _ = ideal_strength()
+    base = found[f"{FITTED} bonds"]
+    toughness, zone = fitted(release, base, constants["E"], strength, step)
+    table = {}
+    for name, strain in found.items():
+        n = lengths[list(names).index(name)] if name != "collinear" else 0
+        found_release = release(n / 2 + zone) if n else sheet.release_of_two(zone)
+        predicted = float(np.sqrt(toughness / found_release))
+        table[name] = {"atoms": strain, "predicted": predicted, "error": predicted / strain - 1}
+        if n:  # without the zone, G_c fitted anew
+            plain = base * float(np.sqrt(release(FITTED / 2) / release(n / 2)))
+            table[name]["error without zone"] = plain / strain - 1
+    numbers = {"G_c": 100 * toughness, "unit": "J/m² of a sheet 3.35 Å thick", "cracks": table}
+    numbers |= {"strength": strength, "zone": zone * step}
+    numbers |= {"lambda": constants["lambda"], "mu": constants["mu"], "fitted": f"{FITTED} bonds"}
+    figure = Figure(figsize=(5, 3.6), layout="constrained")
+    ax = figure.subplots()
+    halves = np.linspace(min(lengths) / 2, max(lengths) / 2, 60)
+    curve = [100 * np.sqrt(toughness / release(half + zone)) for half in halves]
+    ax.plot(2 * halves * step, curve, "k", linewidth=0.8, label="one G_c")
+    ax.plot([n * step for n in lengths], [100 * found[f"{n} bonds"] for n in lengths], "o")
+    ax.set(xlabel="length of the crack [Å]", ylabel="critical strain [%]")
+    ax.legend(frameon=False)
+    figure.savefig(args.out / "critical_strain.png", dpi=120)
+    print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,30 @@
+"""Entries of the stability atlas about cracks, on small bodies."""
+
+import matplotlib.pyplot as plt
+import pytest
+
+from examples.studies.atlas_cracks import broken_kernels, long_steps, misjudged_stretch
+from tests.support.problems import kernel
+
+
+def test_a_broken_learned_kernel_is_indefinite_and_a_positive_one_is_not():
+    entry = broken_kernels(kernel("sign-changing", 3.0), spacing=1.0, cells=20)
+    assert max(entry.values["negative"]["K = 1/r"]) == 0
+    assert entry.values["negative"]["learned"][0] == 0
+    assert entry.values["negative"]["learned"][-1] > 0
+    assert "changes sign" in entry.seen[0]
+    plt.close(entry.figure)
+
+
+def test_steps_beyond_the_bound_grow():
+    entry = long_steps(60)
+    assert entry.values["growth"]["1.1"] > 1e3 > 10 > entry.values["growth"]["0.98"]
+    plt.close(entry.figure)
+
+
+@pytest.mark.slow
+def test_stretches_are_misjudged():
+    entry = misjudged_stretch(cells=8, length=1)
+    assert entry.values["ratios"]["1.0"] > 1.1
+    assert "at rest" in entry.seen[0]
+    plt.close(entry.figure)
