@@ -179,6 +179,7 @@ def field(x):
     return y + 0.05 * np.sin(2 * x[:, ::-1] + 0.4) + 0.03 * np.cos(1.5 * x + 0.2)
 
 
+@pytest.mark.slow  # compiles everything again
 def test_float32_is_near():
     import warp as wp
 
