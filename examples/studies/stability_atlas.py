@@ -30,6 +30,7 @@ from examples.studies import (
     atlas_hyperelastic,
     atlas_kernels,
     atlas_motion,
+    atlas_nonlinear,
     atlas_points,
     atlas_solves,
 )
@@ -71,6 +72,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "energy": lambda: atlas_motion.energy_drift(model(), steps),
         "dispersion": lambda: atlas_motion.dispersion(model(), data),
         "strain": lambda: atlas_motion.large_strains(model()),
+        "larger-strains": lambda: atlas_nonlinear.larger_strains(data, cache),
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
         "noise-of-its-own": atlas_flow.independent_noise,

@@ -1,0 +1,89 @@
+"""Stability atlas: one load from small strains to where atoms fail, for linear and nonlinear solids."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri
+from examples.studies.atlas_entry import Entry, words, written
+from tools.make_graphene import graphene_bodies, point_set
+from tools.make_strained import strained, strained_file
+from tools.samples import Sample, _statics, read_sample, write_record
+from tools.statics import ConvergenceError
+from warp_peri import Bernstein, Dataset, Model, NonlinearModel, Optimum, Samples, Smoothing
+from warp_peri.errors import InputError
+
+STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16)
+CASE = 2
+"""Number of the validation load: a patch pushed across the crystal's zigzag direction."""
+
+
+def larger_strains(data: Dataset, cache: Path) -> Entry:
+    """E_u of a patch load against the largest bond strain."""
+    sets, end = _patches(cache)
+    train, kernel = data["train"], Bernstein(10, two_functions=True)
+    method = Optimum(moduli="isotropic")
+    energy = warp_peri.fit_nonlinear(train, 20.0, kernel).model
+    models: dict[str, Model | NonlinearModel] = {
+        "linear": warp_peri.fit(train, 20.0, kernel, method=method, normalise=True).model,
+        "energy form": energy,
+        "filtered form": warp_peri.fit_nonlinear(train, 20.0, kernel, smoothing=Smoothing()).model,
+    }
+    errors: dict[str, list[float]] = {name: [] for name in models}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        for samples in sets.values():
+            for name, model in models.items():
+                try:
+                    errors[name].append(warp_peri.evaluate(model, samples)["E_u"])
+                except InputError:
+                    errors[name].append(np.nan)
+    figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
+    percent = 100 * np.array(list(sets))
+    for name, values in errors.items():
+        axes.semilogy(percent, 100 * np.array(values), "o-", label=name)
+    axes.axvline(100 * end, color="k", linestyle=":", label="no equilibrium of atoms")
+    axes.set(xlabel="largest bond strain [%]", ylabel="E_u [%]")
+    axes.legend(frameon=False)
+    last = sets[max(sets)]
+    seen = [words(lambda: warp_peri.evaluate(energy, last))]
+    proven = energy.proven_strain(train.spacing)
+    measured = {"strains": list(sets), "end": end, "proven": proven, **errors}
+    at = list(sets).index(0.04)
+    text = written(
+        "larger-strains",
+        linear=100 * errors["linear"][at],
+        filtered=100 * errors["filtered form"][at],
+        worst=100 * float(np.nanmax(errors["filtered form"])),
+        largest=100 * max(sets),
+        end=100 * end,
+        proven=100 * proven,
+    )
+    return Entry(*text, seen, figure, measured)
+
+
+def _patches(cache: Path) -> tuple[dict[float, Samples], float]:
+    """The load at growing strains, as far as atoms bear it, and the first strain they do not."""
+    from tools.loads import VALIDATION
+
+    body, load = graphene_bodies()[0], VALIDATION[CASE - 1]
+    sets: dict[float, Samples] = {}
+    before: Sample | None = None
+    for strain in STRAINS:
+        file = strained_file(cache, body, load, strain)
+        found = read_sample(file)
+        if found is None:
+            try:
+                found = strained(body, _statics(body), load, strain, before)
+            except ConvergenceError:
+                return sets, strain
+            write_record(file, found)
+        before = found
+        samples = point_set(body, [load], [found], spacing=5.0)
+        sets[strain] = replace(samples, arrays={})
+    return sets, STRAINS[-1]

@@ -1,0 +1,56 @@
+"""The command on a nonlinear model."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.statics.test_nonlinear import problem, proven
+from warp_peri import Dataset, Samples, load_dataset, save_dataset
+from warp_peri.cli.main import main
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A model and a set that it answers exactly."""
+    model = proven("energy")
+    points, u, b = problem(model, 0.004)
+    model.save(tmp_path / "m.json")
+    save_dataset(
+        tmp_path / "d.h5", Dataset({"test": Samples(points, u[None], b[None])}, 3.35, 2200.0)
+    )
+    return tmp_path, model, points, u
+
+
+def printed(capsys, *words):
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_evaluate_certify_info_and_solve(files, capsys):
+    folder, model, _, u = files
+    table = printed(capsys, "evaluate", folder / "m.json", folder / "d.h5")["test"]
+    assert table["E_u"] < 1e-6
+    assert table["unique"] is True
+    assert table["linear_solves"] < 12
+    proof = printed(capsys, "certify", folder / "m.json", "--spacing", 1)["1 Å"]["nonlinear"]
+    assert proof["strain"] == pytest.approx(model.proven_strain(1.0))
+    about = printed(capsys, "info", folder / "m.json")
+    assert (about["t3"], about["format"]) == (model.t3, "model, nonlinear, energy form")
+    words = ("--set", "test", "--out", folder / "solved.h5")
+    printed(capsys, "solve", folder / "m.json", folder / "d.h5", *words)
+    solved = load_dataset(folder / "solved.h5")["test"].u[0]
+    assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
+
+
+def test_export_has_the_stress_of_the_energy(files, capsys):
+    h5py = pytest.importorskip("h5py")
+    folder, _, points, _ = files
+    out = folder / "fields"
+    words = ("--data", folder / "d.h5", "--set", "test", "--format", "xdmf", "--out", out)
+    assert printed(capsys, "export", "fields", folder / "m.json", *words)["files"]
+    with h5py.File(out / "samples.h5") as file:
+        piola = file["sample_0000/piola"][:]
+    assert piola.shape == (len(points.x), 9)
+    assert np.isfinite(piola[points.interior]).all()
+    assert np.abs(piola[points.interior][:, :2]).max() > 0
