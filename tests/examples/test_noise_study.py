@@ -27,6 +27,7 @@ def small(tmp_path_factory):
     return paths
 
 
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 @pytest.mark.filterwarnings("ignore:strain")
 def test_main_job_at_a_temperature(small, tmp_path, monkeypatch, capsys):
     asked = {}
@@ -58,6 +59,7 @@ def test_steps_without_sense_are_refused(tmp_path, capsys):
     assert "steps: expected more than the transient" in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 @pytest.mark.filterwarnings("ignore:strain")
 def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
     few = functools.partial(sweep, horizons=(10.0,), degrees=(0, 1))

@@ -12,6 +12,7 @@ from warp_peri import load_dataset
 from warp_peri.learning.sweep import sweep
 
 
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 def test_sweep_from_the_command_line(graphene, tmp_path, monkeypatch, capsys):
     few = functools.partial(sweep, horizons=(10.0, 12.5), degrees=(0, 5))
     monkeypatch.setattr(train_graphene, "sweep", few)
@@ -45,6 +46,7 @@ def test_manufactured_loss_falls_with_degree_and_spacing(tmp_path):
     assert np.all(np.diff(found["fixed_alpha"]["kernel_error"]) < 0)
 
 
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_path):
     data = load_dataset(graphene)
     found = influence_shapes.fits(data["train"])
