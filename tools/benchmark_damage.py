@@ -29,7 +29,7 @@ SIZES = ((50, 40, 3.0), (100, 100, 3.0), (400, 160, 3.0), (400, 160, 4.0), (1000
 
 
 def rival():
-    """The same sweep as a Numba loop over nodes, compiled for this machine."""
+    """The same sweeps as Numba loops over nodes, bond-based and state-based."""
     import numba
 
     @numba.njit(parallel=True)
@@ -50,13 +50,50 @@ def rival():
                         count += 1
             force[i, 0], force[i, 1], energy[i], lost[i] = fx, fy, 0.25 * e, count
 
-    return sweep
+    @numba.njit(parallel=True)
+    def dilatation(u, xi, a, neighbour, theta):
+        for i in numba.prange(len(u)):
+            total = 0.0
+            for b in range(len(a)):
+                j = neighbour[i, b]
+                if j >= 0:
+                    d = xi[b, 0] * (u[j, 0] - u[i, 0]) + xi[b, 1] * (u[j, 1] - u[i, 1])
+                    total += a[b] * d
+            theta[i] = total
+
+    @numba.njit(parallel=True)
+    def pull(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
+        for i in numba.prange(len(u)):
+            fx = fy = e = 0.0
+            count = 0
+            for b in range(len(limit)):
+                j = neighbour[i, b]
+                if j >= 0:
+                    d = xi[b, 0] * (u[j, 0] - u[i, 0]) + xi[b, 1] * (u[j, 1] - u[i, 1])
+                    s = k[b] * d
+                    e += 0.25 * s * d
+                    t = s + excess * a[b] * (theta[i] + theta[j])
+                    fx += t * xi[b, 0]
+                    fy += t * xi[b, 1]
+                    if d > limit[b] and no_fail[i] + no_fail[j] == 0:
+                        neighbour[i, b] = -1 - j
+                        count += 1
+            force[i, 0], force[i, 1], lost[i] = fx, fy, count
+            energy[i] = e + 0.5 * excess * theta[i] ** 2
+
+    def state_based(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
+        dilatation(u, xi, a, neighbour, theta)
+        pull(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta)
+
+    return sweep, state_based
 
 
-def compare(sides: tuple[int, int], ratio: float, sweep, repeats: int) -> dict[str, float]:
-    """Milliseconds of both, medians and best, and the ratio Numba over Warp."""
+def compare(
+    sides: tuple[int, int], ratio: float, rivals, repeats: int, lam: float = 1.0
+) -> dict[str, float]:
+    """Milliseconds of both, medians and best, and the ratio Numba over Warp; μ = 1."""
     body = lattice_body(rectangle(float(sides[0]), float(sides[1]), 1.0), 1.0, ratio)
-    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
+    model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
     limits = 0.02 * body.r**2
     operator = CutOperator(model, body, limits=limits)
     count, w = len(body.x), operator.weights
@@ -67,12 +104,16 @@ def compare(sides: tuple[int, int], ratio: float, sweep, repeats: int) -> dict[s
     theirs = (np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.int32))
     table, no_fail = body.neighbour.copy(), np.zeros(count, np.uint8)
     inputs = (u[:count].copy(), body.xi, 16 * w / body.r**2, limits, no_fail, table)
+    sweep = rivals[lam != 1]
+    more: tuple = ()
+    if lam != 1:
+        more = (2 * w, lam - 1, np.zeros(count))
     times: list[list[float]] = [[], []]
     for repeat in range(repeats + 1):
         for place, job in enumerate(
             (
                 lambda: operator.sweep(field, links, force, energy, breaking=True),
-                lambda: sweep(*inputs, *theirs),
+                lambda: sweep(*inputs, *theirs, *more),
             )
         ):
             began = time.perf_counter()
@@ -84,6 +125,7 @@ def compare(sides: tuple[int, int], ratio: float, sweep, repeats: int) -> dict[s
     warp_ms, numba_ms = (float(np.median(part)) for part in times)
     best = min(times[1]) / min(times[0])
     return {
+        "lambda": lam,
         "nodes": count,
         "bonds": len(w),
         "warp_ms": warp_ms,
@@ -104,15 +146,16 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     import numba
 
-    sweep, table = rival(), []
+    rivals, table = rival(), []
     for threads in args.threads:
         set_threads(threads)
         numba.set_num_threads(min(threads, os.cpu_count() or 1))
-        for width, height, ratio in SIZES[: args.sizes]:
-            row = {"threads": threads} | compare((width, height), ratio, sweep, args.repeats)
-            table.append(row)
-            if not args.json:
-                print(row, flush=True)
+        for lam in (1.0, 2.0):
+            for width, height, ratio in SIZES[: args.sizes]:
+                row = compare((width, height), ratio, rivals, args.repeats, lam)
+                table.append({"threads": threads} | row)
+                if not args.json:
+                    print(table[-1], flush=True)
     if args.json:
         print(json.dumps({"sweeps": table}))
     return 0

@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
+from warp_peri.kernels.damage.pairs import pairs
 from warp_peri.launch import floats, ints, launch_slices, recorded_slices, threads, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
@@ -151,11 +152,12 @@ class CutOperator:
         table = np.column_stack([body.xi, 2 * self.weights, stiffness, self.limits])
         self._table = floats(np.ascontiguousarray(table).ravel())
         self._short_table = floats(np.ascontiguousarray(table[:, [0, 1, 3, 4]]).ravel())
-        self._recorded: dict[tuple[int, ...], Callable[[], None]] = {}
+        self._recorded: dict[tuple[int, ...], list[Callable[[], None]]] = {}
         flags: np.ndarray = np.zeros(self.places, np.uint8)
         flags[: self.nodes] = False if no_fail is None else no_fail
         self._no_fail: wp.array[Any] = wp.array(flags, dtype=wp.uint8, device="cpu")
         self._kernels = kernels.sweeps(bool(tension_only))
+        self._pairs = pairs(bool(tension_only))
         self._all = ints(np.arange(self.nodes))
         self.theta = zeros(self.places)
         self.lost = zeros(self.places, dtype=wp.int32)
@@ -180,12 +182,13 @@ class CutOperator:
 
         Force and energy are of all bonds that were there before.
         """
-        if self.bond_based and breaking:
+        if breaking and self._criterion == kernels.STRETCH:
             arrays = (u, links, force, energy)
             key = (threads(), *(array.ptr for array in arrays))
             if key not in self._recorded:
                 self._recorded = {key: self._record(*arrays)}
-            self._recorded[key]()
+            for launch in self._recorded[key]:
+                launch()
         else:
             criterion = self._criterion if breaking else -1
             self._state_based(_flat(u), links, self._all, self._all, criterion, force, energy)
@@ -193,14 +196,23 @@ class CutOperator:
 
     def _record(
         self, u: wp.array[Any], links: wp.array[Any], force: wp.array[Any], energy: wp.array[Any]
-    ) -> Callable[[], None]:
-        """The bond-based sweep over these arrays, packed."""
-        return recorded_slices(
-            self._kernels.bond_based,
-            self.places // 2,
-            (_flat(u), self.bonds, self._short_table, self._no_fail),
-            (force, energy, self.lost, links),
-        )
+    ) -> list[Callable[[], None]]:
+        """The sweeps over these arrays with the stretch criterion, packed."""
+        half, outputs = self.places // 2, (force, energy, self.lost, links)
+        if self.bond_based:
+            inputs = (_flat(u), self.bonds, self._short_table, self._no_fail)
+            return [recorded_slices(self._kernels.bond_based, half, inputs, outputs)]
+        flat, excess = _flat(u), self.model.lam - self.model.mu
+        shapes = (flat, self.bonds, self._table)
+        return [
+            recorded_slices(self._pairs.dilatation, half, (*shapes, links), (self.theta,)),
+            recorded_slices(
+                self._pairs.state_based,
+                half,
+                (*shapes, excess, self._no_fail, self.theta),
+                outputs,
+            ),
+        ]
 
     def again(
         self,
