@@ -36,7 +36,7 @@ ZETA = 0.01
 """c [TPa] that is asked for, or what is proven at home where that is less."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 2
+RECIPE = 3
 """Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""

@@ -11,9 +11,6 @@ from warp_peri.points.families import BondClasses, bond_classes
 
 WAVES = 60
 """Wave vectors that a kernel is fitted on; twice as many change no error in its third digit."""
-SPREAD = 0.75
-"""Between 1/2, evenly in the area of the disk, where short waves weigh most, and 1, evenly in |k|,
-where smooth loads are answered best and the disks a little worse."""
 GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
 DIRECTIONS = 7
 """Of the waves that an error is looked for in, over an eighth of the circle."""
@@ -22,10 +19,11 @@ DIRECTIONS = 7
 def wave_vectors(largest: float) -> np.ndarray:
     """Wave vectors [1/Å] of |k| up to `largest`, shape [WAVES, 2].
 
-    |k| goes as number^SPREAD; directions go on by the golden angle.
+    |k| is spread evenly, so that long waves weigh as much as short ones; directions go on by the
+    golden angle.
     """
     number = np.arange(WAVES) + 0.5
-    size, angle = largest * (number / WAVES) ** SPREAD, GOLDEN_ANGLE * number
+    size, angle = largest * number / WAVES, GOLDEN_ANGLE * number
     return np.stack([size * np.cos(angle), size * np.sin(angle)], axis=1)
 
 
