@@ -36,7 +36,7 @@ ZETA = 0.01
 """c [TPa] that is asked for, or what is proven at home where that is less."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 1
+RECIPE = 3
 """Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""
@@ -97,24 +97,7 @@ def new_lattice(
         asked = _asked(home, spacing, shortest_wave)
         band = max(band, asked)
     candidates = _horizons(spacing, largest_horizon) if horizon is None else [horizon]
-    found = None
-    for length in candidates:
-        one = _fitted(home, spacing, length, band, asked)
-        if one is not None and (found is None or one.error < found.error):
-            found = one
-        if found is not None and found.error <= (tolerance or TOLERANCE):
-            break
-    if found is None:
-        raise InputError(
-            f"horizon: no kernel on the lattice of {spacing:g} Å keeps the conditions of a "
-            f"certificate within {candidates[-1]:g} Å"
-        )
-    if tolerance is not None and found.error > tolerance:
-        raise InputError(
-            f"tolerance: on the lattice of {spacing:g} Å waves longer than {2 * np.pi / asked:.3g} "
-            f"Å cannot be had to {100 * tolerance:g} %; the best there is is "
-            f"{100 * found.error:.2g} % at horizon {found.model.horizon:g} Å"
-        )
+    found = _fewest(home, spacing, candidates, band, asked, tolerance)
     return _recorded(home, spacing, band, found)
 
 
@@ -126,6 +109,39 @@ class _Candidate:
     classes: BondClasses
     zeta: float
     error: float
+
+
+def _fewest(
+    home: Home,
+    spacing: float,
+    horizons: list[float],
+    band: float,
+    asked: float,
+    tolerance: float | None,
+) -> _Candidate:
+    """The first horizon whose kernel meets the tolerance, or without one the best of them.
+
+    Raises InputError where none keeps the conditions, or none meets the tolerance.
+    """
+    found: _Candidate | None = None
+    for length in horizons:
+        one = _fitted(home, spacing, length, band, asked)
+        if one is not None and (found is None or one.error < found.error):
+            found = one
+        if found is not None and found.error <= (tolerance or TOLERANCE):
+            break
+    if found is None:
+        raise InputError(
+            f"horizon: no kernel on the lattice of {spacing:g} Å keeps the conditions of a "
+            f"certificate within {horizons[-1]:g} Å"
+        )
+    if tolerance is not None and found.error > tolerance:
+        raise InputError(
+            f"tolerance: on the lattice of {spacing:g} Å waves longer than {2 * np.pi / asked:.3g} "
+            f"Å cannot be had to {100 * tolerance:g} %; the best there is is "
+            f"{100 * found.error:.2g} % at horizon {found.model.horizon:g} Å"
+        )
+    return found
 
 
 def home_of(model: Model, spacing: float) -> Home:

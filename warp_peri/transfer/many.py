@@ -14,7 +14,7 @@ from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 from warp_peri.stability.conditions import Conditions, LatticeConditions
-from warp_peri.transfer.lattice import home_of
+from warp_peri.transfer.lattice import Home, home_of
 from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, wave_vectors
 
 LATTICES = 13
@@ -78,15 +78,10 @@ def one_kernel(
     at = best.parameters
     found = Model(unit * at.lam, unit * at.mu, at.alpha, at.D, horizon, trained_on=model.trained_on)
     certificates = [certify(found, spacing=float(h)) for h in spacings]
-    waves = rings(band * (np.arange(RADII) + 1) / RADII)
-    wanted = dispersion(model, home.spacing, waves)
-    unseen = np.linspace(low, high, BETWEEN)
-    errors = [
-        wave_errors(dispersion(found, float(horizon * ratio), waves), wanted) for ratio in unseen
-    ]
+    errors = _between(found, horizon, ratios, Home(model, home.spacing, band, home.zeta))
     record = {
         "from_spacing": home.spacing,
-        "h_over_horizon": unseen.tolist(),
+        "h_over_horizon": np.linspace(*ratios, BETWEEN).tolist(),
         "mean_error": [float(one.mean()) for one in errors],
         "largest_error": [float(one.max()) for one in errors],
         "waves_longer_than": 2 * np.pi / band,
@@ -100,3 +95,15 @@ def one_kernel(
         provenance={**model.provenance, "many_lattices": record},
         versions=model.versions,
     )
+
+
+def _between(
+    found: Model, horizon: float, ratios: tuple[float, float], home: Home
+) -> list[np.ndarray]:
+    """Errors by wave on lattices that a kernel was not fitted on, of BETWEEN values of h/δ."""
+    waves = rings(home.largest * (np.arange(RADII) + 1) / RADII)
+    wanted = dispersion(home.model, home.spacing, waves)
+    return [
+        wave_errors(dispersion(found, float(horizon * ratio), waves), wanted)
+        for ratio in np.linspace(*ratios, BETWEEN)
+    ]
