@@ -79,6 +79,12 @@ def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable
     return forward, both
 
 
+def ours_kept(bonds: Bonds, u: np.ndarray, dtype: torch.dtype) -> Callable[[], np.ndarray]:
+    """The library's forward pass while D and α stay as they are, so that K is kept."""
+    field, solid = torch.as_tensor(u, dtype=dtype), Solid(**MODEL)
+    return lambda: lps_force(bonds, field, solid).numpy()
+
+
 def on_threads(count: int, function: Callable[[], Any]) -> Callable[[], Any]:
     """The function on another number of the library's threads."""
 
@@ -159,6 +165,8 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
     )
     forward: Candidates = {"warp_peri": force, "warp_peri, 1 thread": on_threads(1, force)}
     both: Candidates = {"warp_peri": gradient, "warp_peri, 1 thread": on_threads(1, gradient)}
+    if kind == "scattered":
+        forward["warp_peri, K kept"] = ours_kept(bonds, fields[0], dtype)
     t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
     if count < LARGE:
         forward["torch scatter"], both["torch scatter"] = rivals.torch_scatter(t, dtype)

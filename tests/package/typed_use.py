@@ -26,7 +26,7 @@ def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_pe
     interior = np.abs(x).max(axis=1) <= 3
     points = warp_peri.Points(x=x, interior=interior, spacing=SPACING)
     operator = warp_peri.LPSOperator(model, points)
-    waves = generator.normal(size=(6, 2, 2))
+    waves = generator.normal(size=(8, 2, 2))
     phase = np.einsum("swa,na->swn", waves, x)
     u = 0.01 * np.stack([np.sin(phase[:, 0]), np.cos(phase[:, 1])], axis=-1)
     b = np.zeros_like(u)
@@ -58,6 +58,7 @@ def learn(folder: Path) -> warp_peri.Fit:
         conditions=warp_peri.Conditions(zeta=0.01),
     )
     assert_type(fit, warp_peri.Fit)
+    assert_type(warp_peri.diagnose(fit.model, train), warp_peri.Diagnosis)
     fit.model.save(folder / "model.json")
     shape = warp_peri.InfluenceFunction(
         lambda r, length: np.exp(-r / length), {"length": 1.5}, {"length": (0.5, 9.0)}
