@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from tests.support.plates import plate
 from warp_peri import Model, certify
@@ -121,3 +122,29 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
         found = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
     assert found.points is None
     assert error(found.u_rim, field(found.rim.x)[0]) < 5e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("degree", "least"), [(1, 1.8), (2, 2.7)])
+def test_displacement_converges_with_the_mesh_of_the_rim(model, degree, least):
+    field = exact(model)
+    rings = np.array([8, 16, 32, 64])
+    coupling = Coupling(degree=degree)
+    found = [
+        solve_body(
+            model,
+            plate(RADIUS, HALF, n, 4 * n),
+            displacement={"sides": lambda x: field(x)[0]},
+            coupling=coupling,
+        )
+        for n in rings
+    ]
+    finest = found.pop()
+    tree = cKDTree(finest.rim.x)
+    errors = []
+    for one in found:
+        corners = one.rim.corner_nodes
+        away, same = tree.query(one.rim.x[corners])
+        there = away < 1e-9  # the inner sides of two rims do not lie on one line
+        errors.append(error(one.u_rim[corners[there]], finest.u_rim[same[there]]))
+    assert -np.polyfit(np.log(rings[:-1]), np.log(errors), 1)[0] >= least

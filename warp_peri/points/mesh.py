@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,10 +170,10 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         import meshio
     except ImportError:
         raise InputError("meshio is not installed: pip install 'warp_peri[bodies]'") from None
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such mesh file")
     try:
         read = meshio.read(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such mesh file") from None
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
         raise InputError(f"{path}: not a mesh that meshio reads ({error})") from None
     points = np.asarray(read.points, dtype=float)
