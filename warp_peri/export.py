@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, ElementTree, SubElement
 
 import h5py
@@ -20,8 +21,12 @@ from warp_peri.operator.stress import node_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples
 
+if TYPE_CHECKING:
+    from warp_peri.statics.body import BodySolution
+
 KERNEL_ROWS = 400
 """Distances that a kernel for many lattices is written at."""
+
 XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
 XDMF_TYPES = {
     1: "Scalar",
@@ -135,6 +140,32 @@ def write_operator(path: str | os.PathLike[str], model: Model, points: PointsLik
     with whole_file(path) as temporary, open(temporary, "wb") as file:
         sp.save_npz(file, L)
     return Path(path)
+
+
+def write_body(path: str | os.PathLike[str], found: BodySolution) -> dict[str, float]:
+    """Displacement [Å] and stress [TPa] of a body on its mesh, as one VTU file.
+
+    `elements` is 1 at corners whose values the elements gave, those of the outline among them, and
+    0 where the lattice did. Returns the largest displacement and the largest principal stress.
+
+    Raises InputError without meshio (the extra `bodies`).
+    """
+    try:
+        import meshio
+    except ImportError:
+        raise InputError("meshio is not installed: pip install 'warp_peri[bodies]'") from None
+    mesh = found.rim.mesh
+    u, stress = found.on_corners()
+    elements = np.zeros(len(mesh.x))
+    elements[found.rim.corners] = 1
+    data = {"displacement": _vector(u), "stress": _tensor(stress), "elements": elements}
+    x = np.column_stack([mesh.x, np.zeros(len(mesh.x))])
+    with whole_file(path) as temporary:
+        meshio.Mesh(x, [("triangle", mesh.triangles)], point_data=data).write(temporary, "vtu")
+    return {
+        "largest_displacement": float(np.hypot(*u.T).max()),
+        "largest_stress": float(np.linalg.eigvalsh(stress).max()),
+    }
 
 
 def _write_vtu(

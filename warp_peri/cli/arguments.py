@@ -108,11 +108,19 @@ def solve(command: ArgumentParser) -> None:
     """A model, loads, and a solver."""
     command.add_argument("model", type=Path, metavar="MODEL.json")
     command.add_argument(
-        "data", type=Path, metavar="DATA.h5", help="loads; displacement on the collar"
+        "data", type=Path, nargs="?", metavar="DATA.h5", help="loads; displacement on the collar"
     )
     command.add_argument("--set", default="test")
-    command.add_argument("--out", required=True, type=Path, metavar="SOLVED.h5")
+    command.add_argument("--out", required=True, type=Path, help="SOLVED.h5; of a body SOLVED.vtu")
     command.add_argument("--method", default="auto", help="of the solver")
+    body = command.add_argument_group("a body with an outline, in place of DATA.h5")
+    body.add_argument("--body", type=Path, metavar="MESH", help="a plane mesh in Å, as of Gmsh")
+    body.add_argument(
+        "--hold", nargs="+", default=[], metavar="PART=ux,uy", help="in Å; - leaves one free"
+    )
+    body.add_argument("--pull", nargs="+", default=[], metavar="PART=tx,ty", help="in TPa")
+    body.add_argument("--spacing", type=float, help="of the lattice inside [Å]")
+    body.add_argument("--overlap", type=float, help="of the elements and the lattice [Å]")
     _uncertified(command)
 
 

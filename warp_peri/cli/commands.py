@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warp_peri
+from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
@@ -49,7 +50,7 @@ def check_output(given: argparse.Namespace) -> None:
     if getattr(given, "out", None) is None:
         return
     out = given.out.resolve()
-    for name in ("data", "model", "reference", "dumps", "force", "unloaded"):
+    for name in ("data", "model", "body", "reference", "dumps", "force", "unloaded"):
         read = getattr(given, name, None) or []
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
@@ -232,7 +233,9 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def run_solve(given: argparse.Namespace) -> Result:
-    """Displacement under the loads of a set, its collar held: a data file with the solution."""
+    """Displacement under the loads of a set, or of a body with an outline, in a file."""
+    if given.body is not None or given.data is None:
+        return run_solve_body(given)
     model, data = load_any(given.model), load_dataset(given.data, units=USUAL)
     points = data[given.set]
     fields = (points.loads, points.u)

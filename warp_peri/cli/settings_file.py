@@ -96,7 +96,7 @@ def _converted(path: str, action: argparse.Action, value: Any) -> Any:
     if action.nargs == 0 and isinstance(value, bool):
         return value
     several = isinstance(value, list)
-    if action.nargs == 0 or several != bool(action.nargs):
+    if action.nargs == 0 or several != (action.nargs not in (None, "?")):
         raise InputError(f"{path}: {action.dest}: {value!r} is not what this option takes")
     kind = action.type if callable(action.type) else str
     try:

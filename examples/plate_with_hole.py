@@ -1,0 +1,96 @@
+"""Stress around a hole: a plate under tension, elements at its edges and the learned model inside.
+
+Compared with Lekhnitskii's exact plate, Kirsch's where the material is isotropic.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+import warp_peri
+from warp_peri.points.outlines import Circle, box, mesh_outline
+from warp_peri.statics.body import BodySolution, Coupling, long_wave, solve_body
+from warp_peri.statics.hole import hoop_stress, plate_with_hole
+
+TENSION = 0.005
+"""Far from the hole [TPa]."""
+
+
+def solve_plate(
+    model: warp_peri.Model, radius: float, half: float, size: float, coupling: Coupling
+) -> tuple[dict[str, float], BodySolution]:
+    """The numbers of a square plate 2 · half wide whose sides have the exact displacement."""
+    stiff = long_wave(model, coupling.spacing or model.certified_on[0])
+    mesh = mesh_outline(box(2 * half, 2 * half), [Circle(radius, size=size)], size=4 * size)
+    sides = ("left", "right", "top", "bottom")
+    held = {side: lambda x: plate_with_hole(x, radius, TENSION, stiff)[0] for side in sides}
+    start = time.perf_counter()
+    found = solve_body(model, mesh, displacement=held, coupling=coupling)
+    seconds = time.perf_counter() - start
+    u, _ = found.on_corners()
+    exact, _ = plate_with_hole(mesh.x, radius, TENSION, stiff)
+    edge = found.rim.nodes_of("hole")
+    x = found.rim.x[edge]
+    hoop = hoop_stress(x, plate_with_hole(x, radius, TENSION, stiff)[1])
+    off = hoop_stress(x, found.rim_stress[edge]) - hoop
+    numbers = {
+        "u_error": float(np.linalg.norm(u - exact) / np.linalg.norm(exact)),
+        "hoop_stress_error": float(np.abs(off).max() / hoop.max()),
+        "peak_over_tension": float(hoop_stress(x, found.rim_stress[edge]).max() / TENSION),
+        "exact_peak_over_tension": float(hoop.max() / TENSION),
+        "exchanges": found.exchange.exchanges,
+        "mismatch": found.exchange.mismatch,
+        "rim_residual": found.exchange.rim_residual,
+        "bulk_residual": found.exchange.bulk_residual,
+        "overlap": found.overlap,
+        "seconds": seconds,
+    }
+    return numbers, found
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    file = ROOT / "runs" / "graphene_0K" / "model.json"
+    parser.add_argument("--model", type=Path, default=file, help="a model file")
+    parser.add_argument("--radius", type=float, default=40.0, help="of the hole [Å]")
+    parser.add_argument("--half", type=float, default=100.0, help="half the plate's width [Å]")
+    parser.add_argument("--size", type=float, default=2.0, help="of the triangles at the hole [Å]")
+    parser.add_argument("--spacing", type=float, default=2.5, help="of the bulk's lattice [Å]")
+    parser.add_argument("--horizon", type=float, default=7.5, help="there [Å]")
+    parser.add_argument("--overlap", type=float, help="of rim and bulk [Å]")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "plate_with_hole")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    model = warp_peri.load_model(args.model)
+    if not model.is_certified_on(args.spacing) or args.horizon != model.horizon:
+        model = warp_peri.on_lattice(model, spacing=args.spacing, horizon=args.horizon)
+    coupling = Coupling(spacing=args.spacing, overlap=args.overlap)
+    numbers, found = solve_plate(model, args.radius, args.half, args.size, coupling)
+    print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
+    mesh = found.rim.mesh
+    _, stress = found.on_corners()
+    figure = Figure(figsize=(5.5, 4.5), layout="constrained")
+    axes = figure.subplots()
+    triangles = Triangulation(mesh.x[:, 0], mesh.x[:, 1], mesh.triangles)
+    shown = axes.tripcolor(triangles, stress[:, 0, 0] / TENSION, shading="gouraud", cmap="viridis")
+    axes.set(aspect="equal", title="σ₁₁ over the tension far away", xlabel="Å")
+    figure.colorbar(shown, ax=axes)
+    args.out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(args.out / "stress.png", dpi=120)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""`warp-peri solve --body`: a mesh of Gmsh to displacement and stress for ParaView."""
+
+import dataclasses
+import json
+
+import meshio
+import numpy as np
+import pytest
+
+from tests.support.plates import plate
+from tests.support.problems import kernel
+from warp_peri.cli.main import main
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A model file, and a plate of 40 Å with a hole in Gmsh's format."""
+    dataclasses.replace(kernel("positive", 2.5), certified_on=(1.0,)).save(tmp_path / "model.json")
+    mesh = plate(7.0, 20.0, 10, 48)
+    numbers = {"hole": 1, "left": 2, "right": 3}
+    sides = {
+        "hole": mesh.parts["hole"],
+        **{
+            name: [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], at)]
+            for name, at in (("left", -20.0), ("right", 20.0))
+        },
+    }
+    lines = np.concatenate([mesh.edges[sides[name]] for name in numbers])
+    tags = [np.repeat(list(numbers.values()), [len(sides[name]) for name in numbers])]
+    tags.append(np.full(len(mesh.triangles), 9))
+    meshio.Mesh(
+        np.column_stack([mesh.x, np.zeros(len(mesh.x))]),
+        [("line", lines), ("triangle", mesh.triangles)],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={name: np.array([n, 1]) for name, n in numbers.items()},
+    ).write(tmp_path / "plate.msh", file_format="gmsh22", binary=False)
+    return tmp_path
+
+
+def test_a_plate_is_pulled(files, capsys):
+    out = files / "pulled.vtu"
+    words = ["solve", files / "model.json", "--body", files / "plate.msh", "--hold", "left=0,0"]
+    words += ["--pull", "right=0.005,0", "--out", out, "--json"]
+    assert main([str(word) for word in words]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["mismatch"] <= 1e-8
+    assert numbers["lattice_nodes"] > 100
+    read = meshio.read(out)
+    right = np.isclose(read.points[:, 0], 20.0)
+    assert read.point_data["displacement"][right, 0].min() > 0
+    assert read.point_data["stress"][right, 0].mean() == pytest.approx(0.005, rel=0.1)
+    again = files / "again.vtu"
+    assert main(["solve", "--config", str(files / "pulled.solve.toml"), "--out", str(again)]) == 0
+    np.testing.assert_array_equal(
+        meshio.read(again).point_data["displacement"], read.point_data["displacement"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--hold", "up=0,0"], "part 'up': the outline has"),
+        (["--hold", "left"], "hold: expected PART=number,number"),
+        (["--hold", "left=0,0", "--out", "x.h5"], "expected a .vtu file"),
+    ],
+)
+def test_bad_input_writes_nothing(files, capsys, words, message):
+    base = ["solve", files / "model.json", "--body", files / "plate.msh"]
+    out = [] if "--out" in words else ["--out", files / "new.vtu"]
+    before = set(files.iterdir())
+    assert main([str(word) for word in [*base, *out, *words]]) == 2
+    assert message in capsys.readouterr().err
+    assert {path for path in files.iterdir() if path.suffix != ".lock"} == before

@@ -1,0 +1,150 @@
+"""Bodies with holes by elements at the outline and the learned operator inside."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tests.support.plates import plate
+from warp_peri import Model, certify
+from warp_peri.errors import InputError
+from warp_peri.statics.body import Coupling, long_wave, solve_body
+from warp_peri.statics.hole import hoop_stress, plate_with_hole
+from warp_peri.statics.rim import Moduli
+
+SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A kernel that changes sign, three spacings wide, certified on its lattice."""
+    found = Model(lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0)
+    assert certify(found, spacing=SPACING).holds
+    assert found.influence([1.0, 3.0]).prod() < 0
+    return dataclasses.replace(found, certified_on=(SPACING,))
+
+
+def exact(model):
+    moduli = long_wave(model, SPACING)
+    return lambda x: plate_with_hole(x, RADIUS, TENSION, moduli)
+
+
+def error(found, expected):
+    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
+
+
+def test_a_hole_has_the_exact_displacement_and_hoop_stress(model):
+    field = exact(model)
+    mesh = plate(RADIUS, HALF, 16, 80)
+    found = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
+    assert error(found.u_rim, field(found.rim.x)[0]) < 5e-4
+    assert error(found.u_bulk, field(found.points.x)[0]) < 5e-4
+    edge = found.rim.nodes_of("hole")
+    x = found.rim.x[edge]
+    expected = hoop_stress(x, field(x)[1])
+    assert np.abs(hoop_stress(x, found.rim_stress[edge]) - expected).max() < 0.01 * expected.max()
+    assert found.exchange.exchanges <= 12
+    assert found.exchange.mismatch <= 1e-8
+    assert found.exchange.rim_residual < 1e-8
+    assert found.exchange.bulk_residual < 1e-8
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_an_affine_field_is_exact(model, degree):
+    gradient = np.array([[2e-3, 7e-4], [-3e-4, -1e-3]])
+    stress = long_wave(model, SPACING).stress(gradient)
+    found = solve_body(
+        model,
+        plate(RADIUS, HALF, 12, 40),
+        displacement={"sides": lambda x: x @ gradient.T},
+        traction={"hole": lambda x, n: n @ stress},
+        coupling=Coupling(degree=degree, tolerance=1e-12),
+    )
+    assert error(found.u_rim, found.rim.x @ gradient.T) < 1e-10
+    assert error(found.u_bulk, found.points.x @ gradient.T) < 1e-10
+    np.testing.assert_allclose(
+        found.rim_stress,
+        np.broadcast_to(stress, found.rim_stress.shape),
+        atol=1e-10 * np.abs(stress).max(),
+    )
+    u, everywhere = found.on_corners()
+    assert error(u, found.rim.mesh.x @ gradient.T) < 1e-10
+    assert np.abs(everywhere - stress).max() < 1e-9 * np.abs(stress).max()
+
+
+def test_the_exact_field_is_in_balance_and_kirsch_when_isotropic():
+    moduli = Moduli(C11=1.2, C12=0.4, C44=0.4)
+    angle = np.linspace(0, 2 * np.pi, 17)[:-1]
+    x = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    _, stress = plate_with_hole(x, RADIUS, TENSION, moduli)
+    assert np.abs(np.einsum("nab,nb->na", stress, x)).max() < 1e-6 * TENSION * RADIUS
+    np.testing.assert_allclose(
+        hoop_stress(x, stress), TENSION * (1 - 2 * np.cos(2 * angle)), atol=1e-6 * TENSION
+    )
+    step = 1e-4
+    u = [
+        plate_with_hole(1.7 * x + d, RADIUS, TENSION, moduli)[0]
+        for d in step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    ]
+    gradient = np.stack([u[0] - u[1], u[2] - u[3]], axis=-1) / (2 * step)
+    _, beyond = plate_with_hole(1.7 * x, RADIUS, TENSION, moduli)
+    np.testing.assert_allclose(moduli.stress(gradient), beyond, atol=1e-5 * TENSION)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"displacement": {"top": (0, 0)}}, "part 'top': the outline has hole, sides"),
+        ({"displacement": {"sides": (0, np.nan)}}, "hold the body against shifts and turns"),
+        ({"displacement": {"sides": (0, 0, 0)}}, "part 'sides': expected vectors of shape"),
+        ({"traction": {"rim": (0, 1)}}, "part 'rim': the outline has"),
+        ({"coupling": Coupling(overlap=20.0)}, "a hole of 16 Å is smaller than the overlap"),
+        ({"coupling": Coupling(degree=3)}, "degree: expected 1 or 2"),
+    ],
+)
+def test_bad_input_is_named(model, change, message):
+    asked = {"displacement": {"sides": (0.0, 0.0)}} | change
+    with pytest.raises(InputError, match=message):
+        solve_body(model, plate(RADIUS, HALF, 8, 32), **asked)
+
+
+def test_a_mesh_in_another_unit_is_refused(model):
+    mesh = plate(RADIUS * 1e-10, HALF * 1e-10, 8, 32)
+    with pytest.raises(InputError, match="expected positions in Å"):
+        solve_body(model, mesh, displacement={"sides": (0, 0)}, coupling=Coupling(overlap=0.0))
+
+
+def test_a_thin_body_is_solved_by_elements_alone(model):
+    field = exact(model)
+    mesh = plate(RADIUS, 14.0, 12, 80)
+    with pytest.warns(UserWarning, match="elements alone"):
+        found = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
+    assert found.points is None
+    assert error(found.u_rim, field(found.rim.x)[0]) < 5e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("degree", "least"), [(1, 1.8), (2, 2.7)])
+def test_displacement_converges_with_the_mesh_of_the_rim(model, degree, least):
+    field = exact(model)
+    rings = np.array([8, 16, 32, 64])
+    coupling = Coupling(degree=degree)
+    found = [
+        solve_body(
+            model,
+            plate(RADIUS, HALF, n, 4 * n),
+            displacement={"sides": lambda x: field(x)[0]},
+            coupling=coupling,
+        )
+        for n in rings
+    ]
+    finest = found.pop()
+    tree = cKDTree(finest.rim.x)
+    errors = []
+    for one in found:
+        corners = one.rim.corner_nodes
+        away, same = tree.query(one.rim.x[corners])
+        there = away < 1e-9  # the inner sides of two rims do not lie on one line
+        errors.append(error(one.u_rim[corners[there]], finest.u_rim[same[there]]))
+    assert -np.polyfit(np.log(rings[:-1]), np.log(errors), 1)[0] >= least

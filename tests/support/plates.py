@@ -1,0 +1,35 @@
+"""Square plates with a round hole, meshed ring by ring."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_peri.points.mesh import Mesh, make_mesh
+
+
+def plate(radius: float, half: float, rings: int, around: int) -> Mesh:
+    """Triangles between a hole and the sides of a square about it; parts "hole" and "sides"."""
+    angle = 2 * np.pi * np.arange(around) / around
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    square = circle / np.abs(circle).max(axis=1)[:, None]
+    share = np.linspace(0, 1, rings + 1)[:, None, None] ** 1.5  # finer at the hole
+    x = (radius * circle * (1 - share) + half * square * share).reshape(-1, 2)
+    here, next = np.arange(around), (np.arange(around) + 1) % around
+    triangles = []
+    for ring in range(0, rings * around, around):
+        inner, outer = ring + here, ring + around + here
+        inner_next, outer_next = ring + next, ring + around + next
+        triangles += [
+            np.stack([inner, inner_next, outer], axis=1),
+            np.stack([inner_next, outer_next, outer], axis=1),
+        ]
+    hole = np.stack([here, next], axis=1)
+    ends = np.sort(hole, axis=1)
+    middle = x[ends].sum(axis=1)
+    middle *= radius / np.hypot(*middle.T)[:, None]
+    return make_mesh(
+        x,
+        np.concatenate(triangles),
+        {"hole": hole, "sides": hole + rings * around},
+        {(a, b): point for (a, b), point in zip(ends.tolist(), middle)},
+    )

@@ -1,0 +1,66 @@
+"""`solve --body`: a mesh, what holds and pulls it, to displacement and stress."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from warp_peri.cli.settings_file import keep
+from warp_peri.errors import InputError
+from warp_peri.files.whole import locked
+from warp_peri.models.lps import load_model
+
+
+def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
+    """A body in equilibrium: a VTU file of its mesh.
+
+    Raises InputError for a data file beside the body, or neither, and another ending than .vtu.
+    """
+    from warp_peri.export import write_body
+    from warp_peri.points.mesh import load_mesh
+    from warp_peri.statics.body import Coupling, solve_body
+
+    if given.body is None or given.data is not None:
+        raise InputError("data, body: expected one of DATA.h5 and --body MESH")
+    if given.out.suffix != ".vtu":
+        raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
+    found = solve_body(
+        load_model(given.model),
+        load_mesh(given.body),
+        displacement=_vectors("hold", given.hold),
+        traction=_vectors("pull", given.pull),
+        coupling=Coupling(spacing=given.spacing, overlap=given.overlap),
+        allow_uncertified=given.allow_uncertified,
+    )
+    with locked(given.out):
+        largest = write_body(given.out, found)
+        keep(given, given.out.with_suffix(".solve.toml"))
+    exchange = found.exchange
+    return {
+        "file": str(given.out),
+        **largest,
+        "lattice_nodes": 0 if found.points is None else int(found.points.interior.sum()),
+        "exchanges": exchange.exchanges,
+        "mismatch": exchange.mismatch,
+        "rim_residual": exchange.rim_residual,
+        "bulk_residual": exchange.bulk_residual,
+        "overlap": found.overlap,
+    }
+
+
+def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
+    """PART=a,b as vectors by part; "-" is no number."""
+    found = {}
+    for word in words:
+        name, _, numbers = word.rpartition("=")
+        try:
+            pair = [np.nan if part == "-" else float(part) for part in numbers.split(",")]
+        except ValueError:
+            pair = []
+        if not name or len(pair) != 2:
+            raise InputError(f"{option}: expected PART=number,number, got {word!r}")
+        found[name] = np.array(pair)
+    return found

@@ -1,0 +1,222 @@
+"""A body as triangles: its outline, the named parts of it, and its file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
+
+REST = "rest"
+"""Name of the edges of an outline that have no other."""
+FLAT = 1e-9
+"""Area of a triangle over the square of its longest side below which it counts as none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles of a body, with an outline that may be curved.
+
+    Attributes:
+        x: corners [Å], shape [P, 2].
+        triangles: their corners, shape [T, 3], counter-clockwise.
+        edges: the outline's edges by their corners, shape [E, 2], the body on their left.
+        middle: points of the outline halfway along the edges [Å], shape [E, 2]; an edge is the
+            parabola through its ends and this.
+        parts: edges by name, numbers into `edges`; those that have no name are REST.
+    """
+
+    x: np.ndarray
+    triangles: np.ndarray
+    edges: np.ndarray
+    middle: np.ndarray
+    parts: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def loops(self) -> np.ndarray:
+        """Number of the closed curve that each edge belongs to, shape [E]."""
+        one = np.ones(len(self.edges))
+        size = (len(self.x), len(self.x))
+        _, label = connected_components(coo_array((one, tuple(self.edges.T)), shape=size))
+        found: np.ndarray = np.unique(label[self.edges[:, 0]], return_inverse=True)[1]
+        return found
+
+    @property
+    def loop_sizes(self) -> np.ndarray:
+        """Smaller side of the box around each closed curve of the outline [Å]."""
+        sides = [
+            np.ptp(self.along(np.array([0.0, 0.5]), self.loops == n), axis=0).min()
+            for n in range(self.loops.max() + 1)
+        ]
+        return np.array(sides)
+
+    def along(self, places: np.ndarray, kept: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Points of edges [Å] at places 0 to 1 along each, shape [edges · places, 2]."""
+        start, end = self.x[self.edges[kept, 0]], self.x[self.edges[kept, 1]]
+        s = places[None, :, None]
+        bulge = self.middle[kept] - (start + end) / 2
+        points = start[:, None] * (1 - s) + end[:, None] * s + 4 * s * (1 - s) * bulge[:, None]
+        return np.asarray(points.reshape(-1, 2))
+
+    def distance(self, x: np.ndarray, step: float) -> np.ndarray:
+        """Distance [Å] of points to the outline, by points of it no further than `step` apart."""
+        lengths = np.hypot(*(self.x[self.edges[:, 1]] - self.x[self.edges[:, 0]]).T)
+        count = int(np.ceil(lengths.max() / step)) + 1
+        found: np.ndarray = cKDTree(self.along(np.arange(count) / count)).query(x)[0]
+        return found
+
+    def holding(self, x: np.ndarray) -> np.ndarray:
+        """Number of the straight-sided triangle that holds each point, −1 where none does."""
+        from matplotlib.tri import Triangulation
+
+        finder = Triangulation(self.x[:, 0], self.x[:, 1], self.triangles).get_trifinder()
+        return np.asarray(finder(x[:, 0], x[:, 1]))
+
+
+def make_mesh(
+    x: ArrayLike,
+    triangles: ArrayLike,
+    parts: Mapping[str, ArrayLike] | None = None,
+    middle: dict[tuple[int, int], np.ndarray] | None = None,
+) -> Mesh:
+    """A mesh from corners and triangles.
+
+    Args:
+        x: corners [Å], shape [P, 2]; those that no triangle has are left out.
+        triangles: corners of each, shape [T, 3], in either sense.
+        parts: edges of the outline by name, pairs of corners, shape [n, 2].
+        middle: points halfway along curved edges [Å], by the pair of corners, the smaller first.
+
+    Raises InputError for triangles without area, corners out of range, an edge of more than two
+    triangles, and named edges that are not of the outline.
+    """
+    x = checked("x", x, float)
+    t = np.asarray(triangles)
+    whole = t.ndim == 2 and t.shape[1] == 3 and len(t) > 0 and t.dtype.kind in "iu"
+    if x.ndim != 2 or x.shape[1] != 2 or not whole:
+        raise InputError(
+            f"mesh: expected corners [P, 2] and triangles [T, 3], got {list(x.shape)} and "
+            f"{list(t.shape)}"
+        )
+    if t.min() < 0 or t.max() >= len(x):
+        raise InputError(f"triangles: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
+    sides = x[t[:, 1:]] - x[t[:, :1]]
+    area = np.linalg.det(sides) / 2
+    longest = np.hypot(*np.moveaxis(sides, -1, 0)).max(axis=1)
+    if not (np.abs(area) > FLAT * longest**2).all():
+        worst = int(np.argmin(np.abs(area) / longest**2))
+        raise InputError(f"triangles: number {worst} has no area")
+    t = np.where((area < 0)[:, None], t[:, ::-1], t)
+    every = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+    pairs = np.sort(every, axis=1)
+    _, back, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    if count.max() > 2:
+        raise InputError("triangles: expected one or two at each edge, some edge has more")
+    edges = every[count[back.ravel()] == 1]
+    return _numbered(x, t, edges, parts or {}, middle or {})
+
+
+def _numbered(
+    x: np.ndarray,
+    triangles: np.ndarray,
+    edges: np.ndarray,
+    parts: Mapping[str, ArrayLike],
+    middle: dict[tuple[int, int], np.ndarray],
+) -> Mesh:
+    """The mesh with the edges of its parts numbered, and without corners that nothing has."""
+    keys = [(min(pair), max(pair)) for pair in edges.tolist()]
+    number = {key: n for n, key in enumerate(keys)}
+    middles = (x[edges[:, 0]] + x[edges[:, 1]]) / 2
+    for key, point in middle.items():
+        if key in number:
+            middles[number[key]] = point
+    named: dict[str, np.ndarray] = {}
+    for name, pairs in parts.items():
+        of = [number.get((min(p), max(p)), -1) for p in np.asarray(pairs).reshape(-1, 2).tolist()]
+        if -1 in of:
+            raise InputError(f"part '{name}': expected edges of the outline, some are inside")
+        named[name] = np.array(sorted(of), dtype=int)
+    taken = np.zeros(len(edges), bool)
+    for of_part in named.values():
+        taken[of_part] = True
+    if not taken.all():
+        named[REST] = np.union1d(named.get(REST, np.zeros(0, int)), np.flatnonzero(~taken))
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    new = np.full(len(x), -1)
+    new[used] = np.arange(len(used))
+    return Mesh(x[used], renumbered.reshape(-1, 3), new[edges], middles, named)
+
+
+def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """A 2-D mesh of any format that meshio reads, positions in Å.
+
+    Triangles and quadrilaterals (cut in two), straight or of second order, whose edges' midpoints
+    are kept on the outline. Parts of the outline are the lines' physical names or sets.
+
+    Raises InputError for a file that is not read, without meshio (the extra `bodies`), not plane,
+    or without triangles or quadrilaterals.
+    """
+    try:
+        import meshio
+    except ImportError:
+        raise InputError("meshio is not installed: pip install 'warp_peri[bodies]'") from None
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such mesh file")
+    try:
+        read = meshio.read(path)
+    except (Exception, SystemExit) as error:  # meshio leaves the program on some files
+        raise InputError(f"{path}: not a mesh that meshio reads ({error})") from None
+    points = np.asarray(read.points, dtype=float)
+    if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
+        raise InputError(f"{path}: expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
+    x, triangles = points[:, :2], []
+    middle: dict[tuple[int, int], np.ndarray] = {}
+    for block in read.cells:
+        corners = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
+        if block.type not in corners:
+            continue
+        n, cells = corners[block.type], np.asarray(block.data)
+        triangles += [cells[:, [0, k, k + 1]] for k in range(1, n - 1)]
+        if cells.shape[1] > n:
+            for k in range(n):
+                ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
+                middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
+    if not triangles:
+        kinds = ", ".join(sorted({block.type for block in read.cells})) or "nothing"
+        raise InputError(f"{path}: expected triangles or quadrilaterals, got {kinds}")
+    try:
+        return make_mesh(x, np.concatenate(triangles), _named_lines(read), middle)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _named_lines(read: object) -> dict[str, np.ndarray]:
+    """The lines of a meshio mesh by name: its sets, or Gmsh's physical groups."""
+    sets: dict[str, list[np.ndarray]] = {}
+    cells, data = read.cells, read.cell_data  # type: ignore[attr-defined]
+    names = {int(value[0]): name for name, value in read.field_data.items() if value[1] == 1}  # type: ignore[attr-defined]
+    for number, block in enumerate(cells):
+        if not block.type.startswith("line"):
+            continue
+        pairs = np.asarray(block.data)[:, :2]
+        if "gmsh:physical" in data:
+            for tag in np.unique(data["gmsh:physical"][number]):
+                if tag in names:
+                    sets.setdefault(names[tag], []).append(
+                        pairs[data["gmsh:physical"][number] == tag]
+                    )
+            continue
+        for name, kept in read.cell_sets.items():  # type: ignore[attr-defined]
+            if kept[number] is not None and len(kept[number]):
+                sets.setdefault(name, []).append(pairs[kept[number]])
+    return {name: np.concatenate(found) for name, found in sets.items()}

@@ -1,0 +1,174 @@
+"""The bulk of a body: a learned operator on the lattice nodes whose families are whole (B4)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from scipy.ndimage import distance_transform_edt
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.stencil import stencil
+from warp_peri.points.mesh import Mesh
+from warp_peri.points.points import Points
+from warp_peri.statics.definite import refuse_indefinite
+from warp_peri.statics.direct import MatrixProblem
+from warp_peri.statics.dirichlet import Dirichlet
+from warp_peri.statics.domain import domain
+
+DIRECT = 4_000
+"""Most unknown nodes whose operator is factorised."""
+MARGIN = 0.25
+"""Distance of collar nodes from the outline, in spacings: room for what curves between corners."""
+SAMPLED = 0.1
+"""Points of the outline that distances are measured to, in spacings."""
+LARGEST = 20_000_000
+"""Most lattice nodes in the box around a body."""
+SHARE = 1e-2
+"""Tolerance of iterative solves, of that of the exchange."""
+
+
+def bulk_points(mesh: Mesh, spacing: float, horizon: float) -> tuple[Points, np.ndarray] | None:
+    """Lattice nodes of a body, unknown where they are 2δ and a margin off the outline.
+
+    Args:
+        mesh: of the body.
+        spacing: h [Å]; nodes are multiples of it.
+        horizon: δ [Å].
+
+    Returns:
+        The nodes with a collar of 2δ, and the triangle that holds each, shape [N]; None where no
+        node is so far inside.
+
+    Raises InputError for a body of more nodes than LARGEST, or of less than one spacing.
+    """
+    low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
+    first = np.floor(low / spacing).astype(int) - 1
+    shape = np.ceil(high / spacing).astype(int) + 2 - first
+    if shape.prod() > LARGEST or (high - low).max() < spacing:
+        raise InputError(
+            f"mesh: {high[0] - low[0]:.3g} by {high[1] - low[1]:.3g}, expected positions in Å of a "
+            f"body that a lattice of {spacing:g} Å fills with 1 to {LARGEST:.0e} nodes"
+        )
+    axes = [spacing * (start + np.arange(n)) for start, n in zip(first, shape)]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    held = mesh.holding(x)
+    inside = np.flatnonzero(held >= 0)
+    away = np.zeros(len(x))
+    away[inside] = mesh.distance(x[inside], SAMPLED * spacing)
+    unknown = away >= 2 * horizon + MARGIN * spacing
+    if not unknown.any():
+        return None
+    from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
+    needed = from_unknown <= 2 * horizon * (1 + 1e-6)
+    return Points(x[needed], unknown[needed], spacing), held[needed]
+
+
+class Bulk:
+    """L u = b on the unknown nodes, for any load and collar.
+
+    Args:
+        model: certified on the lattice of the points, or allowed there.
+        points: the unknown nodes and their collar.
+        tolerance: of the exchange.
+
+    Raises InputError for an operator that is singular or indefinite.
+    """
+
+    def __init__(self, model: Model, points: Points, tolerance: float) -> None:
+        self.model, self.points = model, points
+        self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
+        self.tolerance = SHARE * tolerance
+        self.problem: MatrixProblem | None = None
+        if len(self.inside) <= DIRECT:
+            parts = matrices(model, points)
+            self.problem = MatrixProblem(parts.operator(model.lam, model.mu), points.interior)
+            refuse_indefinite(points, model.horizon, model.solid, self.problem.stiffness)
+            return
+        self.domain = domain(
+            points, model.horizon, bond_based=model.bond_based, device=torch.device("cpu")
+        )
+        with torch.no_grad():
+            A = stencil(self.domain.classes, model.solid)
+            self.system = Dirichlet(self.domain, A, "multigrid")
+
+    def pull(self, collar: np.ndarray) -> np.ndarray:
+        """L of what the collar moves, shape [C, 2], on the unknown nodes [TPa/Å], shape [I, 2]."""
+        if self.problem is not None:
+            return np.asarray(self.problem.collar @ collar.ravel()).reshape(-1, 2)
+        field = torch.zeros(len(self.points.x), 2, dtype=torch.float64)
+        field[self.collar] = torch.from_numpy(np.ascontiguousarray(collar))
+        pulled = self.system.pull(self.domain.gather_near(field) * self.domain.collar)
+        return self.domain.scatter_free(pulled).numpy()
+
+    def push(self, inner: np.ndarray) -> np.ndarray:
+        """The transpose of pull: [I, 2] to [C, 2]."""
+        if self.problem is not None:
+            return np.asarray(self.problem.collar.T @ inner.ravel()).reshape(-1, 2)
+        wide = self.domain.widen(self.domain.gather_free(torch.from_numpy(inner)))
+        pulled = self.domain.torus.product(self.system.symbol, wide)
+        return self.domain.scatter_near(pulled, len(self.points.x)).numpy()[self.collar]
+
+    def apply(self, inner: np.ndarray) -> np.ndarray:
+        """L_II of displacements of the unknown nodes, shape [I, 2]."""
+        if self.problem is not None:
+            return np.asarray(self.problem.stiffness @ inner.ravel()).reshape(-1, 2)
+        field = self.domain.gather_free(torch.from_numpy(inner))
+        return self.domain.scatter_free(self.system.product(field)).numpy()
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """L_II⁻¹ of a right-hand side [TPa/Å], shape [I, 2]."""
+        if self.problem is not None:
+            flat = right.reshape(-1, 1)
+            found = self.problem.factors.solve(flat)
+            self.problem.check(found, flat)
+            return np.asarray(found).reshape(-1, 2)
+        field = self.domain.gather_free(torch.from_numpy(np.ascontiguousarray(right)))
+        found, _ = self.system.solve(field, self.tolerance)
+        return self.domain.scatter_free(found).numpy()
+
+    def field(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
+        """Both on all nodes, shape [N, 2]."""
+        u = np.empty_like(self.points.x)
+        u[self.inside], u[self.collar] = inner, collar
+        return u
+
+
+def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
+    """Matrix from values at unknown nodes to values at positions, cubic along both axes (B5).
+
+    Shape [m, I]; Lagrange's polynomials of the 4 × 4 nodes around each position.
+
+    Raises InputError where one of them is not an unknown node.
+    """
+    h = points.spacing
+    grid = np.rint(points.x / h).astype(int)
+    corner = grid.min(axis=0)
+    number = np.full(grid.max(axis=0) - corner + 1, -1)
+    number[tuple((grid[points.interior] - corner).T)] = np.arange(points.interior.sum())
+    place = x / h - corner
+    base = np.floor(place).astype(int) - 1
+    if (base < 0).any() or (base + 3 >= number.shape).any():
+        raise InputError(_TOO_NARROW)
+    s = place - base  # in [1, 2)
+    steps = np.arange(4)
+    weight = np.ones((len(x), 2, 4))
+    for k in steps:
+        for j in steps[steps != k]:
+            weight[:, :, k] *= (s - j) / (k - j)
+    node = number[base[:, 0, None, None] + steps[:, None], base[:, 1, None, None] + steps[None, :]]
+    if (node < 0).any():
+        raise InputError(_TOO_NARROW)
+    value = weight[:, 0, :, None] * weight[:, 1, None, :]
+    row = np.broadcast_to(np.arange(len(x))[:, None, None], node.shape)
+    shape = (len(x), int(points.interior.sum()))
+    entries = (value.ravel(), (row.ravel(), node.ravel()))
+    return sp.csr_array(sp.coo_array(entries, shape=shape))
+
+
+_TOO_NARROW = (
+    "overlap: the inner side of the rim leaves the nodes that are solved for; expected a smaller "
+    "overlap, a wider body, or a mesh with triangles smaller than the overlap"
+)
