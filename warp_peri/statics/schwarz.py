@@ -96,7 +96,8 @@ class Schwarz:
             record.exchanges += 1
             asked[:] = [(side.copy(), *self.once(*nothing, side.reshape(start.shape)))]
             back: np.ndarray = self.to_rim @ asked[0][2]
-            return side - back.ravel()
+            change: np.ndarray = side - back.ravel()
+            return change
 
         matrix = LinearOperator((off.size, off.size), left, dtype=float)
         goal = 0.5 * tolerance * float(np.linalg.norm(start + off.reshape(start.shape)))
