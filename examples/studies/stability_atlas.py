@@ -26,6 +26,7 @@ import warp_peri
 from examples.graphene_report import save_figure
 from examples.studies import (
     atlas_conditions,
+    atlas_cracks,
     atlas_flow,
     atlas_hyperelastic,
     atlas_kernels,
@@ -76,6 +77,9 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
         "noise-of-its-own": atlas_flow.independent_noise,
+        "broken": lambda: atlas_cracks.broken_kernels(model()),
+        "stretch": atlas_cracks.misjudged_stretch,
+        "long-steps": atlas_cracks.long_steps,
     }
 
 
