@@ -41,6 +41,7 @@ if __name__ == "__main__":
     wrong = np.linalg.norm(u - exact, axis=1)
     plt.scatter((x + u)[body, 0], (x + u)[body, 1], s=9, c=wrong[body])
     plt.colorbar(label="|u − elasticity|")
-    plt.gca().set_aspect("equal")
+    plt.gca().set(aspect="equal", xlabel="x / R", ylabel="y / R")
+    plt.title("The disk as it spins; its core is held")
     PICTURE.parent.mkdir(exist_ok=True)
     plt.savefig(PICTURE)
