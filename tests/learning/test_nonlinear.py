@@ -52,7 +52,7 @@ def test_what_made_the_data_is_found_again(learned):
     assert np.allclose(model.numbers[:2], known.numbers[:2], rtol=1e-3)
     assert model.linear.certified_on == (1.0,)
     assert model.proven_strain(1.0) > 0.005
-    unseen = evaluate(model, samples_of(known, 0.02, seed=5, count=2))
+    unseen = evaluate(model, samples_of(known, 0.008, seed=5, count=2))
     assert unseen["E_res"] < 1.2 * NOISE
     assert unseen["E_u"] < NOISE
     assert unseen["unique"]
