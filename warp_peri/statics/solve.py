@@ -86,8 +86,8 @@ def solve(
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
     Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
-    operator that is singular to working precision or, on a lattice without broken bonds,
-    indefinite.
+    operator that is singular to working precision or, on a lattice or where bonds are broken, not
+    positive definite; of the last allow_uncertified makes a warning.
     """
     known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
@@ -111,7 +111,10 @@ def solve(
         problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
         answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
         stiffness, degree = problem.stiffness, quadrature_degree
-        refuse_indefinite(nodes, model.horizon, model.solid, stiffness, degree=degree)
+        solid = model.solid
+        refuse_indefinite(
+            nodes, model.horizon, solid, stiffness, degree=degree, allowed=allow_uncertified
+        )
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
     return u.reshape(shape)
