@@ -95,9 +95,8 @@ class Schwarz:
         def left(side: np.ndarray) -> np.ndarray:
             record.exchanges += 1
             asked[:] = [(side.copy(), *self.once(*nothing, side.reshape(start.shape)))]
-            back: np.ndarray = self.to_rim @ asked[0][2]
-            change: np.ndarray = side - back.ravel()
-            return change
+            found: np.ndarray = side - (self.to_rim @ asked[0][2]).ravel()
+            return found
 
         matrix = LinearOperator((off.size, off.size), left, dtype=float)
         goal = 0.5 * tolerance * float(np.linalg.norm(start + off.reshape(start.shape)))
