@@ -150,6 +150,17 @@ def sweeps(scalar):
                 total += density * xi - mats_at(H_bar, s, j) * (b[4] * xi)
         u_bar[s, i] = total
 
+    @wp.struct
+    class Fields:
+        u: wp.array2d(dtype=vec)
+        theta: wp.array2d(dtype=scalar)
+        H: wp.array2d(dtype=mat)
+        P: wp.array2d(dtype=mat)
+        g: wp.array2d(dtype=vec)
+        theta_bar: wp.array2d(dtype=scalar)
+        P_bar: wp.array2d(dtype=mat)
+        H_bar: wp.array2d(dtype=mat)
+
     @wp.kernel(enable_backward=False)
     def table_adjoint(
         block: wp.int32,
@@ -160,14 +171,7 @@ def sweeps(scalar):
         bonds: wp.array(dtype=bond_type),
         bulk: scalar,
         radius: scalar,
-        u: wp.array2d(dtype=vec),
-        theta: wp.array2d(dtype=scalar),
-        H: wp.array2d(dtype=mat),
-        P: wp.array2d(dtype=mat),
-        g: wp.array2d(dtype=vec),
-        theta_bar: wp.array2d(dtype=scalar),
-        P_bar: wp.array2d(dtype=mat),
-        H_bar: wp.array2d(dtype=mat),
+        fields: Fields,
         bars: wp.array(dtype=four),
         by_numbers: wp.array(dtype=numbers),
         by_bulk: wp.array(dtype=scalar),
@@ -177,22 +181,22 @@ def sweeps(scalar):
         count = bonds.shape[0]
         material = numbers()
         bulks = scalar(0.0)
-        for s in range(u.shape[0]):
+        for s in range(fields.u.shape[0]):
             for t in range(begin, end):
                 i = nodes[t]
-                ui = u[s, i]
-                gi = g[s, i]
-                own = theta[s, i]
-                back = theta_bar[s, i]
-                into = H_bar[s, i]
+                ui = fields.u[s, i]
+                gi = fields.g[s, i]
+                own = fields.theta[s, i]
+                back = fields.theta_bar[s, i]
+                into = fields.H_bar[s, i]
                 for p in range(count):
                     b = bond_at(bonds, p)
                     j = int_at(neighbour, i * count + p)
                     xi = vec(b[0], b[1])
-                    eta = vecs_at(u, s, j) - ui
+                    eta = vecs_at(fields.u, s, j) - ui
                     along = wp.dot(gi, xi)
                     stretch = wp.dot(xi, eta)
-                    both = along * (own + scalars_at(theta, s, j))
+                    both = along * (own + scalars_at(fields.theta, s, j))
                     bulks -= b[3] * both
                     add_four(
                         bars,
@@ -201,10 +205,10 @@ def sweeps(scalar):
                             -along * stretch,
                             back * stretch - bulk * both,
                             wp.dot(into * xi, eta),
-                            -wp.dot(gi, mats_at(P, s, j) * xi),
+                            -wp.dot(gi, mats_at(fields.P, s, j) * xi),
                         ),
                     )
-                material += slopes(clipped(H[s, i], radius), P_bar[s, i])
+                material += slopes(clipped(fields.H[s, i], radius), fields.P_bar[s, i])
         by_numbers[block] = material
         by_bulk[block] = bulks
 
@@ -229,6 +233,7 @@ def sweeps(scalar):
         mat=mat,
         numbers=numbers,
         four=four,
+        Fields=Fields,
         state=state,
         force=force,
         state_adjoint=state_adjoint,

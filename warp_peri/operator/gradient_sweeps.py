@@ -114,13 +114,15 @@ class GradientSweeps:
         by_numbers, by_bulk = zeros(BLOCKS, dtype=kernels.numbers), zeros(BLOCKS)
         bars = [zeros(len(self.xi), dtype=kernels.four) for _ in range(BLOCKS)]
         ends = [len(self.full) * n // BLOCKS for n in range(BLOCKS + 1)]
-        fields = (bulk, radius, u, theta, H, P, g, theta_bar, P_bar, H_bar)
+        fields = kernels.Fields()
+        fields.u, fields.theta, fields.H, fields.P = u, theta, H, P
+        fields.g, fields.theta_bar, fields.P_bar, fields.H_bar = g, theta_bar, P_bar, H_bar
         kernels.table_adjoint.module.load(wp.get_device(DEVICE))
 
         def job(block: int) -> Callable[[], None]:
             where = (block, self._full, ends[block], ends[block + 1], self._neighbour, bonds)
             out = (bars[block], by_numbers, by_bulk)
-            return lambda: launch(kernels.table_adjoint, 1, (*where, *fields), out)
+            return lambda: launch(kernels.table_adjoint, 1, (*where, bulk, radius, fields), out)
 
         at_once([job(block) for block in range(BLOCKS)])
         by_bond = np.sum([bar.numpy() for bar in bars], axis=0)
