@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
-from warp_peri import InputError, LPSOperator, solve
+from warp_peri import InputError, LPSOperator, Model, certify, solve
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.families import families_of
 
@@ -109,3 +109,19 @@ def test_a_free_edge_is_right_to_the_first_order(lam):
 def test_an_outside_that_does_not_fit_is_refused(outside):
     with pytest.raises(InputError, match="outside: expected shape"):
         replace(BODIES["lattice"], outside=outside)
+
+
+def test_a_cut_operator_that_is_not_definite_is_refused_or_named():
+    points = lattice(8, HORIZON)
+    outside = points.x[:, 0] > 5.5
+    body = replace(points, interior=points.interior & ~outside, outside=outside)
+    fields = 0 * points.x, np.where(outside[:, None], 0, points.x @ GRADIENT.T)
+    solve(kernel("1/r", HORIZON), body, *fields)
+    numbers = {"lam": -0.3, "mu": 0.8, "alpha": 1.0, "D": [-0.5, -0.8, 0.9, 0.1, 0.5]}
+    model = Model(**numbers, horizon=HORIZON, certified_on=(1.0,))
+    assert certify(model, spacing=1.0).holds
+    message = r"smallest eigenvalue of its symmetric part is -0.068"
+    with pytest.raises(InputError, match=message):
+        solve(model, body, *fields)
+    with pytest.warns(UserWarning, match=message):
+        solve(model, body, *fields, allow_uncertified=True)

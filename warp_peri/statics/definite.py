@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import scipy.sparse as sp
 import torch
+from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.models.solid import Solid
@@ -22,11 +25,13 @@ def refuse_indefinite(
     stiffness: sp.csc_array,
     *,
     degree: int = DEGREE,
+    allowed: bool = False,
 ) -> None:
-    """Raise InputError when L_II is not positive definite, on lattices without broken bonds.
+    """Raise InputError when L_II is not positive definite, on lattices and where bonds are broken.
 
-    By the symbol, and where that proves nothing by the smallest eigenvalue. Elsewhere L is not
-    symmetric, and nothing is asked.
+    On plain lattices by the symbol, and where that proves nothing by the smallest eigenvalue. Where
+    bonds are broken, its symmetric part decides: a kernel that changes sign seldom bears that
+    (theory.md, B9). Elsewhere nothing is asked.
 
     Args:
         points: the nodes.
@@ -34,7 +39,11 @@ def refuse_indefinite(
         solid: of the operator.
         stiffness: L_II [TPa/Å²].
         degree: of the quadrature.
+        allowed: warn, where bonds are broken, instead.
     """
+    if points.outside is not None:
+        _judge_cut(sp.csc_array((stiffness + stiffness.T) / 2), allowed)
+        return
     if not points.is_plain_lattice:
         return
     nodes = domain(
@@ -50,3 +59,35 @@ def refuse_indefinite(
             f"the operator on these {np.count_nonzero(points.interior)} nodes is indefinite: its "
             f"smallest eigenvalue is {smallest:.1e} TPa/Å², so that its equilibria are not stable"
         )
+
+
+def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
+    """Refuse, or warn of, a symmetric part that is not positive definite."""
+    if _is_definite(symmetric):
+        return
+    smallest = smallest_eigenvalue(symmetric)
+    if smallest > 0:
+        return
+    message = (
+        f"outside: with these bonds broken the operator on {symmetric.shape[0] // 2} nodes is not "
+        f"positive definite: the smallest eigenvalue of its symmetric part is {smallest:.2g} "
+        "TPa/Å², and its solutions may be wrong; solve_body does without broken bonds"
+    )
+    if not allowed:
+        raise InputError(message)
+    warnings.warn(message, stacklevel=4)
+
+
+def _is_definite(symmetric: sp.csc_array) -> bool:
+    """Whether elimination without pivoting meets positive pivots only (Sylvester)."""
+    try:
+        factors = splu(
+            symmetric,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError:  # exactly singular
+        return False
+    same = np.array_equal(factors.perm_r, factors.perm_c)
+    return bool(same and (factors.U.diagonal() > 0).all())

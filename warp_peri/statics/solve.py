@@ -88,8 +88,8 @@ def solve(
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
     Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
-    operator that is singular to working precision or, on a lattice without broken bonds,
-    indefinite.
+    operator that is singular to working precision or, on a lattice or where bonds are broken, not
+    positive definite; of the last allow_uncertified makes a warning.
     """
     known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
@@ -111,20 +111,31 @@ def solve(
             )
         answer = _iterated(nodes, load, u, model, method, iteration)
     else:
-        answer = _direct(nodes, load, u, model, method, quadrature_degree)
+        degree, allowed = quadrature_degree, allow_uncertified
+        answer = _direct(nodes, load, u, model, method, degree, allowed=allowed)
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
     return u.reshape(shape)
 
 
 def _direct(
-    nodes: Points, load: np.ndarray, u: np.ndarray, model: Model, method: str, degree: int
+    nodes: Points,
+    load: np.ndarray,
+    u: np.ndarray,
+    model: Model,
+    method: str,
+    degree: int,
+    *,
+    allowed: bool,
 ) -> np.ndarray:
     """The solution of the assembled problem."""
     parts = matrices(model, nodes, quadrature_degree=degree)
     problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
     answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-    refuse_indefinite(nodes, model.horizon, model.solid, problem.stiffness, degree=degree)
+    stiffness = problem.stiffness
+    refuse_indefinite(
+        nodes, model.horizon, model.solid, stiffness, degree=degree, allowed=allowed
+    )
     return answer
 
 
