@@ -111,9 +111,8 @@ def solve(
             )
         answer = _iterated(nodes, load, u, model, method, iteration)
     else:
-        answer = _direct(
-            nodes, load, u, model, method, quadrature_degree, allowed=allow_uncertified
-        )
+        degree, allowed = quadrature_degree, allow_uncertified
+        answer = _direct(nodes, load, u, model, method, degree, allowed=allowed)
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
     return u.reshape(shape)
@@ -133,8 +132,8 @@ def _direct(
     parts = matrices(model, nodes, quadrature_degree=degree)
     problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
     answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-    stiffness, solid = problem.stiffness, model.solid
-    refuse_indefinite(nodes, model.horizon, solid, stiffness, degree=degree, allowed=allowed)
+    stiffness = problem.stiffness
+    refuse_indefinite(nodes, model.horizon, model.solid, stiffness, degree=degree, allowed=allowed)
     return answer
 
 
