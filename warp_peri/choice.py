@@ -74,6 +74,27 @@ def shipped_table() -> dict[str, Any]:
     return table
 
 
+def _measured(
+    table: dict[str, Any], scene: Scene, name: str
+) -> list[tuple[float, float, dict[str, Any], str, float]]:
+    """Seconds, error, row, method and nodes of every way in a table that `solve` can go."""
+    measured = []
+    for row in table["rows"]:
+        # What `solve` can do: its factorisations are float64.
+        if row["method"] != "lu" or row["kind"] == "positive kernel":
+            continue
+        nodes = math.prod(length / row["spacing"] for length in scene.size)
+        if nodes <= DIRECT:
+            method = "lu"
+            growth = nodes / row["disks_nodes"]
+            seconds = (row["disks_setup"] + row["disks_solve"]) * growth**LU_POWER
+        else:
+            method = "sine" if scene.rectangle else "multigrid"
+            seconds = table["seconds_per_node"][method] * nodes
+        measured.append((seconds, row[f"{name}_error"], row, method, nodes))
+    return measured
+
+
 def choose_model(
     *,
     tolerance: float,
@@ -109,20 +130,7 @@ def choose_model(
         )
     short = scene.shortest_wave < table["long_wave"]
     name = "waves" if short else "disks"
-    measured = []
-    for row in table["rows"]:
-        # What `solve` can do: its factorisations are float64.
-        if row["method"] != "lu" or row["kind"] == "positive kernel":
-            continue
-        nodes = math.prod(length / row["spacing"] for length in scene.size)
-        if nodes <= DIRECT:
-            method = "lu"
-            growth = nodes / row["disks_nodes"]
-            seconds = (row["disks_setup"] + row["disks_solve"]) * growth**LU_POWER
-        else:
-            method = "sine" if scene.rectangle else "multigrid"
-            seconds = table["seconds_per_node"][method] * nodes
-        measured.append((seconds, row[f"{name}_error"], row, method, nodes))
+    measured = _measured(table, scene, name)
     good = [way for way in measured if way[1] <= tolerance]
     if not good:
         best = min((way[1] for way in measured), default=math.inf)

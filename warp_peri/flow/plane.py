@@ -87,6 +87,12 @@ class Profiles:
         write_text(path, "\n".join([head, *rows]) + "\n")
 
 
+def _save(checkpoint: str | os.PathLike[str], kept: dict[str, Any]) -> None:
+    """Write a checkpoint, whole or not at all."""
+    with whole_file(checkpoint) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **kept)
+
+
 def run_plane(
     flow: PlaneFlow,
     stress: Stress,
@@ -144,9 +150,7 @@ def run_plane(
         sigmas.append(sigma.copy())
         if checkpoint is not None:
             kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
-            kept |= {"t": times, "us": us, "sigmas": sigmas, "key": np.array(key)}
-            with whole_file(checkpoint) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **kept)
+            _save(checkpoint, kept | {"t": times, "us": us, "sigmas": sigmas, "key": key})
     return Profiles(np.array(times), np.array(us), np.array(sigmas))
 
 

@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -103,22 +104,29 @@ def fit_nonlinear(
     begin = time.perf_counter()
     task = _Task(sets, horizon, smoothing, axis, linear, method)
     model, passes = task.settle()
-    certificate = certify(model.linear, spacing=sets[0].spacing)
-    certified = (sets[0].spacing,) if certificate.holds else ()
-    solid = dataclasses.replace(
-        model.linear,
-        trained_on=tuple(one.spacing for one in sets),
-        certified_on=certified,
-        trained_strain=max(largest_strain(one, one.u) for one in sets),
-        certificate={f"{certificate.spacing:g}": certificate.figures()},
-        versions=linear.model.versions,
-    )
-    model = dataclasses.replace(model, linear=solid)
-    if certificate.holds:
-        proof = uniqueness(model, spacing=certificate.spacing)
-        model = dataclasses.replace(model, proven={f"{proof.spacing:g}": proof.figures()})
+    model = _certified(model, sets, linear.model.versions)
     error = task.check(model)
     return NonlinearFit(model, linear, passes, error, time.perf_counter() - begin)
+
+
+def _certified(
+    model: NonlinearModel, sets: Sequence[Samples], versions: dict[str, Any]
+) -> NonlinearModel:
+    """The model with its certificate, and up to which strain its solutions are unique."""
+    certificate = certify(model.linear, spacing=sets[0].spacing)
+    solid = dataclasses.replace(
+        model.linear,
+        trained_on=tuple(samples.spacing for samples in sets),
+        certified_on=(sets[0].spacing,) if certificate.holds else (),
+        trained_strain=max(largest_strain(samples, samples.u) for samples in sets),
+        certificate={f"{certificate.spacing:g}": certificate.figures()},
+        versions=versions,
+    )
+    model = dataclasses.replace(model, linear=solid)
+    if not certificate.holds:
+        return model
+    proof = uniqueness(model, spacing=certificate.spacing)
+    return dataclasses.replace(model, proven={f"{proof.spacing:g}": proof.figures()})
 
 
 class _Task:

@@ -24,10 +24,11 @@ from warp_peri.operator.lps import LPSOperator
 from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stencil import stencil
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
+from warp_peri.statics.solve import checked_fields
 from warp_peri.transfer.nonlinear import nonlinear_for
 
 TOLERANCE = 1e-8
@@ -103,18 +104,10 @@ def solve_nonlinear(
     with warnings.catch_warnings():  # said once, above
         warnings.filterwarnings("ignore", message="spacing: the model is certified")
         operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
-    b, u = np.asarray(b, dtype=float), np.array(u_collar, dtype=float)
-    nodes = len(points.x)
-    if b.shape != u.shape or b.ndim not in (2, 3) or b.shape[-2:] != (nodes, 2):
-        raise InputError(
-            f"b, u_collar: expected shape [S, {nodes}, 2] or [{nodes}, 2], got "
-            f"{list(b.shape)} and {list(u.shape)}"
-        )
-    inside = points.interior
-    if not (np.isfinite(b[..., inside, :]).all() and np.isfinite(u[..., ~inside, :]).all()):
-        raise InputError("b, u_collar: expected finite values")
+    nodes, inside = len(points.x), points.interior
+    load, u = checked_fields(nodes_of(points), b, u_collar)
     solver = _Solver(operator, points, tolerance)
-    loads = b.reshape(-1, nodes, 2)
+    loads = load.reshape(-1, nodes, 2)
     answers = u.reshape(-1, nodes, 2)
     found = []
     for number, (load, field) in enumerate(zip(loads, answers)):

@@ -94,7 +94,7 @@ def solve(
     known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, got {method!r}")
-    load, u = _checked(nodes_of(points), b, u_collar)
+    load, u = checked_fields(nodes_of(points), b, u_collar)
     if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
         return _through_lattice(model, points, load, u, method)
     model = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
@@ -171,7 +171,7 @@ def _through_lattice(
     return found.reshape(u.shape)
 
 
-def _checked(
+def checked_fields(
     points: Points, b: ArrayLike | None, u_collar: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
     """Load and displacement as arrays, the second a copy; InputError where they do not fit."""

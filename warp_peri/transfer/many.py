@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -78,14 +79,7 @@ def one_kernel(
     at = best.parameters
     found = Model(unit * at.lam, unit * at.mu, at.alpha, at.D, horizon, trained_on=model.trained_on)
     certificates = [certify(found, spacing=float(h)) for h in spacings]
-    errors = _between(found, horizon, ratios, Home(model, home.spacing, band, home.zeta))
-    record = {
-        "from_spacing": home.spacing,
-        "h_over_horizon": np.linspace(*ratios, BETWEEN).tolist(),
-        "mean_error": [float(one.mean()) for one in errors],
-        "largest_error": [float(one.max()) for one in errors],
-        "waves_longer_than": 2 * np.pi / band,
-    }
+    record = _record(found, horizon, ratios, Home(model, home.spacing, band, home.zeta))
     return dataclasses.replace(
         found,
         certified_on=tuple(one.spacing for one in certificates if one.holds),
@@ -95,6 +89,20 @@ def one_kernel(
         provenance={**model.provenance, "many_lattices": record},
         versions=model.versions,
     )
+
+
+def _record(
+    found: Model, horizon: float, ratios: tuple[float, float], home: Home
+) -> dict[str, Any]:
+    """Errors by h/δ on lattices in between."""
+    errors = _between(found, horizon, ratios, home)
+    return {
+        "from_spacing": home.spacing,
+        "h_over_horizon": np.linspace(*ratios, BETWEEN).tolist(),
+        "mean_error": [float(error.mean()) for error in errors],
+        "largest_error": [float(error.max()) for error in errors],
+        "waves_longer_than": 2 * np.pi / home.largest,
+    }
 
 
 def _between(
