@@ -52,14 +52,20 @@ def dilatation(
 
 
 @cache
-def pairs(tension_only: bool):
-    """The force sweep; bonds in compression break where tension_only is off."""
+def _beyond(tension_only):
 
     @wp.func
     def beyond(value: S, limit: S):
         if wp.static(tension_only):
             return value > limit
         return wp.abs(value) > limit
+
+    return beyond
+
+
+@cache
+def _state_based(tension_only):
+    beyond = _beyond(tension_only)
 
     @wp.kernel(enable_backward=False)
     def state_based(
@@ -131,4 +137,10 @@ def pairs(tension_only: bool):
         lost[p] = lost_p
         lost[q] = lost_q
 
-    return SimpleNamespace(dilatation=dilatation, state_based=state_based)
+    return state_based
+
+
+@cache
+def pairs(tension_only: bool):
+    """The force sweep; bonds in compression break where tension_only is off."""
+    return SimpleNamespace(dilatation=dilatation, state_based=_state_based(tension_only))

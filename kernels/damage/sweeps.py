@@ -25,16 +25,23 @@ STRETCH, ENERGY = 0, 1
 
 
 @cache
-def sweeps(tension_only: bool):
-    """The kernels of one criterion's sign; bonds in compression break where tension_only is off."""
+def _beyond(tension_only):
     S = wp.float64
-    int_at, float_at = load(wp.int32), load(S)
 
     @wp.func
     def beyond(value: S, limit: S):
         if wp.static(tension_only):
             return value > limit
         return wp.abs(value) > limit
+
+    return beyond
+
+
+@cache
+def _bond_based(tension_only):
+    S = wp.float64
+    int_at, float_at = load(wp.int32), load(S)
+    beyond = _beyond(tension_only)
 
     @wp.kernel(enable_backward=False)
     def bond_based(
@@ -104,6 +111,14 @@ def sweeps(tension_only: bool):
         lost[p] = lost_p
         lost[q] = lost_q
 
+    return bond_based
+
+
+@cache
+def _dilatation(tension_only):
+    S = wp.float64
+    int_at, float_at = load(wp.int32), load(S)
+
     @wp.kernel(enable_backward=False)
     def dilatation(
         first: wp.int32,
@@ -126,6 +141,15 @@ def sweeps(tension_only: bool):
                 d += float_at(table, TABLE * b + 1) * (float_at(u, 2 * j + 1) - u1)
                 total += float_at(table, TABLE * b + 2) * d
         theta[i] = total
+
+    return dilatation
+
+
+@cache
+def _state_based(tension_only):
+    S = wp.float64
+    int_at, float_at = load(wp.int32), load(S)
+    beyond = _beyond(tension_only)
 
     @wp.kernel(enable_backward=False)
     def state_based(
@@ -180,4 +204,14 @@ def sweeps(tension_only: bool):
         energy[i] = e + S(0.5) * excess * own * own
         lost[i] = count
 
-    return SimpleNamespace(bond_based=bond_based, dilatation=dilatation, state_based=state_based)
+    return state_based
+
+
+@cache
+def sweeps(tension_only: bool):
+    """The kernels of one criterion's sign; bonds in compression break where tension_only is off."""
+    return SimpleNamespace(
+        bond_based=_bond_based(tension_only),
+        dilatation=_dilatation(tension_only),
+        state_based=_state_based(tension_only),
+    )

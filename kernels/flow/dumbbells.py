@@ -87,10 +87,8 @@ def advance_fene(
     end = wp.int32(wp.int64(n) * wp.int64(t % blocks + 1) / wp.int64(blocks))
     kxx, kxy, kyx, kyy = K[i, 0], K[i, 1], K[i, 2], K[i, 3]
     a = wp.sqrt(dt)
-    cxx = wp.float32(0.0)
-    cxy = wp.float32(0.0)
-    cyy = wp.float32(0.0)
-    czz = wp.float32(0.0)
+    cxx, cxy = wp.float32(0.0), wp.float32(0.0)
+    cyy, czz = wp.float32(0.0), wp.float32(0.0)
     sxx = wp.float32(0.0)
     sxy = wp.float32(0.0)
     syy = wp.float32(0.0)

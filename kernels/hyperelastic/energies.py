@@ -10,31 +10,61 @@ import warp as wp
 
 
 @cache
-def energies(scalar):
-    """The functions in one precision."""
+def _area(scalar):
     vec = wp.types.vector(3, scalar)
-    mat = wp.types.matrix((3, 3), scalar)
-    zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
+    one, two = scalar(1.0), scalar(2.0)
 
     @wp.func
     def area(E: vec):
         """det C, C = I + 2 E."""
         return (one + two * E[0]) * (one + two * E[1]) - E[2] * E[2]
 
+    return area
+
+
+@cache
+def _area_slope(scalar):
+    vec = wp.types.vector(3, scalar)
+    one, two = scalar(1.0), scalar(2.0)
+
     @wp.func
     def area_slope(E: vec):
         return vec(two * (one + two * E[1]), two * (one + two * E[0]), -two * E[2])
+
+    return area_slope
+
+
+@cache
+def _area_curve(scalar):
+    mat = wp.types.matrix((3, 3), scalar)
+    zero, two = scalar(0.0), scalar(2.0)
 
     @wp.func
     def area_curve():
         four = scalar(4.0)
         return mat(zero, four, zero, four, zero, zero, zero, zero, -two)
 
+    return area_curve
+
+
+@cache
+def _direction(scalar):
+    vec = wp.types.vector(3, scalar)
+    two = scalar(2.0)
+
     @wp.func
     def direction(angle: scalar):
         """m with m·E = 2 n·E n = I4 − 1."""
         c, s = wp.cos(angle), wp.sin(angle)
         return vec(two * c * c, two * s * s, two * c * s)
+
+    return direction
+
+
+@cache
+def _of_area(scalar):
+    vec = wp.types.vector(3, scalar)
+    zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
 
     @wp.func
     def of_area(kind: wp.int32, D: scalar):
@@ -51,6 +81,14 @@ def energies(scalar):
             return vec(half * (D - one) - half * wp.log(D), half - half / D, half / (D * D))
         return vec(one / D - one, -one / (D * D), two / (D * D * D))
 
+    return of_area
+
+
+@cache
+def _of_fibre(scalar):
+    vec = wp.types.vector(3, scalar)
+    zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
+
     @wp.func
     def of_fibre(kind: wp.int32, p: scalar, x: scalar):
         """φ, φ′ and φ″ of x = ⟨I4 − 1⟩."""
@@ -64,6 +102,14 @@ def energies(scalar):
         if p > scalar(1.0e-8):
             value = (growth - one) / (two * p)
         return vec(value, x * growth, growth * (one + two * p * x * x))
+
+    return of_fibre
+
+
+@cache
+def _quadratic(scalar):
+    mat = wp.types.matrix((3, 3), scalar)
+    zero, one, two = scalar(0.0), scalar(1.0), scalar(2.0)
 
     @wp.func
     def quadratic(kind: wp.int32):
@@ -84,6 +130,16 @@ def energies(scalar):
             return mat(one, one, zero, one, one, zero, zero, zero, zero)
         return mat(one, -one, zero, -one, one, zero, zero, zero, one)
 
+    return quadratic
+
+
+@cache
+def _value(scalar):
+    vec = wp.types.vector(3, scalar)
+    half, two = scalar(0.5), scalar(2.0)
+    area, direction, of_area = _area(scalar), _direction(scalar), _of_area(scalar)
+    of_fibre, quadratic = _of_fibre(scalar), _quadratic(scalar)
+
     @wp.func
     def value(kind: wp.int32, angle: scalar, p: scalar, E: vec):
         if kind >= 6 and kind <= 11:
@@ -97,6 +153,16 @@ def energies(scalar):
             x = wp.dot(direction(angle), E)
             return half * x * x
         return half * wp.dot(E, quadratic(kind) * E)
+
+    return value
+
+
+@cache
+def _slope(scalar):
+    vec = wp.types.vector(3, scalar)
+    zero, two = scalar(0.0), scalar(2.0)
+    area, area_slope, direction = _area(scalar), _area_slope(scalar), _direction(scalar)
+    of_area, of_fibre, quadratic = _of_area(scalar), _of_fibre(scalar), _quadratic(scalar)
 
     @wp.func
     def slope(kind: wp.int32, angle: scalar, p: scalar, E: vec):
@@ -114,6 +180,16 @@ def energies(scalar):
             return wp.dot(m, E) * m
         return quadratic(kind) * E
 
+    return slope
+
+
+@cache
+def _curve(scalar):
+    vec = wp.types.vector(3, scalar)
+    area, area_slope, area_curve = _area(scalar), _area_slope(scalar), _area_curve(scalar)
+    direction, of_area, of_fibre = _direction(scalar), _of_area(scalar), _of_fibre(scalar)
+    quadratic = _quadratic(scalar)
+
     @wp.func
     def curve(kind: wp.int32, angle: scalar, p: scalar, E: vec):
         """∂²Φ/∂E²."""
@@ -128,6 +204,15 @@ def energies(scalar):
             return wp.outer(m, m)
         return quadratic(kind)
 
+    return curve
+
+
+@cache
+def _slope_by_angle(scalar):
+    vec = wp.types.vector(3, scalar)
+    two = scalar(2.0)
+    direction, of_fibre = _direction(scalar), _of_fibre(scalar)
+
     @wp.func
     def slope_by_angle(kind: wp.int32, angle: scalar, p: scalar, E: vec):
         """∂²Φ/∂E∂(angle) of a fibre."""
@@ -136,6 +221,15 @@ def energies(scalar):
         turned = vec(-two * two * c * s, two * two * c * s, two * (c * c - s * s))
         f = of_fibre(kind, p, wp.dot(m, E))
         return f[2] * wp.dot(turned, E) * m + f[1] * turned
+
+    return slope_by_angle
+
+
+@cache
+def _slope_by_exponent(scalar):
+    vec = wp.types.vector(3, scalar)
+    zero, one = scalar(0.0), scalar(1.0)
+    direction = _direction(scalar)
 
     @wp.func
     def slope_by_exponent(kind: wp.int32, angle: scalar, p: scalar, E: vec):
@@ -147,6 +241,14 @@ def energies(scalar):
         if kind == 12:
             return wp.pow(x, p - one) * wp.log(x) * m
         return x * x * x * wp.exp(p * x * x) * m
+
+    return slope_by_exponent
+
+
+@cache
+def _bond(scalar):
+    vec = wp.types.vector(3, scalar)
+    zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
 
     @wp.func
     def bond(kind: wp.int32, s: scalar):
@@ -169,14 +271,21 @@ def energies(scalar):
             return vec(half * s * s, s, one)
         return vec(third * s * s * s, s * s, two * s)
 
+    return bond
+
+
+@cache
+def energies(scalar):
+    """The functions in one precision."""
+    vec, mat = wp.types.vector(3, scalar), wp.types.matrix((3, 3), scalar)
     return SimpleNamespace(
         vec=vec,
         mat=mat,
-        area=area,
-        value=value,
-        slope=slope,
-        curve=curve,
-        slope_by_angle=slope_by_angle,
-        slope_by_exponent=slope_by_exponent,
-        bond=bond,
+        area=_area(scalar),
+        value=_value(scalar),
+        slope=_slope(scalar),
+        curve=_curve(scalar),
+        slope_by_angle=_slope_by_angle(scalar),
+        slope_by_exponent=_slope_by_exponent(scalar),
+        bond=_bond(scalar),
     )

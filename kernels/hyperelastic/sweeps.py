@@ -47,24 +47,52 @@ def types(scalar):
 
 
 @cache
-def parts(scalar):
-    """Functions that the kernels share."""
-    of, energy = types(scalar), energies(scalar)
-    vec, six, three, Lattice = of.vec, of.six, energy.vec, of.Lattice
-    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+def _bond_strain(scalar):
+    of = types(scalar)
+    vec, Lattice = of.vec, of.Lattice
+    half, one = scalar(0.5), scalar(1.0)
 
     @wp.func
     def bond_strain(lattice: Lattice, p: wp.int32, Y: vec):
         """s = (|Y|²/|ξ|² − 1)/2, (H2)."""
         return half * (wp.dot(Y, Y) * lattice.inverse[p] - one)
 
+    return bond_strain
+
+
+@cache
+def _first(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    six = of.six
+    three = energy.vec
+
     @wp.func
     def first(E: six):
         return three(E[0], E[1], E[2])
 
+    return first
+
+
+@cache
+def _short(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    six = of.six
+    three = energy.vec
+
     @wp.func
     def short(E: six):
         return three(E[3], E[4], E[5])
+
+    return short
+
+
+@cache
+def _seen(scalar):
+    of = types(scalar)
+    six = of.six
+    first, short = _first(scalar), _short(scalar)
 
     @wp.func
     def seen(ripple: wp.int32, E: six):
@@ -73,6 +101,16 @@ def parts(scalar):
             return first(E) - short(E)
         return first(E)
 
+    return seen
+
+
+@cache
+def _placed(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    six = of.six
+    three = energy.vec
+
     @wp.func
     def placed(ripple: wp.int32, g: three):
         """A derivative by what a term acts on, as one by the state."""
@@ -80,20 +118,57 @@ def parts(scalar):
             return six(g[0], g[1], g[2], -g[0], -g[1], -g[2])
         return six(g[0], g[1], g[2], scalar(0.0), scalar(0.0), scalar(0.0))
 
+    return placed
+
+
+@cache
+def _on_short(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    six = of.six
+    three = energy.vec
+
     @wp.func
     def on_short(g: three):
         return six(scalar(0.0), scalar(0.0), scalar(0.0), g[0], g[1], g[2])
+
+    return on_short
+
+
+@cache
+def _acts(scalar):
 
     @wp.func
     def acts(ripple: wp.int32, whole: wp.int32):
         """Whether a node has the strains that a term needs."""
         return whole == 3 or (ripple == 0 and whole == 1)
 
+    return acts
+
+
+@cache
+def _deviates(scalar):
+    of = types(scalar)
+    Lattice = of.Lattice
+
     @wp.func
     def deviates(lattice: Lattice, p: wp.int32, i: wp.int32, j: wp.int32):
         if j < 0 or lattice.deviation[p] < 0:
             return False
         return lattice.whole[i] >= 2 and lattice.whole[j] >= 2
+
+    return deviates
+
+
+@cache
+def _deviation(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    six = of.six
+    three = energy.vec
+    Lattice = of.Lattice
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    short = _short(scalar)
 
     @wp.func
     def deviation(lattice: Lattice, p: wp.int32, s: scalar, Ei: six, Ej: six):
@@ -102,41 +177,61 @@ def parts(scalar):
         mean = one + wp.dot(lattice.unit[p], short(Ei) + short(Ej))
         return three(half * wp.log(own / mean), one / own, one / mean)
 
+    return deviation
+
+
+@cache
+def _by_own(scalar):
+    energy = energies(scalar)
+    three = energy.vec
+
     @wp.func
     def by_own(d: three):
         """The derivative of ½ d²/(1 + 2 m) by s."""
         return d[0] * d[1] * d[2]
+
+    return by_own
+
+
+@cache
+def _by_mean(scalar):
+    energy = energies(scalar)
+    three = energy.vec
+    one = scalar(1.0)
 
     @wp.func
     def by_mean(d: three):
         """The derivative of ½ d²/(1 + 2 m) by m."""
         return -d[0] * (one + d[0]) * d[2] * d[2]
 
+    return by_mean
+
+
+@cache
+def parts(scalar):
+    """Functions that the kernels share."""
     return SimpleNamespace(
-        deviation=deviation,
-        by_own=by_own,
-        by_mean=by_mean,
-        bond_strain=bond_strain,
-        first=first,
-        short=short,
-        seen=seen,
-        placed=placed,
-        on_short=on_short,
-        acts=acts,
-        deviates=deviates,
+        deviation=_deviation(scalar),
+        by_own=_by_own(scalar),
+        by_mean=_by_mean(scalar),
+        bond_strain=_bond_strain(scalar),
+        first=_first(scalar),
+        short=_short(scalar),
+        seen=_seen(scalar),
+        placed=_placed(scalar),
+        on_short=_on_short(scalar),
+        acts=_acts(scalar),
+        deviates=_deviates(scalar),
     )
 
 
 @cache
-def sweeps(scalar):
-    """Strains, stresses, forces and energies."""
-    of, energy, part = types(scalar), energies(scalar), parts(scalar)
-    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
-    bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
-    deviation, by_own, by_mean = part.deviation, part.by_own, part.by_mean
-    seen, placed, on_short, acts = part.seen, part.placed, part.on_short, part.acts
-    value, slope, bond = energy.value, energy.slope, energy.bond
-    zero, half = scalar(0.0), scalar(0.5)
+def _strain(scalar):
+    of = types(scalar)
+    part = parts(scalar)
+    vec, six, Lattice = of.vec, of.six, of.Lattice
+    bond_strain, short, on_short = part.bond_strain, part.short, part.on_short
+    zero = scalar(0.0)
 
     @wp.kernel(enable_backward=False)
     def strain(lattice: Lattice, u: wp.array2d(dtype=vec), E: wp.array2d(dtype=six)):
@@ -153,6 +248,21 @@ def sweeps(scalar):
         if lattice.whole[i] < 2:
             total = six(total[0], total[1], total[2], zero, zero, zero)
         E[s, i] = total
+
+    return strain
+
+
+@cache
+def _stress(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
+    by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
+    acts = part.acts
+    slope = energy.slope
+    half = scalar(0.5)
 
     @wp.kernel(enable_backward=False)
     def stress(
@@ -181,6 +291,18 @@ def sweeps(scalar):
                 total += half * c * by_mean(d) * on_short(lattice.unit[p])
         G[s, i] = total
 
+    return stress
+
+
+@cache
+def _tension(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
+    six, Lattice, Terms = of.six, of.Lattice, of.Terms
+    deviates, deviation, by_own = part.deviates, part.deviation, part.by_own
+    bond = energy.bond
+
     @wp.func
     def tension(
         lattice: Lattice,
@@ -202,6 +324,17 @@ def sweeps(scalar):
             d = deviation(lattice, p, s, Ei, Ej)
             slopes += terms.c[terms.first_deviation + lattice.deviation[p]] * by_own(d)
         return slopes
+
+    return tension
+
+
+@cache
+def _force(scalar):
+    of = types(scalar)
+    part = parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain = part.bond_strain
+    tension = _tension(scalar)
 
     @wp.kernel(enable_backward=False)
     def force(
@@ -225,6 +358,20 @@ def sweeps(scalar):
                 along += wp.dot(lattice.weight[p], G[s, i] + G[s, j])
                 total -= along * Y
         f[s, i] = total
+
+    return force
+
+
+@cache
+def _energy_of_nodes(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
+    seen, acts = part.seen, part.acts
+    value, bond = energy.value, energy.bond
+    half = scalar(0.5)
 
     @wp.kernel(enable_backward=False)
     def energy_of_nodes(
@@ -260,4 +407,15 @@ def sweeps(scalar):
                     total += half * half * c * d[0] * d[0] * d[2]
         U[s, i] = total
 
-    return SimpleNamespace(strain=strain, stress=stress, force=force, energy=energy_of_nodes)
+    return energy_of_nodes
+
+
+@cache
+def sweeps(scalar):
+    """Strains, stresses, forces and energies."""
+    return SimpleNamespace(
+        strain=_strain(scalar),
+        stress=_stress(scalar),
+        force=_force(scalar),
+        energy=_energy_of_nodes(scalar),
+    )

@@ -10,16 +10,13 @@ from warp_peri.kernels.hyperelastic.sweeps import parts, types
 
 
 @cache
-def tangents(scalar):
-    """Kernels of K v, (H10)."""
-    of, energy, part = types(scalar), energies(scalar), parts(scalar)
-    vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
-    bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
-    deviation, by_own = part.deviation, part.by_own
-    seen, on_short, acts = part.seen, part.on_short, part.acts
-    curve, bond = energy.curve, energy.bond
-    zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
-    four, six_times = scalar(4.0), scalar(6.0)
+def _curvature(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
+    six, block, Lattice, Terms = of.six, of.block, of.Lattice, of.Terms
+    seen, acts = part.seen, part.acts
+    curve = energy.curve
 
     @wp.kernel(enable_backward=False)
     def curvature(
@@ -45,6 +42,17 @@ def tangents(scalar):
                             total[a + 3, b + 3] += entry
         H[s, i] = total
 
+    return curvature
+
+
+@cache
+def _strain_rate(scalar):
+    of = types(scalar)
+    part = parts(scalar)
+    vec, six, Lattice = of.vec, of.six, of.Lattice
+    short, on_short = part.short, part.on_short
+    zero = scalar(0.0)
+
     @wp.kernel(enable_backward=False)
     def strain_rate(
         lattice: Lattice,
@@ -65,6 +73,19 @@ def tangents(scalar):
         if lattice.whole[i] < 2:
             total = six(total[0], total[1], total[2], zero, zero, zero)
         dE[s, i] = total
+
+    return strain_rate
+
+
+@cache
+def _stress_rate(scalar):
+    of = types(scalar)
+    part = parts(scalar)
+    vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
+    bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
+    deviation, on_short = part.deviation, part.on_short
+    half, one, two, four = scalar(0.5), scalar(1.0), scalar(2.0), scalar(4.0)
+    six_times = scalar(6.0)
 
     @wp.kernel(enable_backward=False)
     def stress_rate(
@@ -92,6 +113,20 @@ def tangents(scalar):
                 c = terms.c[terms.first_deviation + lattice.deviation[p]]
                 total += half * c * rate * d[2] * d[2] * on_short(unit)
         dG[s, i] = total
+
+    return stress_rate
+
+
+@cache
+def _force_rate(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
+    deviation, by_own = part.deviation, part.by_own
+    bond = energy.bond
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
 
     @wp.kernel(enable_backward=False)
     def force_rate(
@@ -136,21 +171,31 @@ def tangents(scalar):
                 total -= along * y + turned * Y
         df[s, i] = total
 
+    return force_rate
+
+
+@cache
+def tangents(scalar):
+    """Kernels of K v, (H10)."""
     return SimpleNamespace(
-        curvature=curvature, strain_rate=strain_rate, stress_rate=stress_rate, force_rate=force_rate
+        curvature=_curvature(scalar),
+        strain_rate=_strain_rate(scalar),
+        stress_rate=_stress_rate(scalar),
+        force_rate=_force_rate(scalar),
     )
 
 
 @cache
-def features(scalar):
-    """Kernels of the forces of single energies: the derivative of (H8) by every coefficient."""
-    of, energy, part = types(scalar), energies(scalar), parts(scalar)
+def _stress_of_each(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
-    bond_strain, deviates = part.bond_strain, part.deviates
-    deviation, by_own, by_mean = part.deviation, part.by_own, part.by_mean
-    seen, placed, on_short, acts = part.seen, part.placed, part.on_short, part.acts
-    slope, bond = energy.slope, energy.bond
-    slope_by_angle, slope_by_exponent = energy.slope_by_angle, energy.slope_by_exponent
+    bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
+    by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
+    acts = part.acts
+    slope, slope_by_angle = energy.slope, energy.slope_by_angle
+    slope_by_exponent = energy.slope_by_exponent
     half = scalar(0.5)
 
     @wp.kernel(enable_backward=False)
@@ -189,6 +234,19 @@ def features(scalar):
                     total += half * by_mean(d) * on_short(lattice.unit[p])
         G[s, i, k] = total
 
+    return stress_of_each
+
+
+@cache
+def _force_of_each(scalar):
+    of = types(scalar)
+    energy = energies(scalar)
+    part = parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
+    by_own = part.by_own
+    bond = energy.bond
+
     @wp.kernel(enable_backward=False)
     def force_of_each(
         lattice: Lattice,
@@ -219,4 +277,12 @@ def features(scalar):
                     along = wp.dot(lattice.weight[p], G[s, i, k] + G[s, j, k])
                     F[s, t, terms.first_deviation + k] -= along * Y
 
-    return SimpleNamespace(stress_of_each=stress_of_each, force_of_each=force_of_each)
+    return force_of_each
+
+
+@cache
+def features(scalar):
+    """Kernels of the forces of single energies: the derivative of (H8) by every coefficient."""
+    return SimpleNamespace(
+        stress_of_each=_stress_of_each(scalar), force_of_each=_force_of_each(scalar)
+    )

@@ -12,17 +12,21 @@ import warp as wp
 
 
 @cache
-def law(scalar):
-    """Functions of H in one precision."""
-    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
-    numbers = wp.types.vector(6, scalar)
-    four = wp.types.vector(4, scalar)
-    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+def _times(scalar):
+    vec = wp.types.vector(2, scalar)
 
     @wp.func
     def times(a: vec, b: vec):
         """The product of complex numbers."""
         return vec(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+    return times
+
+
+@cache
+def _parts(scalar):
+    mat, four = wp.types.matrix((2, 2), scalar), wp.types.vector(4, scalar)
+    half = scalar(0.5)
 
     @wp.func
     def parts(H: mat):
@@ -34,12 +38,30 @@ def law(scalar):
             half * (H[1, 0] - H[0, 1]),
         )
 
+    return parts
+
+
+@cache
+def _joined(scalar):
+    mat = wp.types.matrix((2, 2), scalar)
+    half = scalar(0.5)
+
     @wp.func
     def joined(by_t: scalar, by_d: scalar, by_c: scalar, by_w: scalar):
         """The matrix whose product with δH is by_t δt + by_d δd + by_c δc + by_w δω."""
         return mat(
             by_t + half * by_d, half * (by_c - by_w), half * (by_c + by_w), by_t - half * by_d
         )
+
+    return joined
+
+
+@cache
+def _stress(scalar):
+    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
+    numbers = wp.types.vector(6, scalar)
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    times, parts, joined = _times(scalar), _parts(scalar), _joined(scalar)
 
     @wp.func
     def stress(H: mat, m: numbers):
@@ -69,6 +91,16 @@ def law(scalar):
             two * q[1] * B - yz[1],
             two * w * A + yq[1],
         )
+
+    return stress
+
+
+@cache
+def _curved(scalar):
+    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
+    numbers = wp.types.vector(6, scalar)
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    times, parts, joined = _times(scalar), _parts(scalar), _joined(scalar)
 
     @wp.func
     def curved(H: mat, m: numbers, D: mat):
@@ -112,6 +144,16 @@ def law(scalar):
             two * (w * d_A + A * v[3]) + dyq[1],
         )
 
+    return curved
+
+
+@cache
+def _slopes(scalar):
+    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
+    numbers = wp.types.vector(6, scalar)
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    times, parts = _times(scalar), _parts(scalar)
+
     @wp.func
     def slopes(H: mat, D: mat):
         """Derivatives of Ψ′(H):D to the six numbers; Ψ is linear in them."""
@@ -144,6 +186,13 @@ def law(scalar):
             -cubic[1],
         )
 
+    return slopes
+
+
+@cache
+def _clipped(scalar):
+    mat = wp.types.matrix((2, 2), scalar)
+
     @wp.func
     def clipped(H: mat, radius: scalar):
         """The nearest matrix of |H| ≤ radius; H itself where the radius is 0."""
@@ -151,6 +200,14 @@ def law(scalar):
         if radius > scalar(0.0) and size > radius:
             return (radius / size) * H
         return H
+
+    return clipped
+
+
+@cache
+def _clipped_back(scalar):
+    mat = wp.types.matrix((2, 2), scalar)
+    one = scalar(1.0)
 
     @wp.func
     def clipped_back(H: mat, radius: scalar, D: mat):
@@ -161,13 +218,21 @@ def law(scalar):
             return (radius / size) * (D - wp.ddot(n, D) * n)
         return D
 
+    return clipped_back
+
+
+@cache
+def law(scalar):
+    """Functions of H in one precision."""
+    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
+    numbers = wp.types.vector(6, scalar)
     return SimpleNamespace(
         vec=vec,
         mat=mat,
         numbers=numbers,
-        stress=stress,
-        curved=curved,
-        slopes=slopes,
-        clipped=clipped,
-        clipped_back=clipped_back,
+        stress=_stress(scalar),
+        curved=_curved(scalar),
+        slopes=_slopes(scalar),
+        clipped=_clipped(scalar),
+        clipped_back=_clipped_back(scalar),
     )

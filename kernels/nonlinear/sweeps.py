@@ -16,16 +16,12 @@ from warp_peri.kernels.nonlinear.law import law
 
 
 @cache
-def sweeps(scalar):
-    """The kernels in one precision."""
+def _state(scalar):
     of = law(scalar)
-    vec, mat, numbers = of.vec, of.mat, of.numbers
-    stress, curved, slopes = of.stress, of.curved, of.slopes
-    clipped, clipped_back = of.clipped, of.clipped_back
-    bond_type, four = wp.types.vector(6, scalar), wp.types.vector(4, scalar)
+    vec, mat, numbers, stress, clipped = of.vec, of.mat, of.numbers, of.stress, of.clipped
+    bond_type = wp.types.vector(6, scalar)
     int_at, bond_at = load(wp.int32), load(bond_type)
-    vecs_at, scalars_at, mats_at = load_row(vec), load_row(scalar), load_row(mat)
-    add_four = add_to(four)
+    vecs_at = load_row(vec)
 
     @wp.kernel(enable_backward=False)
     def state(
@@ -59,6 +55,17 @@ def sweeps(scalar):
         H[s, i] = gradient
         P[s, i] = stress(clipped(gradient, radius), m)
 
+    return state
+
+
+@cache
+def _force(scalar):
+    of = law(scalar)
+    vec, mat = of.vec, of.mat
+    bond_type = wp.types.vector(6, scalar)
+    int_at, bond_at = load(wp.int32), load(bond_type)
+    vecs_at, scalars_at, mats_at = load_row(vec), load_row(scalar), load_row(mat)
+
     @wp.kernel(enable_backward=False)
     def force(
         first: wp.int32,
@@ -87,6 +94,18 @@ def sweeps(scalar):
             xi = vec(b[0], b[1])
             total -= density * xi + mats_at(P, s, j) * (b[5] * xi)
         Lu[s, first + t] = total
+
+    return force
+
+
+@cache
+def _state_adjoint(scalar):
+    of = law(scalar)
+    vec, mat, numbers, curved, clipped = of.vec, of.mat, of.numbers, of.curved, of.clipped
+    clipped_back = of.clipped_back
+    bond_type = wp.types.vector(6, scalar)
+    int_at, bond_at = load(wp.int32), load(bond_type)
+    vecs_at = load_row(vec)
 
     @wp.kernel(enable_backward=False)
     def state_adjoint(
@@ -122,6 +141,17 @@ def sweeps(scalar):
         gradient = H[s, i]
         H_bar[s, i] = clipped_back(gradient, radius, curved(clipped(gradient, radius), m, back))
 
+    return state_adjoint
+
+
+@cache
+def _displacement_adjoint(scalar):
+    of = law(scalar)
+    vec, mat = of.vec, of.mat
+    bond_type = wp.types.vector(6, scalar)
+    int_at, bond_at = load(wp.int32), load(bond_type)
+    vecs_at, scalars_at, mats_at = load_row(vec), load_row(scalar), load_row(mat)
+
     @wp.kernel(enable_backward=False)
     def displacement_adjoint(
         first: wp.int32,
@@ -150,6 +180,14 @@ def sweeps(scalar):
                 total += density * xi - mats_at(H_bar, s, j) * (b[4] * xi)
         u_bar[s, i] = total
 
+    return displacement_adjoint
+
+
+@cache
+def _Fields(scalar):
+    of = law(scalar)
+    vec, mat = of.vec, of.mat
+
     @wp.struct
     class Fields:
         u: wp.array2d(dtype=vec)
@@ -160,6 +198,19 @@ def sweeps(scalar):
         theta_bar: wp.array2d(dtype=scalar)
         P_bar: wp.array2d(dtype=mat)
         H_bar: wp.array2d(dtype=mat)
+
+    return Fields
+
+
+@cache
+def _table_adjoint(scalar):
+    of = law(scalar)
+    vec, mat, numbers, slopes, clipped = of.vec, of.mat, of.numbers, of.slopes, of.clipped
+    bond_type, four = wp.types.vector(6, scalar), wp.types.vector(4, scalar)
+    int_at, bond_at = load(wp.int32), load(bond_type)
+    vecs_at, scalars_at, mats_at = load_row(vec), load_row(scalar), load_row(mat)
+    add_four = add_to(four)
+    Fields = _Fields(scalar)
 
     @wp.kernel(enable_backward=False)
     def table_adjoint(
@@ -186,8 +237,7 @@ def sweeps(scalar):
                 i = nodes[t]
                 ui = fields.u[s, i]
                 gi = fields.g[s, i]
-                own = fields.theta[s, i]
-                back = fields.theta_bar[s, i]
+                own, back = fields.theta[s, i], fields.theta_bar[s, i]
                 into = fields.H_bar[s, i]
                 for p in range(count):
                     b = bond_at(bonds, p)
@@ -212,6 +262,14 @@ def sweeps(scalar):
         by_numbers[block] = material
         by_bulk[block] = bulks
 
+    return table_adjoint
+
+
+@cache
+def _tangents(scalar):
+    of = law(scalar)
+    mat, numbers, curved = of.mat, of.numbers, of.curved
+
     @wp.kernel(enable_backward=False)
     def tangents(
         first: wp.int32,
@@ -227,17 +285,26 @@ def sweeps(scalar):
         unit[k // 2, k % 2] = scalar(1.0)
         out[k, first + t] = curved(H[0, i], m, unit)
 
+    return tangents
+
+
+@cache
+def sweeps(scalar):
+    """The kernels in one precision."""
+    of = law(scalar)
+    vec, mat, numbers = of.vec, of.mat, of.numbers
+    bond_type, four = wp.types.vector(6, scalar), wp.types.vector(4, scalar)
     return SimpleNamespace(
         bond=bond_type,
         vec=vec,
         mat=mat,
         numbers=numbers,
         four=four,
-        Fields=Fields,
-        state=state,
-        force=force,
-        state_adjoint=state_adjoint,
-        displacement_adjoint=displacement_adjoint,
-        table_adjoint=table_adjoint,
-        tangents=tangents,
+        Fields=_Fields(scalar),
+        state=_state(scalar),
+        force=_force(scalar),
+        state_adjoint=_state_adjoint(scalar),
+        displacement_adjoint=_displacement_adjoint(scalar),
+        table_adjoint=_table_adjoint(scalar),
+        tangents=_tangents(scalar),
     )
