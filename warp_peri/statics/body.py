@@ -137,19 +137,11 @@ def solve_body(
     spacing = model.certified_on[0] if coupling.spacing is None else coupling.spacing
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     stiff = long_wave(model, spacing)
-    overlap = OVERLAP * model.horizon if coupling.overlap is None else coupling.overlap
-    if mesh.loop_sizes.min() < overlap:
-        raise InputError(
-            f"mesh: a hole of {mesh.loop_sizes.min():.3g} Å is smaller than the overlap of rim and "
-            f"bulk, {overlap:g} Å"
-        )
+    overlap = _overlap(model, mesh, coupling)
     found = bulk_points(mesh, spacing, model.horizon)
     if found is None:
-        warnings.warn(
-            f"mesh: nowhere is the body's edge {2 * model.horizon:g} Å away, two horizons; it is "
-            "solved by elements alone",
-            stacklevel=2,
-        )
+        message = f"mesh: nowhere is the body's edge {2 * model.horizon:g} Å away, two horizons"
+        warnings.warn(f"{message}; it is solved by elements alone", stacklevel=2)
     kept = _rim_triangles(mesh, spacing, model.horizon, overlap, found)
     rim = Rim(mesh, kept, coupling.degree)
     f = _loads(rim, pulls, b)
@@ -164,18 +156,24 @@ def solve_body(
         )
     points, triangle = found
     bulk = Bulk(model, points, coupling.tolerance)
-    two = Schwarz(
-        problem,
-        bulk,
-        rim.inner,
-        cubic(points, rim.x[rim.inner]),
-        rim.probe(points.x[bulk.collar], triangle[bulk.collar]),
-    )
+    to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
+    two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk)
     load = np.zeros((len(bulk.inside), 2)) if b is None else b(points.x[bulk.inside])
     start = _by_elements(mesh, stiff, rim.x[rim.inner], held, pulls, b)
     u_rim, inner, record = two.solve(f, given, load, start, coupling.tolerance)
     u_bulk = bulk.field(inner, two.to_bulk @ u_rim)
     return BodySolution(model, stiff, rim, u_rim, points, u_bulk, overlap, record)
+
+
+def _overlap(model: Model, mesh: Mesh, coupling: Coupling) -> float:
+    """Width of the overlap [Å]; InputError where a hole is smaller."""
+    overlap = OVERLAP * model.horizon if coupling.overlap is None else coupling.overlap
+    if mesh.loop_sizes.min() < overlap:
+        raise InputError(
+            f"mesh: a hole of {mesh.loop_sizes.min():.3g} Å is smaller than the overlap of rim and "
+            f"bulk, {overlap:g} Å"
+        )
+    return overlap
 
 
 def long_wave(model: Model, spacing: float) -> Moduli:

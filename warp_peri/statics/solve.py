@@ -88,8 +88,7 @@ def solve(
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
     Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
-    operator that is singular to working precision or, on a lattice or where bonds are broken, not
-    positive definite; of the last allow_uncertified makes a warning.
+    operator that is singular to working precision or, on lattices, not positive definite.
     """
     known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
@@ -99,20 +98,20 @@ def solve(
         return _through_lattice(model, points, load, u, method)
     model = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
     nodes = on_nominal_lattice(model, points)
-    if method == "auto":
-        method = choose_method(nodes, plain=nodes.is_plain_lattice)
+    plain = nodes.is_plain_lattice
+    method = choose_method(nodes, plain=plain) if method == "auto" else method
     shape = u.shape
-    load, u = load.reshape(-1, len(nodes.x), 2), u.reshape(-1, len(nodes.x), 2)
+    load, u = (field.reshape(-1, len(nodes.x), 2) for field in (load, u))
     if method in PRECONDITIONERS:
-        if not nodes.is_plain_lattice or quadrature_degree != DEGREE:
+        if not plain or quadrature_degree != DEGREE:
             raise InputError(
                 f"method: {method} is for lattices without a box and without broken bonds, with "
                 "quadrature of the usual degree; try lu or gmres"
             )
         answer = _iterated(nodes, load, u, model, method, iteration)
     else:
-        degree, allowed = quadrature_degree, allow_uncertified
-        answer = _direct(nodes, load, u, model, method, degree, allowed=allowed)
+        options = method, quadrature_degree
+        answer = _direct(nodes, load, u, model, *options, allowed=allow_uncertified)
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
     return u.reshape(shape)
