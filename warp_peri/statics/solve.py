@@ -88,7 +88,7 @@ def solve(
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
 
     Raises InputError for arrays that do not fit, an uncertified spacing, another method, or an
-    operator that is singular to working precision or, on lattices, not positive definite.
+    operator that is singular or (with allow_uncertified a warning) not positive definite.
     """
     known = ("auto", *DIRECT_METHODS, *PRECONDITIONERS)
     if method not in known:
