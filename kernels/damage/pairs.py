@@ -8,11 +8,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from warp_peri.kernels.bonds import load
-from warp_peri.kernels.damage.sweeps import TABLE
-
-S = wp.float64
-int_at, float_at = load(wp.int32), load(S)
+from warp_peri.kernels.damage.sweeps import TABLE, S, breaks_where, float_at, int_at
 
 
 @wp.kernel(enable_backward=False)
@@ -52,20 +48,8 @@ def dilatation(
 
 
 @cache
-def _beyond(tension_only):
-
-    @wp.func
-    def beyond(value: S, limit: S):
-        if wp.static(tension_only):
-            return value > limit
-        return wp.abs(value) > limit
-
-    return beyond
-
-
-@cache
 def _state_based(tension_only):
-    beyond = _beyond(tension_only)
+    breaks = breaks_where(tension_only)
 
     @wp.kernel(enable_backward=False)
     def state_based(
@@ -84,28 +68,16 @@ def _state_based(tension_only):
         """f and e of nodes 2t and 2t + 1, θ given; breaks bonds beyond their stretch."""
         p = 2 * (first + wp.tid())
         q = p + 1
-        at_p = p * bonds
-        at_q = q * bonds
-        up0 = float_at(u, 2 * p)
-        up1 = float_at(u, 2 * p + 1)
-        uq0 = float_at(u, 2 * q)
-        uq1 = float_at(u, 2 * q + 1)
-        own_p = float_at(theta, p)
-        own_q = float_at(theta, q)
-        fp0 = S(0.0)
-        fp1 = S(0.0)
-        fq0 = S(0.0)
-        fq1 = S(0.0)
-        ep = S(0.0)
-        eq = S(0.0)
-        lost_p = wp.int32(0)
-        lost_q = wp.int32(0)
+        at_p, at_q = p * bonds, q * bonds
+        up0, up1 = float_at(u, 2 * p), float_at(u, 2 * p + 1)
+        uq0, uq1 = float_at(u, 2 * q), float_at(u, 2 * q + 1)
+        own_p, own_q = float_at(theta, p), float_at(theta, q)
+        fp0, fp1, fq0, fq1, ep, eq = S(0.0), S(0.0), S(0.0), S(0.0), S(0.0), S(0.0)
+        lost_p, lost_q = wp.int32(0), wp.int32(0)
         for b in range(bonds):
-            x0 = float_at(table, TABLE * b)
-            x1 = float_at(table, TABLE * b + 1)
+            x0, x1 = float_at(table, TABLE * b), float_at(table, TABLE * b + 1)
             a = excess * float_at(table, TABLE * b + 2)
-            k = float_at(table, TABLE * b + 3)
-            limit = float_at(table, TABLE * b + 4)
+            k, limit = float_at(table, TABLE * b + 3), float_at(table, TABLE * b + 4)
             j = int_at(neighbour, at_p + b)
             if j >= 0:
                 d = x0 * (float_at(u, 2 * j) - up0) + x1 * (float_at(u, 2 * j + 1) - up1)
@@ -114,10 +86,9 @@ def _state_based(tension_only):
                 pull = s + a * (own_p + float_at(theta, j))
                 fp0 += pull * x0
                 fp1 += pull * x1
-                if beyond(d, limit):  # noqa: SIM102 (Warp's `and` would load no_fail always)
-                    if no_fail[p] + no_fail[j] == wp.uint8(0):
-                        neighbour[at_p + b] = -1 - j
-                        lost_p += 1
+                if breaks(d, limit, no_fail, p, j):
+                    neighbour[at_p + b] = -1 - j
+                    lost_p += 1
             j = int_at(neighbour, at_q + b)
             if j >= 0:
                 d = x0 * (float_at(u, 2 * j) - uq0) + x1 * (float_at(u, 2 * j + 1) - uq1)
@@ -126,10 +97,9 @@ def _state_based(tension_only):
                 pull = s + a * (own_q + float_at(theta, j))
                 fq0 += pull * x0
                 fq1 += pull * x1
-                if beyond(d, limit):  # noqa: SIM102
-                    if no_fail[q] + no_fail[j] == wp.uint8(0):
-                        neighbour[at_q + b] = -1 - j
-                        lost_q += 1
+                if breaks(d, limit, no_fail, q, j):
+                    neighbour[at_q + b] = -1 - j
+                    lost_q += 1
         force[p] = wp.vec2d(fp0, fp1)
         force[q] = wp.vec2d(fq0, fq1)
         energy[p] = ep + S(0.5) * excess * own_p * own_p

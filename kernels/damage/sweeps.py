@@ -23,25 +23,29 @@ TABLE, SHORT_TABLE = 5, 4
 STRETCH, ENERGY = 0, 1
 """Criteria: d beyond its limit; the bond's energy density beyond its limit."""
 
+S = wp.float64
+int_at, float_at = load(wp.int32), load(S)
+
 
 @cache
-def _beyond(tension_only):
-    S = wp.float64
+def breaks_where(tension_only):
+    """Whether a bond breaks: its value is beyond the limit, in tension or either way."""
 
     @wp.func
-    def beyond(value: S, limit: S):
-        if wp.static(tension_only):
-            return value > limit
-        return wp.abs(value) > limit
+    def breaks(value: S, limit: S, no_fail: wp.array(dtype=wp.uint8), i: wp.int32, j: wp.int32):
+        beyond = value > limit
+        if wp.static(not tension_only):
+            beyond = wp.abs(value) > limit
+        if beyond:  # no_fail is read for the few that are
+            return no_fail[i] + no_fail[j] == wp.uint8(0)
+        return False
 
-    return beyond
+    return breaks
 
 
 @cache
 def _bond_based(tension_only):
-    S = wp.float64
-    int_at, float_at = load(wp.int32), load(S)
-    beyond = _beyond(tension_only)
+    breaks = breaks_where(tension_only)
 
     @wp.kernel(enable_backward=False)
     def bond_based(
@@ -57,26 +61,15 @@ def _bond_based(tension_only):
     ):
         """f and e of nodes 2t and 2t + 1 over all bonds, those that break now included; λ = μ.
 
-        Bonds beyond their limit are broken and counted in lost. Arrays hold an even number of
-        nodes.
+        Bonds beyond their limit are counted in lost. Arrays hold an even number of nodes.
         """
-        t = first + wp.tid()
-        p = 2 * t
+        p = 2 * (first + wp.tid())
         q = p + 1
-        at_p = p * bonds
-        at_q = q * bonds
-        up0 = float_at(u, 2 * p)
-        up1 = float_at(u, 2 * p + 1)
-        uq0 = float_at(u, 2 * q)
-        uq1 = float_at(u, 2 * q + 1)
-        fp0 = S(0.0)
-        fp1 = S(0.0)
-        fq0 = S(0.0)
-        fq1 = S(0.0)
-        ep = S(0.0)
-        eq = S(0.0)
-        lost_p = wp.int32(0)
-        lost_q = wp.int32(0)
+        at_p, at_q = p * bonds, q * bonds
+        up0, up1 = float_at(u, 2 * p), float_at(u, 2 * p + 1)
+        uq0, uq1 = float_at(u, 2 * q), float_at(u, 2 * q + 1)
+        fp0, fp1, fq0, fq1, ep, eq = S(0.0), S(0.0), S(0.0), S(0.0), S(0.0), S(0.0)
+        lost_p, lost_q = wp.int32(0), wp.int32(0)
         for b in range(bonds):
             x0 = float_at(table, SHORT_TABLE * b)
             x1 = float_at(table, SHORT_TABLE * b + 1)
@@ -89,10 +82,9 @@ def _bond_based(tension_only):
                 fp0 += s * x0
                 fp1 += s * x1
                 ep += s * d
-                if beyond(d, limit):  # noqa: SIM102 (Warp's `and` would load no_fail always)
-                    if no_fail[p] + no_fail[j] == wp.uint8(0):
-                        neighbour[at_p + b] = -1 - j
-                        lost_p += 1
+                if breaks(d, limit, no_fail, p, j):
+                    neighbour[at_p + b] = -1 - j
+                    lost_p += 1
             j = int_at(neighbour, at_q + b)
             if j >= 0:
                 d = x0 * (float_at(u, 2 * j) - uq0) + x1 * (float_at(u, 2 * j + 1) - uq1)
@@ -100,10 +92,9 @@ def _bond_based(tension_only):
                 fq0 += s * x0
                 fq1 += s * x1
                 eq += s * d
-                if beyond(d, limit):  # noqa: SIM102 (Warp's `and` would load no_fail always)
-                    if no_fail[q] + no_fail[j] == wp.uint8(0):
-                        neighbour[at_q + b] = -1 - j
-                        lost_q += 1
+                if breaks(d, limit, no_fail, q, j):
+                    neighbour[at_q + b] = -1 - j
+                    lost_q += 1
         force[p] = wp.vec2d(fp0, fp1)
         force[q] = wp.vec2d(fq0, fq1)
         energy[p] = S(0.25) * ep
@@ -116,8 +107,6 @@ def _bond_based(tension_only):
 
 @cache
 def _dilatation(tension_only):
-    S = wp.float64
-    int_at, float_at = load(wp.int32), load(S)
 
     @wp.kernel(enable_backward=False)
     def dilatation(
@@ -147,16 +136,13 @@ def _dilatation(tension_only):
 
 @cache
 def _state_based(tension_only):
-    S = wp.float64
-    int_at, float_at = load(wp.int32), load(S)
-    beyond = _beyond(tension_only)
+    breaks = breaks_where(tension_only)
 
     @wp.kernel(enable_backward=False)
     def state_based(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
         u: wp.array(dtype=S),
-        bonds: wp.int32,
         table: wp.array(dtype=S),
         excess: S,
         criterion: wp.int32,
@@ -171,6 +157,7 @@ def _state_based(tension_only):
 
         A criterion below zero breaks nothing.
         """
+        bonds = table.shape[0] // TABLE
         i = nodes[first + wp.tid()]
         u0 = float_at(u, 2 * i)
         u1 = float_at(u, 2 * i + 1)
@@ -195,11 +182,10 @@ def _state_based(tension_only):
                     value = S(0.5) * pull * d
                     if d < S(0.0):
                         value = -wp.abs(value)
-                if criterion >= 0:  # noqa: SIM102
-                    if beyond(value, float_at(table, TABLE * b + 4)):  # noqa: SIM102
-                        if no_fail[i] + no_fail[j] == wp.uint8(0):
-                            neighbour[i * bonds + b] = -1 - j
-                            count += 1
+                if criterion >= 0:  # noqa: SIM102 (Warp's `and` would work both out)
+                    if breaks(value, float_at(table, TABLE * b + 4), no_fail, i, j):
+                        neighbour[i * bonds + b] = -1 - j
+                        count += 1
         force[i] = wp.vec2d(f0, f1)
         energy[i] = e + S(0.5) * excess * own * own
         lost[i] = count

@@ -250,7 +250,7 @@ class CutOperator:
         launch_slices(
             self._kernels.state_based,
             len(around),
-            (around, flat, self.bonds, self._table, excess, criterion, self._no_fail, self.theta),
+            (around, flat, self._table, excess, criterion, self._no_fail, self.theta),
             (force, energy, self.lost, links),
         )
 
