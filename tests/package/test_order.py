@@ -64,3 +64,16 @@ def test_no_circle_inside_a_wing(wing):
 def test_a_kernel_knows_no_more_than_kernels():
     for path in (ROOT / "kernels").rglob("*.py"):
         assert {names[0] for names in imported(path.relative_to(ROOT))} <= {"kernels"}
+
+
+def test_the_way_through_the_wings_is_short():
+    """The longest chain of wings that import one another."""
+    wings = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    links = {wing: set() for wing in wings}
+    for path in modules():
+        if path.parts[0] in wings:
+            links[path.parts[0]] |= {n[0] for n in imported(path)} & wings - {path.parts[0]}
+    depth = {}
+    for wing in TopologicalSorter(links).static_order():
+        depth[wing] = 1 + max((depth[below] for below in links[wing]), default=0)
+    assert max(depth.values()) <= 10
