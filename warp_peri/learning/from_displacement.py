@@ -293,7 +293,7 @@ def scaled_by_force(
         solid: known up to its scale.
         frames: that the forces belong to.
         forces: pull along the axis on a section across it, over the thickness, shape [S]
-            [stress × length].
+            in stress times length.
         width: of that section in the reference; the stress on it is taken as that of the interior.
         axis: 0 for x, 1 for y.
 
