@@ -55,7 +55,7 @@ def test_the_script_passes(complaints):
         ("set_threads(1)", 'set_threads("1")', 'incompatible type "str"; expected "int"'),
         ("method, str)", "method, int)", 'Expression is of type "str", not "int"'),
         ("operator(tensor), torch.Tensor", "operator(tensor), np.ndarray", 'of type "Tensor"'),
-        ("horizon=HORIZON, degree=1,", "degree=1,", 'Missing named argument "horizon"'),
+        ("train, horizon=HORIZON,", "train,", 'Missing positional argument "horizon"'),
     ],
 )
 def test_a_mistake_is_seen(right, wrong, message, complaints):
@@ -74,7 +74,7 @@ def test_the_script_runs(tmp_path):
         check=False,
     )
     assert run.returncode == 0, run.stderr
-    error, method, refusal = run.stdout.splitlines()
+    error, *_, method, refusal = run.stdout.splitlines()
     assert float(error) < 1e-6  # the model that made the data is found again
     assert method == "lu"
     assert "none.json" in refusal

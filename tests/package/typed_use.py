@@ -152,8 +152,10 @@ def main(folder: Path) -> None:
     fine = assert_type(warp_peri.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
     print(fine.transferred_from, warp_peri.model_for(model, test).horizon)
     print(warp_peri.one_kernel(model, horizon=3 * SPACING).certified_on)
-    carried = assert_type(warp_peri.onto_lattice(test, spacing=SPACING), warp_peri.Samples)
-    through = warp_peri.ThroughLattice(model, carried, spacing=SPACING / 2, neighbours=12)
+    assert_type(warp_peri.onto_lattice(test, spacing=SPACING), warp_peri.Samples)
+    x = SPACING * np.argwhere(np.ones((41, 41), bool)) - 20 * SPACING
+    wide = warp_peri.Points(x, np.abs(x).max(axis=1) <= 3, SPACING)
+    through = warp_peri.ThroughLattice(model, wide, spacing=SPACING)
     print(assert_type(through.figures().smallest_eigenvalue, float))
     coarse(test.x, test.x[test.interior])
     scene = warp_peri.Scene(size=(100.0, 100.0), shortest_wave=50.0)

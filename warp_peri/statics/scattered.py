@@ -14,7 +14,6 @@ from scipy.spatial import ConvexHull, cKDTree
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.families import bond_classes
 from warp_peri.points.interpolation import (
     FOR_DATA,
     FULL,
@@ -185,7 +184,8 @@ def _places(
     Raises InputError where the points do not reach as far.
     """
     tree, free = cKDTree(points.x), points.x[points.interior]
-    reach = 2 * int(np.abs(bond_classes(spacing, model.horizon).steps).max())
+    whole = 2 * model.horizon / spacing * (1 + 1e-9)  # two bonds may end off the axes
+    reach = int(whole)
     touch = 2.0 * np.sqrt(neighbours / np.pi) * dense  # farther than any node that is used
     pad = int(np.ceil(touch / spacing)) + reach
     low = np.floor(free.min(axis=0) / spacing) - pad
@@ -196,7 +196,7 @@ def _places(
     touched = np.zeros(size, bool)
     used = points.interior[tree.query(x[near], neighbours)[1]].any(axis=1)
     touched[tuple(steps[near[used]].T)] = True
-    ball = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach * (1 + 1e-9)
+    ball = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= whole
     needed = binary_dilation(touched, ball)
     x, loaded = x[needed.ravel()], touched.ravel()[needed.ravel()]
     hull = ConvexHull(points.x).equations
