@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights, stiffness_across
 from warp_peri.points.families import BondClasses
+from warp_peri.stability.inertia import pivots, symmetric_factors
 from warp_peri.stability.proof import largest_bound
 
 
@@ -67,17 +67,13 @@ def negative_eigenvalues(matrix: sp.sparray) -> int:
     """
     symmetric = sp.csc_matrix((matrix + matrix.T) / 2)
     try:
-        factors = splu(
-            symmetric,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        factors = symmetric_factors(symmetric)
     except RuntimeError as error:
         raise InputError(f"operator: it is singular ({error})") from None
-    if not np.array_equal(factors.perm_r, factors.perm_c):
+    signed = pivots(factors)
+    if signed is None:
         raise InputError("operator: a pivot is zero; its eigenvalues cannot be counted by signs")
-    return int(np.count_nonzero(factors.U.diagonal() < 0))
+    return int(np.count_nonzero(signed < 0))
 
 
 def check_cut(matrix: sp.sparray) -> None:

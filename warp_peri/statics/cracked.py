@@ -9,12 +9,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights, cut_matrix
 from warp_peri.points.body import Body, cracked
+from warp_peri.stability import inertia
 from warp_peri.stability.breaking import check_cut
 
 RESIDUAL = 1e-9
@@ -90,12 +90,7 @@ class CutSolid:
 def symmetric_factors(matrix: sp.csc_array) -> Any:
     """Sparse factors of a symmetric matrix, pivots on the diagonal; InputError if singular."""
     try:
-        return splu(
-            sp.csc_matrix(matrix),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        return inertia.symmetric_factors(matrix)
     except RuntimeError as error:
         raise InputError(f"operator: parts of the body hang loose ({error})") from None
 

@@ -7,13 +7,13 @@ import warnings
 import numpy as np
 import scipy.sparse as sp
 import torch
-from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.models.solid import Solid
 from warp_peri.operator.stencil import smallest_ratio, stencil
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
+from warp_peri.stability.inertia import definite_factors
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.domain import domain
 
@@ -63,7 +63,7 @@ def refuse_indefinite(
 
 def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
     """Refuse, or warn of, a symmetric part that is not positive definite."""
-    if _is_definite(symmetric):
+    if definite_factors(symmetric) is not None:
         return
     smallest = smallest_eigenvalue(symmetric)
     if smallest > 0:
@@ -76,18 +76,3 @@ def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
     if not allowed:
         raise InputError(message)
     warnings.warn(message, stacklevel=4)
-
-
-def _is_definite(symmetric: sp.csc_array) -> bool:
-    """Whether elimination without pivoting meets positive pivots only (Sylvester)."""
-    try:
-        factors = splu(
-            symmetric,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError:  # exactly singular
-        return False
-    same = np.array_equal(factors.perm_r, factors.perm_c)
-    return bool(same and (factors.U.diagonal() > 0).all())

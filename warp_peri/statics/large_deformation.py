@@ -22,6 +22,7 @@ from warp_peri.models.hyperelastic import HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.samples import PointsLike
+from warp_peri.stability.inertia import definite_factors
 
 DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
@@ -254,7 +255,7 @@ class StaticProblem:
         K = self.pattern.matrix(u, c)
         shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
         for _ in range(12):
-            factor = factorised(K + shift * sp.eye(K.shape[0]) if shift else K)
+            factor = definite_factors(K + shift * sp.eye(K.shape[0]) if shift else K)
             if factor is not None:
                 step: np.ndarray = factor.solve(residual.ravel()).reshape(residual.shape)
                 return step, shift
@@ -375,19 +376,6 @@ def laplacian(op: HyperelasticOperator) -> tuple[sp.csr_matrix, sp.csr_matrix]:
     own = whole[:, inside] + sp.eye(len(op.interior)) * (len(near) / square)
     collar = whole @ sp.diags((~inside).astype(float))
     return own.tocsr(), collar.tocsr()
-
-
-def factorised(K: sp.spmatrix) -> Any:
-    """The factors of a symmetric matrix where it is positive definite, else None."""
-    try:
-        factor = splu(
-            K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )  # fmt: skip
-    except RuntimeError:  # exactly singular
-        return None
-    symmetric = np.array_equal(factor.perm_r, factor.perm_c)
-    return factor if symmetric and (factor.U.diagonal() > 0).all() else None
 
 
 def _inverse(factor: Any) -> LinearOperator:
