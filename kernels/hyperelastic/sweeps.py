@@ -136,6 +136,26 @@ def _on_short(scalar):
 
 
 @cache
+def _known(scalar):
+    of = types(scalar)
+    six = of.six
+    short, on_short = _short(scalar), _on_short(scalar)
+    zero = scalar(0.0)
+
+    @wp.func
+    def known(whole: wp.int32, E: six):
+        """A sum over the bonds there are, zero in the strains whose family is not whole."""
+        kept = E
+        if whole % 2 == 0:
+            kept = on_short(short(kept))
+        if whole < 2:
+            kept = six(kept[0], kept[1], kept[2], zero, zero, zero)
+        return kept
+
+    return known
+
+
+@cache
 def _acts(scalar):
 
     @wp.func
@@ -220,6 +240,7 @@ def parts(scalar):
         seen=_seen(scalar),
         placed=_placed(scalar),
         on_short=_on_short(scalar),
+        known=_known(scalar),
         acts=_acts(scalar),
         deviates=_deviates(scalar),
     )
@@ -230,8 +251,7 @@ def _strain(scalar):
     of = types(scalar)
     part = parts(scalar)
     vec, six, Lattice = of.vec, of.six, of.Lattice
-    bond_strain, short, on_short = part.bond_strain, part.short, part.on_short
-    zero = scalar(0.0)
+    bond_strain, known = part.bond_strain, part.known
 
     @wp.kernel(enable_backward=False)
     def strain(lattice: Lattice, u: wp.array2d(dtype=vec), E: wp.array2d(dtype=six)):
@@ -243,11 +263,7 @@ def _strain(scalar):
             if j >= 0:
                 strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
                 total += (strained / lattice.inverse[p]) * lattice.weight[p]
-        if lattice.whole[i] % 2 == 0:
-            total = on_short(short(total))
-        if lattice.whole[i] < 2:
-            total = six(total[0], total[1], total[2], zero, zero, zero)
-        E[s, i] = total
+        E[s, i] = known(lattice.whole[i], total)
 
     return strain
 

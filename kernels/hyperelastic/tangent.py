@@ -50,8 +50,7 @@ def _strain_rate(scalar):
     of = types(scalar)
     part = parts(scalar)
     vec, six, Lattice = of.vec, of.six, of.Lattice
-    short, on_short = part.short, part.on_short
-    zero = scalar(0.0)
+    known = part.known
 
     @wp.kernel(enable_backward=False)
     def strain_rate(
@@ -68,11 +67,7 @@ def _strain_rate(scalar):
             if j >= 0:
                 Y = lattice.xi[p] + u[s, j] - u[s, i]
                 total += wp.dot(Y, v[s, j] - v[s, i]) * lattice.weight[p]
-        if lattice.whole[i] % 2 == 0:
-            total = on_short(short(total))
-        if lattice.whole[i] < 2:
-            total = six(total[0], total[1], total[2], zero, zero, zero)
-        dE[s, i] = total
+        dE[s, i] = known(lattice.whole[i], total)
 
     return strain_rate
 
