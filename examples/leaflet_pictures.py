@@ -104,5 +104,5 @@ def errors_by_frame(found: dict[str, Any]) -> Figure:
         color = f"C{number + 2}"
         ax.axhline(100 * rival["held out"], color=color, ls="--", lw=1, label=name)
     ax.set(xlabel="held-out frame", ylabel="error of displacement [%]", yscale="log")
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     return figure

@@ -10,7 +10,6 @@ of training are options: the printed widths are 256, 512 and 512, 512.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import sys
 import time
@@ -26,6 +25,7 @@ from tqdm import tqdm
 
 import warp_peri
 from examples.nonlinear import OUT, STRAINED
+from examples.studies.pno_rival import network
 from examples.train_graphene import DATA
 from warp_peri import NonlinearModel, NonlinearOperator, Samples
 from warp_peri.errors import InputError
@@ -71,14 +71,6 @@ class Bonds:
         """−Σ (T_ij + T_ji) M on the interior, from T [S, F, B]."""
         both = T[:, self.own] + T[:, self.far, self.back]
         return -(M * both[..., None]).sum(2)
-
-
-def network(*widths: int) -> torch.nn.Sequential:
-    """Linear layers with rectifiers between them."""
-    layers: list[torch.nn.Module] = []
-    for width, following in itertools.pairwise(widths):
-        layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
-    return torch.nn.Sequential(*layers[:-1])
 
 
 class Printed(torch.nn.Module):

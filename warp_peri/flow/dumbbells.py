@@ -18,7 +18,6 @@ import warp as wp
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import whole_file
-from warp_peri.flow.planar import IDENTITY
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
 
@@ -240,8 +239,3 @@ def stretched_rest(K: np.ndarray, b: float) -> Moments:
     q2 = np.einsum("rha,cha,r->c", density, parts, r**2) / density.sum()
     f = r**2 / (1 - r**2 / b)
     return Moments(q2[None], (np.einsum("rha,cha,r->c", density, parts, f) / density.sum())[None])
-
-
-def rest_conformation(b: float | None) -> np.ndarray:
-    """C of ensembles at rest, shape [4]."""
-    return rest_moment(b) * IDENTITY

@@ -46,11 +46,6 @@ class Pairs:
         at = random.choice(len(self), n, replace=False)
         return Pairs(self.K[at], self.s[at], self.rate[at], self.noise[at], self.window)
 
-    def swapped(self) -> Pairs:
-        """The same with x and y exchanged."""
-        T, R = [2, 1, 0, 3], [3, 2, 1, 0]
-        return Pairs(self.K[:, R], self.s[:, T], self.rate[:, T], self.noise[:, T], self.window)
-
     def joined(self, other: Pairs) -> Pairs:
         """These and the others. Raises InputError for pairs of another window."""
         if other.window != self.window:

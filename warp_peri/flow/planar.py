@@ -55,12 +55,6 @@ def carried(K: Any, C: Any) -> Any:
     )
 
 
-def twice_symmetric(K: Any) -> Any:
-    """K + Kᵗ."""
-    kxx, kxy, kyx, kyy = unpack(K)
-    return stack([2 * kxx, kxy + kyx, 2 * kyy, 0 * kxx])
-
-
 def trace(C: Any) -> Any:
     """The trace."""
     return C[..., 0] + C[..., 2] + C[..., 3]
