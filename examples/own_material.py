@@ -59,12 +59,12 @@ def make_dumps(folder: Path) -> tuple[list[Path], list[Path], Path, tuple[float,
             linear = statics.linear_response(shape)
             size = 1e-6 / np.abs(linear).max()
             size *= STRAIN / statics.max_bond_strain(size * linear)
-            found = statics.equilibrium(size * shape, name=load.load_id)
-            session.forces(statics.reference + found.displacement)
+            equilibrium = statics.equilibrium(size * shape, name=load.load_id)
+            session.forces(statics.reference + equilibrium.displacement)
             dumps.append(folder / f"load{number}.dump")
             forces.append(folder / f"load{number}.csv")
             session.write_dump(dumps[-1])
-            np.savetxt(forces[-1], found.force, delimiter=",", fmt="%.15g")
+            np.savetxt(forces[-1], equilibrium.force, delimiter=",", fmt="%.15g")
     return dumps, forces, rest, box
 
 
@@ -87,9 +87,9 @@ def run(out: Path) -> dict[str, dict[str, float]]:
     potential = potential_file("BNC.tersoff")
     bond = bond_length(potential, elements=ELEMENTS)
     truth = elastic_constants(bond, potential=potential, elements=ELEMENTS)
-    found = load_model(model / "model.json")
+    learned = load_model(model / "model.json")
     return {
-        "learned": {"lambda": found.lam, "mu": found.mu, "E": found.E, "nu": found.nu},
+        "learned": {"lambda": learned.lam, "mu": learned.mu, "E": learned.E, "nu": learned.nu},
         "lattice statics": truth,
     }
 

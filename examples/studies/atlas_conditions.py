@@ -56,11 +56,11 @@ def unconstrained(grid: ReducedLoss, degree: int) -> tuple[Parameters, float, fl
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         if coordinates.free_alpha:
             low[-1], high[-1] = -6.0, 2.999
-        found = least_squares(
+        trial = least_squares(
             residual, start, jac=slope, bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-12
         )
-        if best is None or found.cost < best[0]:
-            best = found.cost, found.x, coordinates
+        if best is None or trial.cost < best[0]:
+            best = trial.cost, trial.x, coordinates
     assert best is not None
     cost, y, coordinates = best
     point = coordinates.point(y)
@@ -137,9 +137,9 @@ def kernels_without_conditions(
         horizon = ratio * train.spacing
         grid = reduce(train, horizon, weight)
         for row, degree in enumerate(DEGREES):
-            found, _, smallest[row, column] = unconstrained(grid, degree)
-            if found.mu > 0 and found.lam + found.mu > 0:
-                models[row, column] = Model(found.lam, found.mu, found.alpha, found.D, horizon)
+            fitted, _, smallest[row, column] = unconstrained(grid, degree)
+            if fitted.mu > 0 and fitted.lam + fitted.mu > 0:
+                models[row, column] = Model(fitted.lam, fitted.mu, fitted.alpha, fitted.D, horizon)
     return smallest, models
 
 
@@ -208,7 +208,7 @@ def draw_spectra(
 def displacement_error(model: Model, points: Samples) -> float:
     """E_u of what LU gives without asking; `solve` refuses where the operator is indefinite."""
     L = matrices(model, points).operator(model.lam, model.mu)
-    found = MatrixProblem(L, points.interior).solve(points.loads, points.u)
-    u, found = points.u[:, points.interior], found[:, points.interior]
-    wrong = np.linalg.norm(found - u, axis=(1, 2)) / np.linalg.norm(u, axis=(1, 2))
+    solved = MatrixProblem(L, points.interior).solve(points.loads, points.u)
+    u, solved = points.u[:, points.interior], solved[:, points.interior]
+    wrong = np.linalg.norm(solved - u, axis=(1, 2)) / np.linalg.norm(u, axis=(1, 2))
     return float(wrong.mean())

@@ -48,13 +48,13 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
                 table[label].append(displacement_error(model, points) if fits else np.nan)
     assert first is not None
     model = first
-    one, two = (table[f"δ = 20 Å, trained on {name}"] for name in ("5 Å", "5 and 2.5 Å"))
+    single, two = (table[f"δ = 20 Å, trained on {name}"] for name in ("5 Å", "5 and 2.5 Å"))
     short = table["δ = 12.5 Å, trained on 5 and 2.5 Å"]
     return Entry(
         *written(
             "spacing",
-            one_fine=100 * one[0],
-            one_own=100 * one[3],
+            one_fine=100 * single[0],
+            one_own=100 * single[3],
             both_fine=100 * two[0],
             both_own=100 * two[3],
             both_third=100 * two[1],
@@ -215,10 +215,10 @@ def large_degrees(data: Dataset) -> Entry:
     errors, swings = [], []
     r = np.linspace(train.spacing, horizon, 2000)
     for degree in tqdm(tried, desc="high degrees"):
-        found = warp_peri.fit(train, horizon=horizon, kernel=warp_peri.Bernstein(degree))
-        errors.append(found.history[-1].E_res_train)
-        at_bonds = np.abs(found.model.influence(classes.r)).max()
-        swings.append(float(np.abs(found.model.influence(r)).max() / at_bonds))
+        fit = warp_peri.fit(train, horizon=horizon, kernel=warp_peri.Bernstein(degree))
+        errors.append(fit.history[-1].E_res_train)
+        at_bonds = np.abs(fit.model.influence(classes.r)).max()
+        swings.append(float(np.abs(fit.model.influence(r)).max() / at_bonds))
     worst, widest = int(np.argmax(condition)), int(np.argmax(swings))
     return Entry(
         *written(

@@ -60,9 +60,9 @@ def elastic_error(points: Points, lam: float, horizon: float) -> float:
     """Relative ℓ2 error of the solve with K = 1/r against linear elasticity."""
     model = Model(lam, MU, 1.0, np.ones(1), horizon)
     u = elastic_field(points.x, lam, MU)
-    found = quiet_solve(model, points, elastic_load(points.x, lam, MU), u)
+    solved = quiet_solve(model, points, elastic_load(points.x, lam, MU), u)
     inside = points.interior
-    return float(np.linalg.norm((found - u)[inside]) / np.linalg.norm(u[inside]))
+    return float(np.linalg.norm((solved - u)[inside]) / np.linalg.norm(u[inside]))
 
 
 def quiet_solve(model: Model, points: Points, b: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -194,8 +194,8 @@ def single_precision() -> Entry:
         errors[precision] = []
         exact = lps_force(Bonds(points, horizon), torch.from_numpy(u), solid).numpy()
         for shift in shifts:
-            found = force(u + shift)
-            errors[precision].append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
+            rounded = force(u + shift)
+            errors[precision].append(float(np.linalg.norm(rounded - exact) / np.linalg.norm(exact)))
         rough[precision] = float(np.linalg.norm(force(u) - exact) / np.linalg.norm(exact))
     lost = shifts[int(np.argmax(np.array(errors["float32"]) > 0.01))]
     model = Model(-0.2, MU, 1.0, np.ones(1), horizon, certified_on=(1.0,))

@@ -61,15 +61,15 @@ def fits(train: Samples) -> dict[str, tuple[int, Fit]]:
     }
 
 
-def row(name: str, count: int, found: Fit, data: Dataset) -> dict[str, Any]:
+def row(name: str, count: int, fit: Fit, data: Dataset) -> dict[str, Any]:
     """Errors [%] and constants of one fit."""
     out: dict[str, Any] = {"shape": name, "parameters": count}
     for role in SETS:
-        errors = warp_peri.evaluate(found.model, data[role])
+        errors = warp_peri.evaluate(fit.model, data[role])
         out |= {f"{key} {role}": 100 * errors[key] for key in ("E_res", "E_u")}
-    out |= {"mu": found.model.mu, "E": found.model.E, "c": found.certificate.symbol_bound}
-    if found.influence is not None:
-        out["learned"] = found.model.provenance["influence"]
+    out |= {"mu": fit.model.mu, "E": fit.model.E, "c": fit.certificate.symbol_bound}
+    if fit.influence is not None:
+        out["learned"] = fit.model.provenance["influence"]
     return out
 
 
@@ -81,21 +81,21 @@ def text(rows: list[dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     keys = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
-    for one in rows:
-        errors = " | ".join(f"{one[key]:.2f}" for key in keys)
-        constants = f"{one['mu']:.3f} | {one['E']:.3f}"
-        lines.append(f"| {one['shape']} | {one['parameters']} | {errors} | {constants} |")
+    for row in rows:
+        errors = " | ".join(f"{row[key]:.2f}" for key in keys)
+        constants = f"{row['mu']:.3f} | {row['E']:.3f}"
+        lines.append(f"| {row['shape']} | {row['parameters']} | {errors} | {constants} |")
     return "\n".join(lines) + "\n"
 
 
-def picture(found: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], path: Path) -> None:
+def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], path: Path) -> None:
     """The kernels, and what each extra parameter buys on the disks."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     classes = bond_classes(5.0, HORIZON)
     r = np.linspace(classes.r[0], HORIZON, 500)
     left.axhline(0, color="0.7", linewidth=0.8)
     for number, name in enumerate(("gaussian", "damped wave", "Bernstein, M = 10")):
-        model, color = found[name][1].model, f"C{number}"
+        model, color = learned[name][1].model, f"C{number}"
         bonds = classes.r**2 * kernel_values(model, classes, classes.r)
         if name.startswith("Bernstein"):  # between the bonds its polynomial is not determined
             left.plot(classes.r, bonds, "x", color=color, label=f"{name}, at the bonds")
@@ -108,14 +108,14 @@ def picture(found: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], path:
     left.legend(frameon=False, loc="upper right")
     for label, key, marker in (("disks", "E_u test", "o"), ("validation", "E_u val", "s")):
         right.semilogy(
-            [one["parameters"] for one in rows], [one[key] for one in rows], marker, label=label
+            [row["parameters"] for row in rows], [row[key] for row in rows], marker, label=label
         )
     above = {"exponential": 10, "gaussian": 0, "conical": -10}
-    for one in rows:
+    for row in rows:
         right.annotate(
-            one["shape"],
-            (one["parameters"], one["E_u test"]),
-            xytext=(8, above.get(one["shape"], 0)),
+            row["shape"],
+            (row["parameters"], row["E_u test"]),
+            xytext=(8, above.get(row["shape"], 0)),
             textcoords="offset points",
             va="center",
             fontsize=8,
@@ -144,11 +144,11 @@ def main(arguments: list[str] | None = None) -> int:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    found = fits(data["train"])
-    rows = [row(name, count, one, data) for name, (count, one) in found.items()]
+    learned = fits(data["train"])
+    rows = [row(name, count, fit, data) for name, (count, fit) in learned.items()]
     write_json(given.out / "metrics.json", {"fits": rows})
     write_text(given.out / "table.md", text(rows))
-    picture(found, rows, given.out / "shapes.png")
+    picture(learned, rows, given.out / "shapes.png")
     print(text(rows))
     return 0
 

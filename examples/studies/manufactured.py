@@ -161,7 +161,7 @@ def run(out: Path, seed: int, *, quintic: bool) -> dict[str, Any]:
                 positive_fit(grids[h], M, learn_alpha=learn_alpha, seed=seed)
                 for M in tqdm(DEGREES, desc=f"{name}, h = {h:g} Å")
             ]
-            losses.append([relative_residual(grids[h], *one) for one in fits])
+            losses.append([relative_residual(grids[h], *parameters) for parameters in fits])
             alpha, D = fits[DEGREES.index(KERNEL_DEGREE)]
             K = kernel(alpha, D, r)
             errors.append(float(np.linalg.norm(K * r - 1) / np.sqrt(len(r))))

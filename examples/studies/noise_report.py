@@ -163,8 +163,8 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
     """Figure 7, right: K at the bonds for each factor on the loads, with its 90 % band."""
     figure, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")
     ax.axhline(0, color="0.7", linewidth=0.8)
-    for number, (factor, found) in enumerate(fits.items()):
-        model = found.model
+    for number, (factor, fit) in enumerate(fits.items()):
+        model = fit.model
         classes = bond_classes(model.trained_on[0], model.horizon)
 
         def values(m: Model, classes: Any = classes) -> np.ndarray:

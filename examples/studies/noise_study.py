@@ -57,7 +57,7 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
                 default = chosen.get((reduction, factor))
                 if default and loss == default.loss.name:
                     continue
-                found = warp_peri.fit(
+                fit = warp_peri.fit(
                     own["train"],
                     horizon=HORIZON,
                     kernel=warp_peri.Bernstein(DEGREE),
@@ -65,22 +65,22 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
                     loss=loss,
                     noise=own["noise"],
                 )
-                chosen.setdefault((reduction, factor), found)
+                chosen.setdefault((reduction, factor), fit)
                 row: dict[str, Any] = {"reduction": reduction, "factor": factor}
-                row["loss"] = found.loss.name
-                row |= {"default": loss == DEFAULT, "reason": found.loss.reason}
-                row |= constants(found.model, deviations(found, own))
-                row["c"] = found.certificate.symbol_bound
-                row["certified"] = bool(found.model.certified_on)
-                rows.append(row | against(found.model, own, data["shared", factor], cold))
+                row["loss"] = fit.loss.name
+                row |= {"default": loss == DEFAULT, "reason": fit.loss.reason}
+                row |= constants(fit.model, deviations(fit, own))
+                row["c"] = fit.certificate.symbol_bound
+                row["certified"] = bool(fit.model.certified_on)
+                rows.append(row | against(fit.model, own, data["shared", factor], cold))
                 bar.update()
     rows.sort(key=lambda row: (-row["factor"], REDUCTIONS.index(row["reduction"])))
     return rows, chosen
 
 
-def deviations(found: Fit, own: Dataset) -> warp_peri.Uncertainty:
+def deviations(fit: Fit, own: Dataset) -> warp_peri.Uncertainty:
     """What the noise of its data makes of a fit."""
-    return warp_peri.fit_uncertainty(found, own["train"], own["noise"])
+    return warp_peri.fit_uncertainty(fit, own["train"], own["noise"])
 
 
 def constants(model: warp_peri.Model, sure: warp_peri.Uncertainty) -> dict[str, float]:
@@ -132,7 +132,7 @@ def floor(noise: Samples, reference: Samples) -> float:
 def swept(folder: Path, data: Data, cold: Dataset, jobs: int) -> dict[str, Any]:
     """Algorithm 2 on the paper's reduction at 300 K: Tables 3 and 4."""
     own = data[SWEPT]
-    found = sweep(
+    trials = sweep(
         own["train"],
         own["val"],
         folder / "sweep",
@@ -142,12 +142,12 @@ def swept(folder: Path, data: Data, cold: Dataset, jobs: int) -> dict[str, Any]:
         progress=True,
     )
     rows = []
-    for trial, average in zip(found.by_degree, found.average):
+    for trial, average in zip(trials.by_degree, trials.average):
         model = load_model(folder / "sweep" / trial.model)
         row: dict[str, Any] = {"degree": trial.degree, "horizon": trial.horizon, "AvgE": average}
         row |= {key: getattr(model, key) for key in ("alpha", "lam", "mu", "E", "nu")}
         rows.append(row | against(model, own, data["shared", SWEPT[1]], cold))
-    return {"by_degree": rows, "chosen": found.printed.degree}
+    return {"by_degree": rows, "chosen": trials.printed.degree}
 
 
 def run(given: argparse.Namespace) -> str:
@@ -167,14 +167,14 @@ def run(given: argparse.Namespace) -> str:
     text = noise_report.tables(content, given.command)
     write_text(given.out / "noise.md", text)
     iota = {factor: chosen["iota", factor] for factor in FACTORS}
-    sure = {factor: deviations(found, data["iota", factor]) for factor, found in iota.items()}
+    sure = {factor: deviations(fit, data["iota", factor]) for factor, fit in iota.items()}
     noise_report.draw_degrees(given.out / "errors_by_degree.png", table["by_degree"])
     noise_report.draw_kernels(given.out / "kernels.png", iota, sure)
-    found = chosen["plain", 0.1]
+    fit = chosen["plain", 0.1]
     noise_report.draw_disk(
         given.out / "disk.png",
-        found.model,
-        deviations(found, data["plain", 0.1]),
+        fit.model,
+        deviations(fit, data["plain", 0.1]),
         cold["test"],
     )
     return text

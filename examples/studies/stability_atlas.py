@@ -24,6 +24,7 @@ matplotlib.use("Agg")
 
 import warp_peri
 from examples.graphene_report import save_figure
+from examples.prose import fill
 from examples.studies import (
     atlas_conditions,
     atlas_cracks,
@@ -41,13 +42,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.whole import plain, write_json, write_text
 
 STEPS = 100_000
-HEAD = """# Where the method fails: a stability atlas
-
-Every failure below is provoked by `python examples/studies/stability_atlas.py`, which wrote this
-page: each has a figure, a number, and what a user would see. Numbers in brackets are equations of
-the [theory](theory.md); "learned" means δ = 20 Å, M = 10 on 5 Å nodes
-of the graphene data. How the files survive is in [reliability](reliability.md).
-"""
+TEMPLATE = Path(__file__).parent / "atlas" / "page.md"
 
 
 def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Callable[[], Entry]]:
@@ -56,8 +51,8 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
 
     def model() -> warp_peri.Model:
         if not learned:
-            found = warp_peri.fit(data["train"], horizon=20.0, kernel=warp_peri.Bernstein(10))
-            learned.append(found.model)
+            fit = warp_peri.fit(data["train"], horizon=20.0, kernel=warp_peri.Bernstein(10))
+            learned.append(fit.model)
         return learned[0]
 
     return {
@@ -113,14 +108,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         path = make_data(-1, SMOOTHING_RADIUS)
         data = warp_peri.load_dataset(path)
-        found = entries(data, DATA.with_suffix(".cache"), given.steps)
-        unknown = set(given.only or ()) - set(found)
+        works = entries(data, DATA.with_suffix(".cache"), given.steps)
+        unknown = set(given.only or ()) - set(works)
         if unknown:
-            raise InputError(f"--only: expected some of {', '.join(found)}, got {sorted(unknown)}")
+            raise InputError(f"--only: expected some of {', '.join(works)}, got {sorted(unknown)}")
         sections, values = [], {}
-        for name in given.only or found:
+        for name in given.only or works:
             begin = time.perf_counter()
-            entry = found[name]()
+            entry = works[name]()
             save_figure(entry.figure, given.out / "stability" / f"{name}.png")
             sections.append(section(name, entry, "stability"))
             values[name] = {"number": entry.number, "seen": entry.seen, "values": entry.values}
@@ -131,7 +126,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if not given.only:
-        write_text(given.out / "stability.md", "\n".join([HEAD, *sections]))
+        page = fill(TEMPLATE, sections="\n".join(sections))
+        write_text(given.out / "stability.md", page)
         write_json(ROOT / "runs" / "stability" / "stability.json", finite(plain(values)))
     return 0
 

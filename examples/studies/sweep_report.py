@@ -35,24 +35,24 @@ ERRORS = ("E_res_train", "E_u_train", "E_res_val", "E_u_val")
 
 
 def write_sweep(
-    folder: Path, found: Sweep, *, spacing: float, truth: dict[str, float] | None, command: str
+    folder: Path, trials: Sweep, *, spacing: float, truth: dict[str, float] | None, command: str
 ) -> None:
     """sweep.json, sweep.md, sweep_errors.png (figure 6) and sweep_kernels.png (figure 7)."""
     write_json(
         folder / "sweep.json",
         {
-            "trials": [asdict(trial) for trial in found.trials],
-            "by_degree": [asdict(trial) for trial in found.by_degree],
-            "AvgE": found.average,
-            "printed_choice": asdict(found.printed),
-            "cheapest_choice": asdict(found.cheapest),
+            "trials": [asdict(trial) for trial in trials.trials],
+            "by_degree": [asdict(trial) for trial in trials.by_degree],
+            "AvgE": trials.average,
+            "printed_choice": asdict(trials.printed),
+            "cheapest_choice": asdict(trials.cheapest),
         },
     )
-    write_text(folder / "sweep.md", _tables(folder, found, truth, command))
-    draw_errors(folder / "sweep_errors.png", found.by_degree)
+    write_text(folder / "sweep.md", _tables(folder, trials, truth, command))
+    draw_errors(folder / "sweep_errors.png", trials.by_degree)
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(load_model(folder / found.printed.model), spacing=spacing, ax=ax)
-    ax.set_title(f"Chosen influence function: {_name(found.printed)} (figure 7, left)")
+    plots.influence_function(load_model(folder / trials.printed.model), spacing=spacing, ax=ax)
+    ax.set_title(f"Chosen influence function: {_name(trials.printed)} (figure 7, left)")
     save_figure(figure, folder / "sweep_kernels.png")
 
 
@@ -79,8 +79,8 @@ def _name(trial: Trial) -> str:
     return f"δ = {trial.horizon:g} Å, M = {trial.degree}"
 
 
-def _tables(folder: Path, found: Sweep, truth: dict[str, float] | None, command: str) -> str:
-    chosen = {"smallest AvgE": found.printed, "cheapest": found.cheapest}
+def _tables(folder: Path, trials: Sweep, truth: dict[str, float] | None, command: str) -> str:
+    chosen = {"smallest AvgE": trials.printed, "cheapest": trials.cheapest}
     models = {name: load_model(folder / trial.model) for name, trial in chosen.items()}
     table_4 = [_table_4(name, trial, models[name]) for name, trial in chosen.items()]
     table_4.append(["printed", *(f"{value:g}" for value in PRINTED_TABLE_4)])
@@ -90,13 +90,13 @@ def _tables(folder: Path, found: Sweep, truth: dict[str, float] | None, command:
     return fill(
         Path(__file__).with_suffix(".md"),
         command=command,
-        table_3=rows_of(map(_table_3, found.by_degree, found.average)),
-        printed=_name(found.printed),
+        table_3=rows_of(map(_table_3, trials.by_degree, trials.average)),
+        printed=_name(trials.printed),
         tolerance=COST_TOLERANCE,
-        cheapest=_name(found.cheapest),
-        bonds=found.cheapest.bonds,
+        cheapest=_name(trials.cheapest),
+        bonds=trials.cheapest.bonds,
         table_4=rows_of(table_4),
-        trials=rows_of(map(_trial, found.trials)),
+        trials=rows_of(map(_trial, trials.trials)),
     )
 
 

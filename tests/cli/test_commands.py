@@ -117,22 +117,22 @@ def test_a_reader_who_has_enough_is_no_failure(trained):
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "w") as output:
-        found = info_to(output, trained / "model.json")
-    assert (found.returncode, found.stderr) == (0, "")
+        process = info_to(output, trained / "model.json")
+    assert (process.returncode, process.stderr) == (0, "")
 
 
 def test_a_full_disk_behind_the_output_is_one_line(trained):
     with open("/dev/full", "w") as output:
-        found = info_to(output, trained / "model.json")
-    assert found.returncode == 1
-    assert found.stderr == "error: [Errno 28] No space left on device\n"
+        process = info_to(output, trained / "model.json")
+    assert process.returncode == 1
+    assert process.stderr == "error: [Errno 28] No space left on device\n"
 
 
 def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
-    found = answer(capsys, *words, "--horizons", "2.5", "--degrees", "0", "1")
-    assert found["fits"] == 2
-    assert json.loads((tmp_path / "sweep.json").read_text()) == found
+    printed = answer(capsys, *words, "--horizons", "2.5", "--degrees", "0", "1")
+    assert printed["fits"] == 2
+    assert json.loads((tmp_path / "sweep.json").read_text()) == printed
     settings = tomllib.loads((tmp_path / "sweep.toml").read_text())["sweep"]
     assert settings["degrees"] == [0, 1]
 
@@ -293,15 +293,15 @@ def test_errors_are_one_line(words, status, message, data, tmp_path, capsys):
 
 def test_a_shape_is_trained_by_name(data, tmp_path, capsys):
     words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--influence", "gaussian"]
-    found = answer(capsys, *words, "--loss", "residual")
+    printed = answer(capsys, *words, "--loss", "residual")
     model = load_model(tmp_path / "model.json")
-    width = found["influence"]["parameters"]["width"]
-    assert found["influence"] == model.provenance["influence"]
+    width = printed["influence"]["parameters"]["width"]
+    assert printed["influence"] == model.provenance["influence"]
     assert model.influence(2.0) == pytest.approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
     settings = tomllib.loads((tmp_path / "train.toml").read_text())["train"]
     assert settings["influence"] == "gaussian"
     again = answer(capsys, "train", "--config", tmp_path / "train.toml")
-    assert again["mu"] == pytest.approx(found["mu"], rel=1e-12)
+    assert again["mu"] == pytest.approx(printed["mu"], rel=1e-12)
 
 
 def test_a_table_is_trained_from_a_file(data, tmp_path, capsys):

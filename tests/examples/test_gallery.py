@@ -25,13 +25,13 @@ DOCS = ROOT / "docs"
 def figures():
     """Of the page as it lies in docs/: heading, picture, commands."""
     text = (DOCS / "gallery.md").read_text(encoding="utf-8")
-    found = []
+    shown = []
     for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
         (picture,) = re.findall(r"!\[.+\]\((.+)\)", part)
         (fence,) = re.findall(r"```\n(.*?)```", part.split(picture)[1], re.DOTALL)
-        found.append((part.splitlines()[0], picture, fence.replace("\\\n", "").splitlines()))
-    assert text.count("![") == len(found)
-    return found
+        shown.append((part.splitlines()[0], picture, fence.replace("\\\n", "").splitlines()))
+    assert text.count("![") == len(shown)
+    return shown
 
 
 def test_the_page_is_what_the_script_writes():

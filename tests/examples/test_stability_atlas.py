@@ -54,7 +54,7 @@ def test_float32_loses_forces_under_a_rigid_shift():
 @pytest.mark.parametrize("ratio", [-0.27, 3.0])
 def test_the_corrected_edge_is_better(ratio):
     lam = ratio * atlas_solves.MU
-    corrected, plain = (atlas_points.free_edge(16, lam, corrected=one) for one in (True, False))
+    corrected, plain = (atlas_points.free_edge(16, lam, corrected=kind) for kind in (True, False))
     assert corrected < 0.7 * plain
 
 

@@ -81,8 +81,8 @@ def made(kind, path):
     elif kind == "pipe":
         os.mkfifo(path)
     elif kind == "socket":
-        with socket.socket(socket.AF_UNIX) as one:
-            one.bind(path.name)
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(path.name)
     elif kind == "link to a device":
         path.symlink_to(os.devnull)
     else:

@@ -41,11 +41,11 @@ SMALL = Scene((100.0, 100.0), 50.0)
 
 def test_the_cheapest_within_the_tolerance_is_chosen():
     assert choose_model(tolerance=0.05, scene=SMALL, table=TABLE).horizon == 12.5
-    found = choose_model(tolerance=0.02, scene=SMALL, table=TABLE)
-    assert (found.spacing, found.horizon, found.method) == (5.0, 20.0, "lu")
-    assert found.seconds == pytest.approx(0.05 * (400 / 300) ** 1.5)
-    assert "δ = 20 Å" in found.reason
-    assert found.reason.count(".") >= 1
+    choice = choose_model(tolerance=0.02, scene=SMALL, table=TABLE)
+    assert (choice.spacing, choice.horizon, choice.method) == (5.0, 20.0, "lu")
+    assert choice.seconds == pytest.approx(0.05 * (400 / 300) ** 1.5)
+    assert "δ = 20 Å" in choice.reason
+    assert choice.reason.count(".") >= 1
 
 
 def test_short_waves_need_more_than_long_ones():
@@ -56,10 +56,10 @@ def test_short_waves_need_more_than_long_ones():
 def test_large_scenes_take_conjugate_gradients_by_shape():
     for rectangle, method, each in ((True, "sine", 2e-6), (False, "multigrid", 3e-6)):
         scene = Scene((2000.0, 2000.0), 50.0, rectangle)
-        found = choose_model(tolerance=0.05, scene=scene, table=TABLE)
-        assert found.method == method
-        assert (found.spacing, found.horizon) == (5.0, 20.0)  # as cheap as 12.5, and better
-        assert found.seconds == pytest.approx(each * 400**2)
+        choice = choose_model(tolerance=0.05, scene=scene, table=TABLE)
+        assert choice.method == method
+        assert (choice.spacing, choice.horizon) == (5.0, 20.0)  # as cheap as 12.5, and better
+        assert choice.seconds == pytest.approx(each * 400**2)
     assert choose_model(tolerance=0.009, scene=scene, table=TABLE).spacing == 2.5
 
 
@@ -68,9 +68,9 @@ def test_only_what_solve_can_do_is_chosen():
         *TABLE["rows"],
         row("lu32", 5.0, 12.5, 0.03, 1e-6),
     ]  # measured, and no option of solve
-    found = choose_model(tolerance=0.05, scene=SMALL, table=TABLE | {"rows": single})
-    assert found == choose_model(tolerance=0.05, scene=SMALL, table=TABLE)
-    assert found.method == "lu"
+    choice = choose_model(tolerance=0.05, scene=SMALL, table=TABLE | {"rows": single})
+    assert choice == choose_model(tolerance=0.05, scene=SMALL, table=TABLE)
+    assert choice.method == "lu"
 
 
 def test_what_was_not_measured_is_refused():
@@ -85,18 +85,18 @@ def test_what_was_not_measured_is_refused():
 def test_the_shipped_table_serves_a_real_scene():
     table = shipped_table()
     assert table["short_wave"] < table["long_wave"]
-    found = choose_model(tolerance=0.05, scene=SMALL)
+    choice = choose_model(tolerance=0.05, scene=SMALL)
     errors = [r["disks_error"] for r in table["rows"] if r["method"] == "lu"]
-    assert min(errors) <= found.error <= 0.05
+    assert min(errors) <= choice.error <= 0.05
 
 
 def test_spacing_and_horizon_from_transfers_of_a_model():
     home = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
-    found = choose_model(tolerance=0.02, scene=Scene((60.0, 60.0), 8.0), table=TABLE, model=home)
-    assert found.spacing <= 1.05 * 8.0 / 3  # to two digits
-    assert found.error <= 0.02
-    assert "coarsest of" in found.reason
-    here = on_lattice(home, spacing=found.spacing, tolerance=0.02, shortest_wave=8.0)
-    assert here.horizon == found.horizon
+    choice = choose_model(tolerance=0.02, scene=Scene((60.0, 60.0), 8.0), table=TABLE, model=home)
+    assert choice.spacing <= 1.05 * 8.0 / 3  # to two digits
+    assert choice.error <= 0.02
+    assert "coarsest of" in choice.reason
+    here = on_lattice(home, spacing=choice.spacing, tolerance=0.02, shortest_wave=8.0)
+    assert here.horizon == choice.horizon
     with pytest.raises(InputError, match="the data held waves down to 3.14 Å"):
         choose_model(tolerance=0.02, scene=Scene((60.0, 60.0), 3.0), table=TABLE, model=home)

@@ -32,17 +32,17 @@ residual of about 1e-8 and two Gaussians of nearly one width are told apart by a
 @every_shape
 def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 3)
-    found = fit(points, horizon=HORIZON, kernel=off(shape))
-    model = found.model
-    assert found.influence is not None
-    value, expected = found.influence.vector, shape.vector
+    learned = fit(points, horizon=HORIZON, kernel=off(shape))
+    model = learned.model
+    assert learned.influence is not None
+    value, expected = learned.influence.vector, shape.vector
     if shape is SHAPES["table"]:  # whose scale has no effect
         value, expected = value / np.linalg.norm(value), expected / np.linalg.norm(expected)
         value = value * np.sign(value @ expected)
     np.testing.assert_allclose(value, expected, rtol=RECOVERED)
     assert (model.lam, model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
     assert model.certified_on == (1.0,)
-    assert found.certificate.symbol_bound >= 0.01
+    assert learned.certificate.symbol_bound >= 0.01
     assert evaluate(model, points)["E_u"] < 1e-6
     model.save(tmp_path / "model.json")
     again = load_model(tmp_path / "model.json")
@@ -53,19 +53,19 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
 def test_two_lattices_at_once():
     shape, spacings = SHAPES["sign-changing"], (1.0, 0.8)
     sets = [manufactured(solid(shape, *spacings), lattice(4, HORIZON, h), 2) for h in spacings]
-    found = fit(sets, horizon=HORIZON, kernel=off(shape))
-    assert found.influence is not None
-    np.testing.assert_allclose(found.influence.vector, shape.vector, rtol=RECOVERED)
-    assert found.model.certified_on == spacings
+    learned = fit(sets, horizon=HORIZON, kernel=off(shape))
+    assert learned.influence is not None
+    np.testing.assert_allclose(learned.influence.vector, shape.vector, rtol=RECOVERED)
+    assert learned.model.certified_on == spacings
 
 
 def test_a_given_table_leaves_the_constants_to_learn():
     shape = table([0.5, 1.5, 3.0], [1.0, 0.6, 0.1])
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, kernel=shape)
-    assert found.influence is not None
-    assert found.influence.parameters == {}
-    assert (found.model.lam, found.model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
+    learned = fit(points, horizon=HORIZON, kernel=shape)
+    assert learned.influence is not None
+    assert learned.influence.parameters == {}
+    assert (learned.model.lam, learned.model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -76,30 +76,32 @@ def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     points = noisy(manufactured(true, lattice(4, HORIZON), 3), 0.02, seed=1)
     shape = table(LENGTHS, first, learned=True)
     asked = Conditions(zeta=0.01)
-    found = fit(points, horizon=HORIZON, kernel=shape, loss="residual", conditions=asked)
+    learned = fit(points, horizon=HORIZON, kernel=shape, loss="residual", conditions=asked)
     expected = fit(points, HORIZON, Bernstein(len(LENGTHS) - 1), conditions=asked)
-    (loss,), reference = found.starts.values(), min(expected.starts.values())
+    (loss,), reference = learned.starts.values(), min(expected.starts.values())
     assert loss == pytest.approx(reference, rel=1e-5)
     classes = bond_classes(1.0, HORIZON)
-    for one, other in zip(stiffnesses(found.model, classes), stiffnesses(expected.model, classes)):
-        np.testing.assert_allclose(one, other, atol=1e-3)
+    for stiffness, other in zip(
+        stiffnesses(learned.model, classes), stiffnesses(expected.model, classes)
+    ):
+        np.testing.assert_allclose(stiffness, other, atol=1e-3)
 
 
 def test_bounds_are_kept():
     shape = SHAPES["gaussian"]
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     bounded = InfluenceFunction(gaussian, {"width": 2.4}, {"width": (2.2, 3.0)})
-    found = fit(points, horizon=HORIZON, kernel=bounded)
-    assert found.influence is not None
-    assert found.influence.parameters["width"] == pytest.approx(2.2, abs=1e-6)
+    learned = fit(points, horizon=HORIZON, kernel=bounded)
+    assert learned.influence is not None
+    assert learned.influence.parameters["width"] == pytest.approx(2.2, abs=1e-6)
 
 
 def test_the_fit_does_not_need_a_forecast_of_the_width():
     shape = SHAPES["gaussian"]
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, kernel=named("gaussian", HORIZON))
-    assert found.influence is not None
-    assert found.influence.parameters["width"] == pytest.approx(1.9, rel=RECOVERED)
+    learned = fit(points, horizon=HORIZON, kernel=named("gaussian", HORIZON))
+    assert learned.influence is not None
+    assert learned.influence.parameters["width"] == pytest.approx(1.9, rel=RECOVERED)
 
 
 def test_noise_and_how_sure_a_shape_is():
@@ -110,8 +112,8 @@ def test_noise_and_how_sure_a_shape_is():
     size = 0.002
     noise = fluctuation(clean, 8, size, seed=1)
     data = noisy(clean, size, seed=2)
-    found = fit(data, horizon=2.5, kernel=off(shape), loss="output", noise=noise)
-    sure = fit_uncertainty(found, data, noise)
+    learned = fit(data, horizon=2.5, kernel=off(shape), loss="output", noise=noise)
+    sure = fit_uncertainty(learned, data, noise)
     K = 2.0
 
     def ratio(model):
@@ -119,8 +121,8 @@ def test_noise_and_how_sure_a_shape_is():
 
     deviation = sure.deviation(ratio)
     assert 0 < deviation < 0.1
-    assert abs(ratio(found.model) - ratio(true)) < 4 * deviation
-    assert abs(found.model.mu - true.mu) < 4 * sure.deviation(lambda model: model.mu)
+    assert abs(ratio(learned.model) - ratio(true)) < 4 * deviation
+    assert abs(learned.model.mu - true.mu) < 4 * sure.deviation(lambda model: model.mu)
 
 
 @pytest.mark.parametrize("start", [1e-300, 1e-12, 1e-6])
@@ -130,9 +132,9 @@ def test_a_start_beside_zero_is_no_trap(start):
 
     true = InfluenceFunction(falling, {"a": 0.28})
     points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, kernel=true.at(np.array([start])))
-    assert found.influence is not None
-    assert found.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
+    learned = fit(points, horizon=HORIZON, kernel=true.at(np.array([start])))
+    assert learned.influence is not None
+    assert learned.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
 
 
 def test_a_function_is_never_asked_beyond_its_bounds():
@@ -144,9 +146,9 @@ def test_a_function_is_never_asked_beyond_its_bounds():
     true = InfluenceFunction(root, {"a": 0.0}, {"a": (0.0, 5.0)})
     points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
     start = InfluenceFunction(root, {"a": 0.5}, {"a": (0.0, 5.0)})
-    found = fit(points, horizon=HORIZON, kernel=start)
-    assert found.influence is not None
-    assert 0 <= found.influence.parameters["a"] < 1e-4
+    learned = fit(points, horizon=HORIZON, kernel=start)
+    assert learned.influence is not None
+    assert 0 <= learned.influence.parameters["a"] < 1e-4
 
 
 def test_a_start_that_leaves_its_domain_is_passed_over():
@@ -156,8 +158,8 @@ def test_a_start_that_leaves_its_domain_is_passed_over():
 
     points = manufactured(solid(SHAPES["gaussian"], 1.0), lattice(4, HORIZON), 2)
     bad = InfluenceFunction(logarithm, {"a": 3.01})
-    found = fit(points, horizon=HORIZON, kernel=[bad, off(SHAPES["gaussian"])])
-    assert list(found.starts) == ["1 gaussian"]
+    learned = fit(points, horizon=HORIZON, kernel=[bad, off(SHAPES["gaussian"])])
+    assert list(learned.starts) == ["1 gaussian"]
     with pytest.raises(InputError, match="'logarithm': K is not finite"):
         fit(points, horizon=HORIZON, kernel=bad)
 
@@ -176,9 +178,9 @@ def test_moduli_are_held_by_a_shape_that_can():
 
     shape = InfluenceFunction(two, {"a": 0.1, "b": 0.1})
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    found = fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=(0.1, 0.6)))
-    assert found.moduli[0]["C44"] == pytest.approx(0.6, abs=1e-6)
-    assert (found.model.lam, found.model.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
+    learned = fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=(0.1, 0.6)))
+    assert learned.moduli[0]["C44"] == pytest.approx(0.6, abs=1e-6)
+    assert (learned.model.lam, learned.model.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
 
 
 def test_a_fit_with_a_table_travels():
@@ -214,8 +216,8 @@ def test_several_starts_and_the_best_of_them():
     shape = SHAPES["gaussian"]
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     others = [SHAPES["exponential"], named("conical", HORIZON)]
-    found = fit(points, horizon=HORIZON, kernel=[others[0], off(shape), others[1]])
-    assert found.influence is not None
-    assert found.influence.name == "gaussian"
-    assert list(found.starts) == ["0 exponential", "1 gaussian", "2 conical"]
-    assert found.starts["1 gaussian"] < 1e-6 < found.starts["2 conical"]
+    learned = fit(points, horizon=HORIZON, kernel=[others[0], off(shape), others[1]])
+    assert learned.influence is not None
+    assert learned.influence.name == "gaussian"
+    assert list(learned.starts) == ["0 exponential", "1 gaussian", "2 conical"]
+    assert learned.starts["1 gaussian"] < 1e-6 < learned.starts["2 conical"]

@@ -25,10 +25,10 @@ def test_horizons_are_chosen_by_training_residual_and_degrees_by_the_average():
         trial(20, 5, 0.2, 0.1, 0.1, 0.1),
         trial(10, 9, 0.1, 0.3, 0.3, 0.3),
     ]
-    found = choose(trials)
-    assert [t.horizon for t in found.by_degree] == [10, 10, 10]
-    assert found.average == pytest.approx([1.0, (0.25 + 3 * 0.5) / 4, (0.25 + 3 * 0.75) / 4])
-    assert (found.printed.horizon, found.printed.degree) == (10, 5)
+    chosen = choose(trials)
+    assert [t.horizon for t in chosen.by_degree] == [10, 10, 10]
+    assert chosen.average == pytest.approx([1.0, (0.25 + 3 * 0.5) / 4, (0.25 + 3 * 0.75) / 4])
+    assert (chosen.printed.horizon, chosen.printed.degree) == (10, 5)
 
 
 def test_equal_averages_choose_the_lower_degree():
@@ -56,10 +56,10 @@ def sets():
 def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path, monkeypatch):
     train, val = sets
     options = {"horizons": (2.0, 2.5), "degrees": (0, 3), "jobs": 1}
-    found = sweep(train, val, tmp_path, test=val, **options)
-    assert len(found.trials) == 4
-    assert (found.printed.horizon, found.printed.degree) == (2.5, 3)
-    assert found.printed.E_u_test == pytest.approx(found.printed.E_u_val)
+    first = sweep(train, val, tmp_path, test=val, **options)
+    assert len(first.trials) == 4
+    assert (first.printed.horizon, first.printed.degree) == (2.5, 3)
+    assert first.printed.E_u_test == pytest.approx(first.printed.E_u_val)
     files = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
 
     broken = next(
@@ -67,7 +67,7 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path, monke
     )
     broken.write_text("{")
     again = sweep(train, val, tmp_path, test=val, **options)
-    assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in found.trials]
+    assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in first.trials]
     made = {file for file in files if file.stat().st_mtime_ns != files[file]}
     assert {file.name.split("_")[0] + file.name.split("_")[1] for file in made} == {"d2M3"}
 
@@ -100,8 +100,8 @@ def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(sweeps, "fit", fails)
         with pytest.warns(UserWarning, match=r"sweep: δ = 2 Å, M = 0: stage 3: no start"):
-            found = sweep(train, val, tmp_path, **options)
-        assert [t.horizon for t in found.trials] == [2.5]
+            result = sweep(train, val, tmp_path, **options)
+        assert [t.horizon for t in result.trials] == [2.5]
         with pytest.warns(UserWarning, match="δ = 2 Å"):
             sweep(train, val, tmp_path, **options)
         assert horizons == [2.0, 2.5, 2.0]

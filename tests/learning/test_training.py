@@ -61,13 +61,13 @@ RECOVERED = {
 def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, precision, astray):
     points, true = data(name, horizon)
     kernel = Bernstein(degree, two_functions="two functions" in name)
-    found = fit(points, horizon, kernel, method=Constrained(QUICK))
-    model = found.model
+    learned = fit(points, horizon, kernel, method=Constrained(QUICK))
+    model = learned.model
     assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=precision)
     for found_table, true_table in zip(shares(model), shares(true)):
         size = np.abs(true_table).max()
         np.testing.assert_allclose(found_table, true_table, rtol=0, atol=precision * size)
-    reached = sorted(found.starts.values())
+    reached = sorted(learned.starts.values())
     assert len(reached) == 3
     assert max(reached[: 3 - astray]) < 1e-5
     assert model.certified_on == model.trained_on == (1.0,)
@@ -76,28 +76,28 @@ def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, prec
 
 def test_all_stages_lead_to_the_same_optimum():
     points, _ = data("sign-changing", 3.0)
-    found = fit(points, horizon=3.0, kernel=Bernstein(5), method=Constrained(QUICK))
-    assert [stage.name[0] for stage in found.history] == ["1", "2", "3"]
-    assert len(found.starts) == 3
-    assert max(found.starts.values()) < 1e-5
-    first, second, third = found.history
+    learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=Constrained(QUICK))
+    assert [stage.name[0] for stage in learned.history] == ["1", "2", "3"]
+    assert len(learned.starts) == 3
+    assert max(learned.starts.values()) < 1e-5
+    first, second, third = learned.history
     assert (first.parameters.D >= 0).all()
     assert (third.parameters.D < 0).any()
     assert first.loss[-1] < first.loss[0]
     assert second.loss[-1] < first.loss[-1]
     assert third.E_res_train < second.E_res_train < first.E_res_train
-    full = evaluate(found.model, points)
+    full = evaluate(learned.model, points)
     assert full["E_res"] == pytest.approx(third.E_res_train, rel=1e-6)
 
 
 def test_a_violating_model_ends_feasible_with_the_condition_active():
     points, true = data("sign-changing", 2.5)
     assert certify(true, spacing=1.0).symbol_min < -0.01
-    found = fit(points, horizon=2.5, kernel=Bernstein(4), conditions=Conditions(zeta=ZETA))
-    assert ZETA <= found.certificate.symbol_min <= 1.02 * ZETA
-    assert found.certificate.holds
-    assert found.model.certified_on == (1.0,)
-    losses = np.array(list(found.starts.values()))
+    learned = fit(points, horizon=2.5, kernel=Bernstein(4), conditions=Conditions(zeta=ZETA))
+    assert ZETA <= learned.certificate.symbol_min <= 1.02 * ZETA
+    assert learned.certificate.holds
+    assert learned.model.certified_on == (1.0,)
+    losses = np.array(list(learned.starts.values()))
     assert np.ptp(losses) < 1e-6 * losses.max()
     assert losses.min() > 1e-3
 
@@ -107,29 +107,29 @@ def test_the_printed_conditions_hold_densely_and_are_active(name):
     horizon = 3.0
     points, _ = data(name, horizon)
     kernel = Bernstein(5, two_functions=name == "two functions")
-    found = fit(points, horizon, kernel, conditions=Conditions("paper", ZETA))
-    dense = certify(found.model, spacing=1.0, points=points)
+    learned = fit(points, horizon, kernel, conditions=Conditions("paper", ZETA))
+    dense = certify(learned.model, spacing=1.0, points=points)
     assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
     assert dense.schwarz
     assert dense.gamma_min > 0
     search = ZoneSearch(LatticeConditions(bond_classes(1.0, horizon), Conditions("paper", ZETA)))
-    margins, _ = search.worst(*shares(found.model))
+    margins, _ = search.worst(*shares(learned.model))
     assert (margins >= -1e-8).all()
     if name == "sign-changing":  # the model that made the data keeps (i) and breaks (iii)
         assert margins[2] == pytest.approx(0, abs=1e-6)
-        assert min(found.starts.values()) > 1e-3
-    assert found.model.certified_on == (1.0,)
+        assert min(learned.starts.values()) > 1e-3
+    assert learned.model.certified_on == (1.0,)
 
 
 def test_two_stage_stops_after_two_stages():
     points, _ = data("sign-changing", 3.0)
-    found = fit(points, horizon=3.0, kernel=Bernstein(5), method=QUICK)
-    assert [stage.name[0] for stage in found.history] == ["1", "2"]
-    assert found.starts == {}
-    first, second = found.history
+    learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=QUICK)
+    assert [stage.name[0] for stage in learned.history] == ["1", "2"]
+    assert learned.starts == {}
+    first, second = learned.history
     assert (first.parameters.D >= 0).all()
     assert second.E_res_train < first.E_res_train
-    assert found.model.mu == second.parameters.mu
+    assert learned.model.mu == second.parameters.mu
 
 
 @pytest.mark.parametrize("parametrisation", ["projected", "relu"])
@@ -137,10 +137,10 @@ def test_stage_one_stays_inside_its_bounds(parametrisation):
     points, _ = data("sign-changing", 3.0)
     method = replace(QUICK, parametrisation=parametrisation)
     for stage in fit(points, 3.0, Bernstein(5), method=method).history:
-        at = stage.parameters
-        assert at.mu > 0
-        assert at.lam + at.mu > 0
-        assert at.alpha < 3
+        parameters = stage.parameters
+        assert parameters.mu > 0
+        assert parameters.lam + parameters.mu > 0
+        assert parameters.alpha < 3
 
 
 def test_the_same_seed_gives_the_same_bits():
@@ -168,16 +168,16 @@ def test_the_same_seed_gives_the_same_bits():
 
 def test_two_lattices_are_learned_together():
     sets, models = zip(*(data("positive", 2.0, spacing) for spacing in (1.0, 0.9)))
-    found = fit(sets, horizon=2.0, kernel=Bernstein(3))
-    assert found.model.trained_on == found.model.certified_on == (1.0, 0.9)
-    assert (found.model.lam, found.model.mu) == pytest.approx((LAM, MU), abs=1e-5)
+    learned = fit(sets, horizon=2.0, kernel=Bernstein(3))
+    assert learned.model.trained_on == learned.model.certified_on == (1.0, 0.9)
+    assert (learned.model.lam, learned.model.mu) == pytest.approx((LAM, MU), abs=1e-5)
     for model, points in zip(models, sets):
         found_tables, true_tables = (
-            shares(found.model, points.spacing),
+            shares(learned.model, points.spacing),
             shares(model, points.spacing),
         )
         np.testing.assert_allclose(found_tables[0], true_tables[0], atol=1e-4)
-        assert evaluate(found.model, points)["E_res"] < 1e-4
+        assert evaluate(learned.model, points)["E_res"] < 1e-4
 
 
 def test_held_moduli_are_held():
@@ -196,7 +196,8 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     size = np.logspace(-1, 1, 10)[:, None, None]
     scaled = replace(points, u=size * points.u, b=size * points.b)
     first, second = (
-        fit(one, horizon=3.0, kernel=Bernstein(5), normalise=True).model for one in (points, scaled)
+        fit(samples, horizon=3.0, kernel=Bernstein(5), normalise=True).model
+        for samples in (points, scaled)
     )
     assert (second.lam, second.mu) == pytest.approx((first.lam, first.mu), abs=1e-6)
     absolute = fit(scaled, horizon=3.0, kernel=Bernstein(5)).model

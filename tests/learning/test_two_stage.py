@@ -36,25 +36,27 @@ def test_gradients_of_the_margins(kind, name):
 
     def values(x):
         # Σ n r² w = 1 must stay: without it the margin of (iii) has a kink at long waves.
-        weights = [one / (sigma @ one) for one in torch.tensor_split(x[2:], 2)]
+        weights = [shares / (sigma @ shares) for shares in torch.tensor_split(x[2:], 2)]
         return margins(x[0], x[1], [weights])
 
     expected = difference(lambda x: values(torch.from_numpy(x)).numpy(), given, 1e-5).T
-    at = torch.from_numpy(given).requires_grad_()
-    found = np.array([torch.autograd.grad(one, at, retain_graph=True)[0] for one in values(at)])
-    assert np.abs(found - expected).max() <= GRADIENT * np.abs(expected).max()
+    start = torch.from_numpy(given).requires_grad_()
+    gradients = np.array(
+        [torch.autograd.grad(margin, start, retain_graph=True)[0] for margin in values(start)]
+    )
+    assert np.abs(gradients - expected).max() <= GRADIENT * np.abs(expected).max()
 
 
 def test_dense_margins_are_those_of_the_certificate():
     model, points = kernel("two functions", HORIZON), lattice(ell(), HORIZON)
     weights = [tuple(map(torch.from_numpy, class_weights(model)))]
     lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
-    found = DenseMargins([points], HORIZON)(lam, mu, weights).numpy()
+    margins = DenseMargins([points], HORIZON)(lam, mu, weights).numpy()
     certificate = certify(model, spacing=1.0, points=points)
     expected = [certificate.gamma_min - DENSE_ZETA, certificate.gamma_minus_2phi_min]
-    np.testing.assert_allclose(found[[0, 2]], expected, rtol=1e-9)
+    np.testing.assert_allclose(margins[[0, 2]], expected, rtol=1e-9)
     if certificate.inf_sup_rank == points.interior.sum():
-        assert found[1] == pytest.approx(certificate.inf_sup_min - DENSE_ZETA, rel=1e-6)
+        assert margins[1] == pytest.approx(certificate.inf_sup_min - DENSE_ZETA, rel=1e-6)
 
 
 def test_symbol_margins_are_the_smallest_of_the_zone():
@@ -62,10 +64,10 @@ def test_symbol_margins_are_the_smallest_of_the_zone():
     conditions = LatticeConditions(CLASSES, Conditions("paper", ZETA))
     weights = [tuple(map(torch.from_numpy, class_weights(model)))]
     lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
-    found = SymbolMargins([conditions])(lam, mu, weights).numpy()
+    margins = SymbolMargins([conditions])(lam, mu, weights).numpy()
     smallest, _ = ZoneSearch(conditions).worst(*stiffnesses(model, CLASSES))
-    np.testing.assert_allclose(found, smallest, atol=2e-3)
-    assert (found >= smallest - 1e-12).all()
+    np.testing.assert_allclose(margins, smallest, atol=2e-3)
+    assert (margins >= smallest - 1e-12).all()
 
 
 def test_stage_two_moves_a_violating_start_towards_the_conditions():
@@ -74,6 +76,6 @@ def test_stage_two_moves_a_violating_start_towards_the_conditions():
     true = kernel("sign-changing", 2.5)
     assert certify(true, spacing=1.0).symbol_min < -0.03
     points = manufactured(true, lattice(6, 2.5), 6, wave_number=2.0)
-    found = fit(points, horizon=2.5, kernel=Bernstein(4), method=method)
-    assert found.certificate.symbol_min > -0.003
-    assert found.history[1].E_res_train < found.history[0].E_res_train
+    learned = fit(points, horizon=2.5, kernel=Bernstein(4), method=method)
+    assert learned.certificate.symbol_min > -0.003
+    assert learned.history[1].E_res_train < learned.history[0].E_res_train

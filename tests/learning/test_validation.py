@@ -77,7 +77,7 @@ def test_without_load_there_is_no_residual_to_be_relative_to(points, level):
     b[1, points.interior] = level
     some, every = evaluate(MODEL, replace(points, b=b)), evaluate(MODEL, points)
     assert some["E_res_samples"][1] is None
-    rest = [one for s, one in enumerate(every["E_res_samples"]) if s != 1]
+    rest = [error for s, error in enumerate(every["E_res_samples"]) if s != 1]
     assert some["E_res"] == pytest.approx(np.mean(rest))
     assert some["E_u_samples"][0] == pytest.approx(every["E_u_samples"][0])
     assert np.isfinite(some["E_u"])

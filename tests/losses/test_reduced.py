@@ -36,8 +36,8 @@ SETS = {"one lattice": [samples()], "two lattices": [samples(), samples(0.5, see
 
 def both(sets, normalise):
     weights = sample_weights(sets, normalise=normalise)
-    grids = [reduced.reduce(one, HORIZON, weight) for one, weight in zip(sets, weights)]
-    return grids, [FullLoss(one, HORIZON, weight) for one, weight in zip(sets, weights)]
+    grids = [reduced.reduce(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
+    return grids, [FullLoss(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
 
 
 def leaves(lam=-0.2, mu=0.7, *, alpha, D, D_dilatation=None):
@@ -50,14 +50,15 @@ def reduced_loss(grids, lam, mu, alpha, *kernels):
     return sum(grid.loss(lam, mu, alpha, *kernels) for grid in grids)
 
 
-def compare(grids, full, at):
+def compare(grids, full, parameters):
     """Relative difference of the losses, the difference of the gradients, and their size."""
-    losses = [reduced_loss(grids, *at), sum(one.loss(*at) for one in full)]
-    found, expected = (
-        torch.cat([part.reshape(-1) for part in torch.autograd.grad(loss, at)]) for loss in losses
+    losses = [reduced_loss(grids, *parameters), sum(part.loss(*parameters) for part in full)]
+    gradient, expected = (
+        torch.cat([part.reshape(-1) for part in torch.autograd.grad(loss, parameters)])
+        for loss in losses
     )
     relative = abs(losses[0].item() / losses[1].item() - 1)
-    return relative, (found - expected).norm(), expected.norm()
+    return relative, (gradient - expected).norm(), expected.norm()
 
 
 @pytest.mark.parametrize("block", [None, 1], ids=["one block", "many blocks"])
@@ -97,16 +98,16 @@ def test_blocks_leave_the_loss_as_it_is(monkeypatch):
 @pytest.mark.parametrize("sets", SETS.values(), ids=SETS)
 def test_the_loss_is_its_definition(sets, normalise):
     residual, load = 0.0, 0.0
-    for one in sets:
-        model = kernel("positive", HORIZON, one.spacing, lam=-0.2, mu=0.7)
-        Lu = LPSOperator(model, one)(one.u)
-        for found, b in zip(Lu, one.b[:, one.interior]):
+    for samples in sets:
+        model = kernel("positive", HORIZON, samples.spacing, lam=-0.2, mu=0.7)
+        Lu = LPSOperator(model, samples)(samples.u)
+        for force, b in zip(Lu, samples.b[:, samples.interior]):
             size = np.sum(b**2) if normalise else 1.0
-            residual += np.sum((found - b) ** 2) / size
+            residual += np.sum((force - b) ** 2) / size
             load += np.sum(b**2) / size
     grids, full = both(sets, normalise)
-    at = leaves(**KERNELS["positive"])
-    for loss in (reduced_loss(grids, *at), sum(one.loss(*at) for one in full)):
+    parameters = leaves(**KERNELS["positive"])
+    for loss in (reduced_loss(grids, *parameters), sum(part.loss(*parameters) for part in full)):
         assert loss.item() == pytest.approx(residual / load, rel=1e-11)
 
 
@@ -118,8 +119,8 @@ def test_errors_are_those_of_each_loaded_sample():
     Lu = LPSOperator(kernel("steep", HORIZON, lam=0.1, mu=0.7), points)(points.u)
     inside = b[:, points.interior]
     expected = [np.linalg.norm(Lu[s] - inside[s]) / np.linalg.norm(inside[s]) for s in (0, 1, 3)]
-    found = full.errors(0.1, 0.7, 2.9, [1.0])
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    errors = full.errors(0.1, 0.7, 2.9, [1.0])
+    np.testing.assert_allclose(errors, expected, rtol=1e-12)
 
 
 def test_sets_that_carry_nothing_to_fit_are_refused():

@@ -45,17 +45,17 @@ def test_how_far_a_kinked_function_is_off_is_said():
     model = solid(shape, 1.0)
     r = np.linspace(LENGTHS[0] / 2, HORIZON, 1001)
     size = np.abs(shape(LENGTHS)).max()
-    found = np.abs(model.influence(r) - shape(r)).max() / size
-    assert model.provenance["influence"]["departure"] == pytest.approx(found, rel=0.2)
-    assert found > 1e-4
+    departure = np.abs(model.influence(r) - shape(r)).max() / size
+    assert model.provenance["influence"]["departure"] == pytest.approx(departure, rel=0.2)
+    assert departure > 1e-4
 
 
 def test_one_over_r_is_the_solid_of_that_exponent():
     shape = InfluenceFunction(lambda r, a: r**-a, {"a": 1.0})
     classes = bond_classes(1.0, HORIZON)
-    found = stiffnesses(solid(shape, 1.0, lam=0.3, mu=0.8), classes)
-    for one, expected in zip(found, stiffnesses(kernel("1/r", HORIZON), classes)):
-        np.testing.assert_allclose(one, expected, atol=1e-8)
+    tables = stiffnesses(solid(shape, 1.0, lam=0.3, mu=0.8), classes)
+    for stiffness, expected in zip(tables, stiffnesses(kernel("1/r", HORIZON), classes)):
+        np.testing.assert_allclose(stiffness, expected, atol=1e-8)
 
 
 def test_a_function_with_a_jump_between_close_bonds_is_refused():
@@ -88,14 +88,14 @@ def test_coordinates(shape):
     point = coordinates.point(y)
 
     def values(y):
-        at = coordinates.point(y)
-        rough, _ = coordinates.roughness(y, at)
-        return np.concatenate([[at.mu], *at.v, *at.z, at.limits, rough])
+        point = coordinates.point(y)
+        rough, _ = coordinates.roughness(y, point)
+        return np.concatenate([[point.mu], *point.v, *point.z, point.limits, rough])
 
     _, rough = coordinates.roughness(y, point)
-    found = np.concatenate([point.dmu[None], *point.dv, *point.dz, point.dlimits, rough])
+    derivatives = np.concatenate([point.dmu[None], *point.dv, *point.dz, point.dlimits, rough])
     assert len(point.limits) == 2 * np.size(next(iter(shape.parameters.values())))
-    np.testing.assert_allclose(found, difference(values, y, 1e-3).T, atol=1e-8)
+    np.testing.assert_allclose(derivatives, difference(values, y, 1e-3).T, atol=1e-8)
     for classes, v, z in zip(lattices, point.v, point.z):
         expected = stiffnesses(solid(shape, 1.0, 0.8), classes)
         np.testing.assert_allclose(v, expected[0], atol=1e-8)
@@ -119,9 +119,10 @@ def test_the_gradient_through_the_whole_forward_pass(shape):
     y = coordinates.start(Parameters(0.3, 0.5, 0.0, np.ones(1), shape=off(shape)))
 
     def loss(y):
-        at = coordinates.parameters(y, [])
+        parameters = coordinates.parameters(y, [])
         numbers = (
-            torch.tensor(value, dtype=torch.float64) for value in (at.lam, at.mu, at.alpha, at.D)
+            torch.tensor(value, dtype=torch.float64)
+            for value in (parameters.lam, parameters.mu, parameters.alpha, parameters.D)
         )
         return np.array(full.loss(*numbers).item())
 

@@ -65,16 +65,16 @@ def test_a_sweep_survives_the_death_of_a_worker(cluster, tmp_path):
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
     with scheduler(address):
-        found = sweep(*sets, folder, **cases)
+        survived = sweep(*sets, folder, **cases)
     killer.join(timeout=1)
     assert workers[0].wait(timeout=10) != 0
     assert workers[1].poll() is None
     assert 1 <= killed_after[0] < 6  # in the middle of the work
     here = sweep(*sets, tmp_path / "here", **cases, jobs=1)
-    for one, other in zip(found.trials, here.trials, strict=True):
-        assert (one.horizon, one.degree) == (other.horizon, other.degree)
+    for trial, other in zip(survived.trials, here.trials, strict=True):
+        assert (trial.horizon, trial.degree) == (other.horizon, other.degree)
         # fits to exact data end at rounding, where nothing is left to compare
-        np.testing.assert_allclose(one.E_res_val, other.E_res_val, rtol=1e-4, atol=1e-7)
+        np.testing.assert_allclose(trial.E_res_val, other.E_res_val, rtol=1e-4, atol=1e-7)
     assert max(trial.E_res_val for trial in here.trials) > 1e-3
 
 

@@ -34,12 +34,12 @@ def learn(seeds, threads):
     """Hashes of models and of solves with them, made in a process of its own."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     environment = os.environ | dict.fromkeys(names, str(threads))
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", LEARN, *map(str, seeds)],
         cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert found.returncode == 0, found.stderr
-    return found.stdout.split()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.split()
 
 
 def test_a_seed_decides_every_bit_of_a_fit_and_a_solve():
@@ -59,12 +59,12 @@ def _threads():
 def test_sweeps_and_solves_have_the_same_bits_on_any_number_of_threads():
     points, model = lattice(70, 2.5), kernel("positive", 2.5)
     u = noise(points)
-    found = set()
+    hashes = set()
     for count in (1, 2, 3, 5):
         set_threads(count)
         Lu = LPSOperator(model, points)(u)
-        found.add(hashlib.sha256(Lu.tobytes()).hexdigest())
-    assert len(found) == 1
+        hashes.add(hashlib.sha256(Lu.tobytes()).hexdigest())
+    assert len(hashes) == 1
     small = problem()
     solutions = set()
     for count in (1, 2, 3):

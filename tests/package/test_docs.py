@@ -39,9 +39,9 @@ def test_csv_files_of_fields_become_a_data_set_that_trains(points, tmp_path, mon
         np.savetxt(name, rows, delimiter=",", header="x,y,u_x,u_y,b_x,b_y", comments="")
     (snippet,) = snippets("own_data.md")
     exec(compile(snippet, "own_data.md", "exec"), {})
-    found = load_dataset("mine.h5")["train"]
-    assert found.interior.sum() == 13**2
-    np.testing.assert_allclose(found.u, points.u, rtol=1e-12)
+    loaded = load_dataset("mine.h5")["train"]
+    assert loaded.interior.sum() == 13**2
+    np.testing.assert_allclose(loaded.u, points.u, rtol=1e-12)
     line = "train mine.h5 --horizon 20 --influence exponential --out runs/mine --json"
     assert main(line.split()) == 0
     model = load_model("runs/mine/model.json")

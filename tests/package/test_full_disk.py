@@ -55,9 +55,9 @@ def run(command):
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def check(found):
-    lines = found.stdout.splitlines()
-    assert found.returncode == 0, found.stderr
+def check(process):
+    lines = process.stdout.splitlines()
+    assert process.returncode == 0, process.stderr
     assert [line.split()[:2] for line in lines] == [
         ["refused", "g.h5"], ["refused", "r.json"], ["refused", "c.npz"], ["intact"],
     ]  # fmt: skip
@@ -79,6 +79,6 @@ def test_a_small_disk_fills_up(tmp_path):
             pytest.skip("no private mounts here")
     script = f'{mount} && exec "$@"'
     job = [sys.executable, "-c", WRITE, str(tmp_path), "0"]
-    found = run([*private, "sh", "-c", script, "sh", *job])
-    check(found)
-    assert all(line.split()[2] == "28" for line in found.stdout.splitlines()[:3])  # ENOSPC
+    process = run([*private, "sh", "-c", script, "sh", *job])
+    check(process)
+    assert all(line.split()[2] == "28" for line in process.stdout.splitlines()[:3])  # ENOSPC

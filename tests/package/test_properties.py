@@ -76,12 +76,12 @@ def test_families_of_points_are_mutual(seed, horizon, perturbation):
     from warp_peri.points.scattered import neighbours
 
     row, neighbour, r = neighbours(x, horizon)
-    at = np.repeat(np.arange(len(x)), np.diff(row))
-    pairs = set(zip(at.tolist(), neighbour.tolist()))
+    node = np.repeat(np.arange(len(x)), np.diff(row))
+    pairs = set(zip(node.tolist(), neighbour.tolist()))
     assert all((j, i) in pairs and i != j for i, j in pairs)
     distance = np.linalg.norm(x[:, None] - x, axis=2)
     assert len(pairs) == np.count_nonzero(distance <= horizon) - len(x)
-    np.testing.assert_allclose(r, distance[at, neighbour], rtol=1e-12)
+    np.testing.assert_allclose(r, distance[node, neighbour], rtol=1e-12)
 
 
 @bounded
@@ -127,7 +127,7 @@ def test_coarse_graining_shares_atoms_out_and_is_linear(seed, radius, shape, fac
     near = np.asarray(omega.sum(axis=1)) > 0
     u, f = rng.normal(size=(2, 2, 60, 2))
     options = {"mass": rng.uniform(1, 2, 60), "node_area": 1.69, "thickness": 3.35}
-    one, two, both = (
+    alone, two, both = (
         coarse_grain(omega[near], displacement=a, force=b, **options)
         for a, b in (
             (u[:1], f[:1]),
@@ -135,7 +135,7 @@ def test_coarse_graining_shares_atoms_out_and_is_linear(seed, radius, shape, fac
             (u[:1] + factor * u[1:], f[:1] + factor * f[1:]),
         )
     )
-    for first, second, mixed in zip(one, two, both):
+    for first, second, mixed in zip(alone, two, both):
         expected = first + factor * second
         np.testing.assert_allclose(mixed, expected, rtol=0, atol=1e-12 * (1 + abs(factor)))
     still = coarse_grain(omega[near], displacement=0 * u + 3.0, force=0 * f, **options)[0]

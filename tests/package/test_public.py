@@ -17,7 +17,7 @@ FACE = ast.parse((ROOT / "warp_peri/__init__.py").read_text())
 
 def fresh(code, *options, **environment):
     """What a new interpreter prints for some code."""
-    found = subprocess.run(
+    process = subprocess.run(
         [sys.executable, *options, "-c", code],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
@@ -25,8 +25,8 @@ def fresh(code, *options, **environment):
         text=True,
         check=False,
     )
-    assert found.returncode == 0, found.stderr
-    return found.stdout.strip()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
 def test_every_public_name_is_there_and_documented():
@@ -46,10 +46,10 @@ def test_every_public_name_is_what_type_checkers_see():
     ]
     assert sorted(name for _, name in imports) == warp_peri.__all__
     for module, name in imports:
-        found = getattr(warp_peri, name)
-        assert found is getattr(sys.modules[module], name)
-        assert found.__module__ == module
-        assert pickle.loads(pickle.dumps(found)) is found
+        value = getattr(warp_peri, name)
+        assert value is getattr(sys.modules[module], name)
+        assert value.__module__ == module
+        assert pickle.loads(pickle.dumps(value)) is value
 
 
 def test_the_package_alone_loads_neither_torch_nor_warp():
@@ -119,9 +119,9 @@ def test_input_errors_are_value_errors():
 @pytest.mark.parametrize("name", ["kernels", "kernels.lps"])
 def test_kernels_refuse_to_be_imported_under_another_name(name):
     command = [sys.executable, "-c", f"import sys; sys.path.insert(0, '.'); import {name}"]
-    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert found.returncode == 1
-    assert "ImportError: import warp_peri.kernels, not kernels" in found.stderr
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert process.returncode == 1
+    assert "ImportError: import warp_peri.kernels, not kernels" in process.stderr
 
 
 @pytest.mark.parametrize(

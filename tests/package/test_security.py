@@ -189,9 +189,9 @@ def test_a_packed_archive_is_refused(tmp_path):
     with pytest.raises(ValueError, match="not packed"):
         read_arrays(tmp_path / "a.npz")
     np.savez(tmp_path / "b.npz", a=np.arange(5), b=np.array("text"), c=np.float64(2.0))
-    found = read_arrays(tmp_path / "b.npz")
-    assert found["a"].tolist() == [0, 1, 2, 3, 4]
-    assert (str(found["b"]), float(found["c"])) == ("text", 2.0)
+    arrays = read_arrays(tmp_path / "b.npz")
+    assert arrays["a"].tolist() == [0, 1, 2, 3, 4]
+    assert (str(arrays["b"]), float(arrays["c"])) == ("text", 2.0)
 
 
 def test_errors_are_one_printable_line():

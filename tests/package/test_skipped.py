@@ -43,8 +43,8 @@ def test_influence_is_not_computed_again_while_only_u_changes(points, launched):
 
 def test_another_model_on_the_same_bonds_is_computed(launched):
     points = lattice(4, HORIZON)
-    one, other = kernel("positive", HORIZON), kernel("sign-changing", HORIZON)
-    operator = LPSOperator(one, points)
+    model, other = kernel("positive", HORIZON), kernel("sign-changing", HORIZON)
+    operator = LPSOperator(model, points)
     operator(noise(points))
     operator.model = other
     expected = LPSOperator(other, points)(noise(points))
@@ -60,7 +60,7 @@ def test_no_dilatation_is_swept_where_the_constants_are_equal(launched):
 
 
 def test_a_pattern_is_weighted_once(monkeypatch):
-    found = bond_classes(1.0, 3.7)
-    found.weight[:] = np.nan  # what a caller does to its own copy
+    own = bond_classes(1.0, 3.7)
+    own.weight[:] = np.nan  # what a caller does to its own copy
     monkeypatch.setattr(families, "quadrature_weights", None)
     assert np.isfinite(bond_classes(1.0, 3.7).weight).all()

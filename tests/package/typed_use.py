@@ -70,10 +70,10 @@ def learn(folder: Path) -> warp_peri.Fit:
     )
     sure = assert_type(warp_peri.fit_uncertainty(fit, train, noise), warp_peri.Uncertainty)
     assert_type(sure.deviation(lambda model: model.mu), np.ndarray)
-    found = warp_peri.sweep(
+    trials = warp_peri.sweep(
         train, data["test"], folder / "sweep", horizons=[HORIZON], degrees=[0, 1], jobs=1
     )
-    assert_type(assert_type(found, warp_peri.Sweep).cheapest.degree, int)
+    assert_type(assert_type(trials, warp_peri.Sweep).cheapest.degree, int)
     return fit
 
 
@@ -128,8 +128,8 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     model = warp_peri.load_nonlinear(folder / "nonlinear.json")
     assert_type(warp_peri.NonlinearOperator(model, train)(train.u), np.ndarray)
     records: list[warp_peri.NonlinearRecord] = []
-    found = warp_peri.solve_nonlinear(model, train, train.loads, train.u, records=records)
-    assert_type(found, np.ndarray)
+    solved = warp_peri.solve_nonlinear(model, train, train.loads, train.u, records=records)
+    assert_type(solved, np.ndarray)
 
 
 def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -41,9 +41,9 @@ def test_round_trip_keeps_every_bit(path):
         points, expected = back[name], DATA[name]
         assert points.spacing == expected.spacing
         for field in ("x", "u", "b", "interior"):
-            found = getattr(points, field)
-            assert found.dtype == getattr(expected, field).dtype
-            assert np.array_equal(found, getattr(expected, field))
+            value = getattr(points, field)
+            assert value.dtype == getattr(expected, field).dtype
+            assert np.array_equal(value, getattr(expected, field))
     assert back["train"].arrays["load_id"].tolist() == ["a", "β", "c d"]
     assert np.array_equal(back["train"].arrays["snr"], LOADS.arrays["snr"], equal_nan=True)
     assert len(back["train"]) == 3
@@ -52,11 +52,11 @@ def test_round_trip_keeps_every_bit(path):
 
 def test_the_file_says_what_it_is(path):
     with h5py.File(path) as file:
-        found = {
+        written = {
             key: value.decode() if isinstance(value, bytes) else value
             for key, value in file.attrs.items()
         }
-        assert found == {
+        assert written == {
             "format": "warp_peri.dataset",
             "version": 1,
             "length_unit": "angstrom",
@@ -274,16 +274,16 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path, units):
     save_dataset(path, before, units=units)
     with pytest.raises(InputError, match=r"_unit: expected '.*converts"):
         load_dataset(path)
-    found = load_dataset(path, units=("angstrom", "TPa"))
-    assert found.thickness == pytest.approx(before.thickness * length)
-    assert found.density == before.density
+    converted = load_dataset(path, units=("angstrom", "TPa"))
+    assert converted.thickness == pytest.approx(before.thickness * length)
+    assert converted.density == before.density
     for name in before:
-        one, other = found[name], before[name]
-        assert one.x == pytest.approx(other.x * length)
-        assert one.spacing == pytest.approx(other.spacing * length)
-        assert one.u == pytest.approx(other.u * length)
+        samples, other = converted[name], before[name]
+        assert samples.x == pytest.approx(other.x * length)
+        assert samples.spacing == pytest.approx(other.spacing * length)
+        assert samples.u == pytest.approx(other.u * length)
         if other.b is not None:
-            assert one.b == pytest.approx(other.b * stress / length)
+            assert samples.b == pytest.approx(other.b * stress / length)
     same = load_dataset(path, units=units)
     assert same[name].x == pytest.approx(before[name].x, rel=0, abs=0)
     with pytest.raises(InputError, match="length_unit: expected one of angstrom, nm, .* 'mile'"):

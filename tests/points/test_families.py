@@ -29,12 +29,12 @@ def test_families_are_those_of_brute_force(horizon, angle):
     needed = set(np.flatnonzero(points.interior))
     for i in range(len(points.x)):
         near, xi = reference.family(points.x, i, 1.7 * horizon)
-        found, bonds = bonds_of(families, i)
-        there = found >= 0
-        assert sorted(found[there]) == sorted(near)
-        order = np.argsort(found[there])
+        family, bonds = bonds_of(families, i)
+        there = family >= 0
+        assert sorted(family[there]) == sorted(near)
+        order = np.argsort(family[there])
         np.testing.assert_allclose(bonds[there][order], xi[np.argsort(near)], atol=1e-9)
-        back = families.neighbour[families.row[found[there]] + families.reverse[there]]
+        back = families.neighbour[families.row[family[there]] + families.reverse[there]]
         assert (back == i).all()
         if points.interior[i]:
             needed |= set(near)
@@ -49,9 +49,9 @@ def test_periodic_families_wrap_around(horizon):
     assert len(families.whole) == len(families.rows) == len(points.x)
     for i in range(len(points.x)):
         near, xi = reference.family(points.x, i, 0.5 * horizon, np.array(box))
-        found, bonds = bonds_of(families, i)
-        assert sorted(found) == sorted(near)
-        np.testing.assert_allclose(bonds[np.argsort(found)], xi[np.argsort(near)], atol=1e-12)
+        family, bonds = bonds_of(families, i)
+        assert sorted(family) == sorted(near)
+        np.testing.assert_allclose(bonds[np.argsort(family)], xi[np.argsort(near)], atol=1e-12)
 
 
 @pytest.mark.parametrize(

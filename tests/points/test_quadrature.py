@@ -34,8 +34,8 @@ def test_exact_on_the_whole_reproducing_space(xi, horizon):
     W = quadrature_weights(xi, horizon)
     r = np.hypot(*xi.T)
     for a, b in reference.monomials():
-        found = W @ (xi[:, 0] ** a * xi[:, 1] ** b / r**3) / horizon ** (a + b - 1)
-        assert found == pytest.approx(reference.ball_integral(a, b, 1.0), abs=QUADRATURE * np.pi)
+        integral = W @ (xi[:, 0] ** a * xi[:, 1] ** b / r**3) / horizon ** (a + b - 1)
+        assert integral == pytest.approx(reference.ball_integral(a, b, 1.0), abs=QUADRATURE * np.pi)
 
 
 @pytest.mark.parametrize(("xi", "horizon"), FAMILIES.values(), ids=FAMILIES)
@@ -49,10 +49,10 @@ def test_smallest_norm(xi, horizon):
 def test_lattice_weights_have_the_symmetry_of_the_square(horizon):
     xi = lattice_family(horizon)
     W = quadrature_weights(xi, horizon)
-    at = {tuple(bond): w for bond, w in zip(xi, W)}
-    for (a, b), w in at.items():
+    weight = {tuple(bond): w for bond, w in zip(xi, W)}
+    for (a, b), w in weight.items():
         for image in ((-a, b), (a, -b), (b, a)):
-            assert at[image] == pytest.approx(w, abs=1e-12 * W.max())
+            assert weight[image] == pytest.approx(w, abs=1e-12 * W.max())
 
 
 @pytest.mark.parametrize(

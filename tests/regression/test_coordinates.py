@@ -56,9 +56,9 @@ def test_there_and_back_keeps_the_kernel_at_every_bond(lattices, degree, two):
     assert back.losses == [0.5]
     assert (back.D_dilatation is not None) == two
     for classes in lattices:
-        for found, D in ((back.D, given.D), (back.dilatation, given.dilatation)):
+        for coefficients, D in ((back.D, given.D), (back.dilatation, given.dilatation)):
             expected = tables(classes, 1.4, D)
-            np.testing.assert_allclose(tables(classes, 1.4, found), expected, atol=1e-9)
+            np.testing.assert_allclose(tables(classes, 1.4, coefficients), expected, atol=1e-9)
     volumes = [
         lattices[0].count @ (K * lattices[0].weight * lattices[0].r ** (2 - 1.4))
         for K in (bernstein_basis(lattices[0].r, 3.0, degree) @ back.D, 1.0)
@@ -73,7 +73,7 @@ def test_derivatives(lattices, degree, two):
     y = coordinates.start(given)
     if coordinates.free_alpha:
         y[-1] += 0.2  # away from where the tables were made
-    at = coordinates.point(y)
+    point = coordinates.point(y)
 
     def values(y):
         point = coordinates.point(y)
@@ -83,9 +83,9 @@ def test_derivatives(lattices, degree, two):
     expected = difference(values, y, 1e-3).T
     kappa, alpha = np.eye(len(y))[[0, -1]]
     alpha = alpha * coordinates.free_alpha
-    _, rough = coordinates.roughness(y, at)
-    found = np.vstack([kappa, at.dmu, alpha, *at.dv, *at.dz, rough])
-    assert np.abs(found - expected).max() <= GRADIENT * np.abs(expected).max()
+    _, rough = coordinates.roughness(y, point)
+    derivatives = np.vstack([kappa, point.dmu, alpha, *point.dv, *point.dz, rough])
+    assert np.abs(derivatives - expected).max() <= GRADIENT * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(

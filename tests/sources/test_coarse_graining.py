@@ -22,9 +22,9 @@ def nodes(low, high):
 @pytest.mark.parametrize("spacing", [None, H], ids=["given nodes", "infinite lattice"])
 def test_is_the_brute_force_sum(shape, box, spacing):
     where = nodes(-2, 6) + 0.1  # beyond the box on both sides
-    found = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
+    weights = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
     expected = reference.smoothing(ATOMS, where, 4.0, shape, box, spacing)
-    np.testing.assert_allclose(found.toarray(), expected, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(weights.toarray(), expected, rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("shape", ["cone", "paraboloid"])

@@ -50,9 +50,9 @@ def write(path, steps, **options):
 
 @pytest.mark.parametrize("name", ["a.dump", "a.dump.gz"])
 def test_frames_come_in_order_with_atoms_by_id(tmp_path, name):
-    found = list(dump_positions(write(tmp_path / name, range(4))))
-    assert len(found) == 4
-    for step, x in enumerate(found):
+    frames = list(dump_positions(write(tmp_path / name, range(4))))
+    assert len(frames) == 4
+    for step, x in enumerate(frames):
         np.testing.assert_allclose(x, moved(step)[0], atol=1e-9)
 
 
@@ -71,8 +71,8 @@ def test_average_and_smoothing(tmp_path):
     smoothed = np.zeros_like(REFERENCE)
     for u in fields:
         smoothed = 0.8 * smoothed + 0.2 * u
-    found = dump_displacement(path, REFERENCE, box=BOX, iota=0.2)
-    np.testing.assert_allclose(found, smoothed, atol=1e-9)
+    displacement = dump_displacement(path, REFERENCE, box=BOX, iota=0.2)
+    np.testing.assert_allclose(displacement, smoothed, atol=1e-9)
 
 
 def test_memory_does_not_grow_with_the_frames(tmp_path):
@@ -96,7 +96,7 @@ def test_samples_on_nodes(tmp_path):
     omega = smoothing_matrix(REFERENCE, points.x, radius=5.0, box=BOX, spacing=3.0)
     force = random.normal(size=(2, 30, 2))
     options = {"node_area": 9.0, "thickness": 3.35}
-    found = coarse_grain_dumps(
+    samples = coarse_grain_dumps(
         loads, omega, points, Atoms(REFERENCE, box=BOX), force=force, unloaded=[rest], **options
     )
     means = [
@@ -104,9 +104,9 @@ def test_samples_on_nodes(tmp_path):
         for steps in (range(3), range(3, 6), range(6, 9))
     ]
     u, b = coarse_grain(omega, displacement=np.stack(means[:2]) - means[2], force=force, **options)
-    np.testing.assert_allclose(found.u, u, atol=1e-9)
-    np.testing.assert_allclose(found.b, b)
-    assert list(found.arrays["load_id"]) == ["a.dump", "b.dump"]
+    np.testing.assert_allclose(samples.u, u, atol=1e-9)
+    np.testing.assert_allclose(samples.b, b)
+    assert list(samples.arrays["load_id"]) == ["a.dump", "b.dump"]
     with pytest.raises(InputError, match="0, 1 or 2 dumps"):
         coarse_grain_dumps(
             loads, omega, points, Atoms(REFERENCE), force=force, unloaded=3 * [rest], **options

@@ -116,8 +116,8 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     steepest = 0.0
     for k in random.uniform(-np.pi, np.pi, (20, 2)):
 
-        def entries(at):
-            d, _ = proof.affine_part(classes, *point, c, at[None])
+        def entries(k):
+            d, _ = proof.affine_part(classes, *point, c, k[None])
             return d[:, 0]
 
         _, slopes = proof.affine_part(classes, *point, c, k[None])
@@ -145,8 +145,8 @@ def test_the_proof_sets_the_curvature_aside(monkeypatch):
 
 def five_point(interior):
     """The 5-point Dirichlet Laplacian on given nodes of a unit lattice."""
-    at = np.argwhere(interior)
-    step = np.abs(at[:, None] - at[None]).sum(-1)
+    node = np.argwhere(interior)
+    step = np.abs(node[:, None] - node[None]).sum(-1)
     return 4.0 * (step == 0) - (step == 1)
 
 
@@ -178,16 +178,16 @@ def test_dense_figures_are_those_of_the_definition(name):
     phi = np.array(
         [[reference.dilatation(points.x, i, model, pull) for pull in pulls] for i in inside]
     )
-    found = certify(model, spacing=1.0, points=points)
+    figures = certify(model, spacing=1.0, points=points)
     schwarz = np.linalg.eigvalsh(gamma - 2 * phi.T @ phi)
-    assert found.gamma_min == pytest.approx(np.linalg.eigvalsh(gamma)[0], rel=1e-9)
-    assert found.gamma_minus_2phi_min == pytest.approx(schwarz[0], rel=1e-9)
-    assert found.gamma_max == pytest.approx(schwarz[-1], rel=1e-9)
-    assert found.schwarz == (schwarz[0] >= -1e-10 * schwarz[-1])
+    assert figures.gamma_min == pytest.approx(np.linalg.eigvalsh(gamma)[0], rel=1e-9)
+    assert figures.gamma_minus_2phi_min == pytest.approx(schwarz[0], rel=1e-9)
+    assert figures.gamma_max == pytest.approx(schwarz[-1], rel=1e-9)
+    assert figures.schwarz == (schwarz[0] >= -1e-10 * schwarz[-1])
     values = np.linalg.eigvalsh(phi @ np.linalg.solve(gamma, phi.T))
     values = values[values > 1e-9 * values[-1]]
-    assert found.inf_sup_min == pytest.approx(values[0], rel=1e-6)
-    assert found.inf_sup_rank == len(values)
+    assert figures.inf_sup_min == pytest.approx(values[0], rel=1e-6)
+    assert figures.inf_sup_rank == len(values)
 
 
 def test_figures_are_plain_numbers():

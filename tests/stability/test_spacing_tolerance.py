@@ -62,8 +62,8 @@ def test_whoever_asks_gets_the_certified_lattice(wild, factor):
     b = np.zeros_like(u)
     b[there.interior] = force
     for method in ("lu", "multigrid"):
-        found = solve(wild, there, b, u, method=method)
-        assert np.abs(found - u).max() < 1e-6 * np.abs(u).max()
+        solved = solve(wild, there, b, u, method=method)
+        assert np.abs(solved - u).max() < 1e-6 * np.abs(u).max()
     stress = node_fields(wild, there, u).stress
     assert stress == pytest.approx(node_fields(wild, here, u).stress, rel=1e-9)
     sheet = noise(here)[:64].reshape(8, 8, 2)

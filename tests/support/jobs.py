@@ -33,10 +33,10 @@ def sweep(folder):
     from warp_peri import sweep as run
     from warp_peri.files.whole import write_json
 
-    found = run(
+    trials = run(
         problem(0), problem(1), folder / "fits", horizons=(2.0, 2.5), degrees=(0, 1, 2), jobs=1
     )
-    write_json(folder / "choice.json", asdict(found))
+    write_json(folder / "choice.json", asdict(trials))
     return ["choice.json", *sorted(f"fits/{path.name}" for path in (folder / "fits").iterdir())]
 
 
@@ -46,8 +46,8 @@ def training(folder):
 
     lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
     stages = TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
-    found = fit(problem(), 2.5, Bernstein(4), method=Constrained(stages))
-    found.model.save(folder / "model.json")
+    learned = fit(problem(), 2.5, Bernstein(4), method=Constrained(stages))
+    learned.model.save(folder / "model.json")
     return ["model.json", "state.npz"]
 
 

@@ -90,13 +90,15 @@ def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
 STENCILS = {2: (1 / 2,), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
 
 
-def difference(function, at, step, order=8):
+def difference(function, point, step, order=8):
     """Derivatives of a function of a vector by central differences; shape [vector, …]."""
-    at = np.asarray(at, dtype=float)
+    point = np.asarray(point, dtype=float)
     out = []
-    for e in np.eye(len(at)) * step:
+    for e in np.eye(len(point)) * step:
         pairs = enumerate(STENCILS[order], start=1)
-        out.append(sum(c * (function(at + n * e) - function(at - n * e)) for n, c in pairs) / step)
+        out.append(
+            sum(c * (function(point + n * e) - function(point - n * e)) for n, c in pairs) / step
+        )
     return np.array(out)
 
 

@@ -58,8 +58,8 @@ def test_the_bath_has_its_temperature_and_does_not_push_the_sheet(sheet):
     move = np.diff(x, axis=0)
     move -= box * np.rint(move / box)
     kinetic = CARBON_MASS * EV_PER_AMU_SQUARE_ANGSTROM_PER_PS * (move / 0.0005) ** 2
-    found = kinetic[200:].mean() / BOLTZMANN
-    assert found == pytest.approx(300, rel=0.1)
+    temperature = kinetic[200:].mean() / BOLTZMANN
+    assert temperature == pytest.approx(300, rel=0.1)
     assert np.abs(move.sum(axis=1)).max() < 1e-9
 
 
@@ -149,8 +149,8 @@ def test_smoothing_and_average_are_those_of_the_trajectory(plans, tmp_path):
 def test_a_run_is_known_by_all_that_decides_it(sheet, tmp_path):
     task = Task(sheet, WaveLoad(0, (1, 0)), 1.0, 1)
     names = {
-        run_file(tmp_path, one, bath).name
-        for one in (
+        run_file(tmp_path, other, bath).name
+        for other in (
             task,
             dataclasses.replace(task, seed=2),
             dataclasses.replace(task, factor=0.5),
@@ -193,9 +193,9 @@ def test_constants_of_a_solid_that_is_known(sheet):
         u.append(field)
         density = 0.001 * load.shape(x, sheet.box)
         force.append(atom_force(density, area_per_atom(sheet.bond), THICKNESS))
-    found = long_wave_constants(sheet, x, loads, np.stack(u), np.stack(force))
-    assert found["lambda"] == pytest.approx(lame, abs=1e-9)
-    assert found["mu"] == pytest.approx(mu, abs=1e-9)
+    constants = long_wave_constants(sheet, x, loads, np.stack(u), np.stack(force))
+    assert constants["lambda"] == pytest.approx(lame, abs=1e-9)
+    assert constants["mu"] == pytest.approx(mu, abs=1e-9)
     with pytest.raises(ValueError, match="WaveLoad"):
         long_wave_constants(sheet, x, [PatchLoad(1, 0, 0, 8.0)], np.stack(u[:1]), force[0][None])
 

@@ -156,8 +156,8 @@ def run_train(given: argparse.Namespace) -> Result:
         )
         metrics = training_metrics(run)
         if samples.spacing and len(samples) >= LEAST_SAMPLES:
-            found = diagnose(run.fit.model, samples, noise)
-            metrics["residual"] = {"why": found.sentence, **found.shares}
+            diagnosis = diagnose(run.fit.model, samples, noise)
+            metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / f"{given.command}.toml")

@@ -140,7 +140,7 @@ def _table(
         values = np.full(len(above), np.nan)
         values[some] = ratio
         table[key] = float(ratio.mean()) if some.any() else None
-        table[f"{key}_samples"] = [None if np.isnan(one) else one for one in values.tolist()]
+        table[f"{key}_samples"] = [None if np.isnan(value) else value for value in values.tolist()]
         if key in ("E_res", "E_u"):
             table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if some.any() else None
     if model.transferred_from is not None:

@@ -72,20 +72,20 @@ class Fit:
         """What to know of a fit at a glance: name and value."""
         model, last = self.model, self.history[-1] if self.history else None
         lattices = ", ".join(f"{h:g} Å" for h in model.certified_on) or "no lattice"
-        found = [
+        lines = [
             ("λ, μ", f"{model.lam:.4g}, {model.mu:.4g} TPa"),
             ("E, ν", f"{model.E:.4g} TPa, {model.nu:.3g}"),
             ("kernel", f"M = {model.degree}, δ = {model.horizon:g} Å, α = {model.alpha:.3g}"),
         ]
-        for one in self.moduli[:1]:
-            numbers = ", ".join(f"{one[key]:.4g}" for key in ("C11", "C12", "C44"))
-            found.append(("C11, C12, C44", f"{numbers} TPa"))
+        for constants in self.moduli[:1]:
+            numbers = ", ".join(f"{constants[key]:.4g}" for key in ("C11", "C12", "C44"))
+            lines.append(("C11, C12, C44", f"{numbers} TPa"))
         if last is not None:
-            found.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
-        found.append(("loss", f"{self.loss.name} ({self.loss.reason})"))
-        found.append(("certified on", lattices))
-        found += [("", one.statement) for one in self.certificates[:1]]
-        return found
+            lines.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
+        lines.append(("loss", f"{self.loss.name} ({self.loss.reason})"))
+        lines.append(("certified on", lattices))
+        lines += [("", certificate.statement) for certificate in self.certificates[:1]]
+        return lines
 
     def __repr__(self) -> str:
         width = max(len(name) for name, _ in self.rows())

@@ -70,8 +70,8 @@ class Stages:
     def ended(self, scale: Scale) -> Stages:
         """Itself, with what was found in the units of the data."""
         self.history = [
-            dataclasses.replace(one, parameters=scale.parameters(one.parameters))
-            for one in self.history
+            dataclasses.replace(stage, parameters=scale.parameters(stage.parameters))
+            for stage in self.history
         ]
         return self
 

@@ -28,9 +28,9 @@ def checked(name: str, value: ArrayLike, kind: type) -> np.ndarray:
         raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
     if kind is float and value.size and np.abs(value).max() > LARGEST:
         bad = np.unravel_index(np.abs(value).argmax(), value.shape)
-        at = [int(index) for index in bad]
+        index = [int(index) for index in bad]
         raise InputError(
-            f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {at}"
+            f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {index}"
         )
     return value
 

@@ -174,13 +174,13 @@ def _is_group(item: Any) -> bool:
 def _read(file: h5py.File, only: Units | None) -> tuple[Dataset, Units]:
     """What a file holds, and its units; any but `only` are refused, where that is given."""
     for key, expected in {"format": FORMAT, "version": VERSION}.items():
-        found = _text(file.attrs.get(key))
-        if np.shape(found) != () or found != expected:
-            raise InputError(f"{key}: expected {expected!r}, got {found!r}")
+        value = _text(file.attrs.get(key))
+        if np.shape(value) != () or value != expected:
+            raise InputError(f"{key}: expected {expected!r}, got {value!r}")
     length, stress = (_text(file.attrs.get(key)) for key in ("length_unit", "stress_unit"))
-    for key, found, usual in (("length_unit", length, USUAL[0]), ("stress_unit", stress, USUAL[1])):
-        if only is not None and (np.shape(found) != () or found != usual):
-            raise InputError(f"{key}: expected {usual!r}, got {found!r}; units={USUAL} converts")
+    for key, unit, usual in (("length_unit", length, USUAL[0]), ("stress_unit", stress, USUAL[1])):
+        if only is not None and (np.shape(unit) != () or unit != usual):
+            raise InputError(f"{key}: expected {usual!r}, got {unit!r}; units={USUAL} converts")
     units = check_units((length, stress))
     thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
     try:

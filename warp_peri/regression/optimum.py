@@ -77,12 +77,12 @@ def constrained_optimum(
     classes = [grid.classes for grid in grids]
     coordinates = coordinates_of(classes, start, two_functions=two_functions)
     problem = Problem(grids, conditions, coordinates, method.moduli, method.smoothness)
-    searches = [ZoneSearch(one) for one in conditions]
-    cuts = [zone_wedge(one.spacing, method.first_cuts) for one in classes]
+    searches = [ZoneSearch(lattice) for lattice in conditions]
+    cuts = [zone_wedge(bonds.spacing, method.first_cuts) for bonds in classes]
     y = coordinates.start(start)
     losses: list[float] = []
     for _ in range(method.rounds):
-        y, loss = problem.settle(y, [symbol(one, k) for one, k in zip(classes, cuts)])
+        y, loss = problem.settle(y, [symbol(bonds, k) for bonds, k in zip(classes, cuts)])
         losses.append(loss)
         point = coordinates.point(y)
         margin, kept = np.inf, True
@@ -123,14 +123,17 @@ class Problem:
         self.grids, self.coordinates, self.moduli = grids, coordinates, moduli
         self.smoothness = smoothness
         self.asked = [
-            LatticeConditions(one.classes, Conditions(one.kind, HEADROOM * one.zeta))
-            for one in conditions
+            LatticeConditions(asked.classes, Conditions(asked.kind, HEADROOM * asked.zeta))
+            for asked in conditions
         ]
         self._shears = [  # C44 of unit v per class
             np.array(
-                [long_wave_moduli(one.classes, unit, 0.0)[2] for unit in np.eye(len(one.classes.r))]
+                [
+                    long_wave_moduli(grid.classes, unit, 0.0)[2]
+                    for unit in np.eye(len(grid.classes.r))
+                ]
             )
-            for one in grids
+            for grid in grids
         ]
 
     def settle(self, y: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
@@ -165,30 +168,30 @@ class Problem:
             point = self.coordinates.point(y)
             return y, point, self.values(y, point)
 
-        at = _Last(reached)
+        state = _Last(reached)
 
         def loss(t: np.ndarray) -> float:
-            e = at(t)[2]
+            e = state(t)[2]
             return float(e @ e) / unit
 
         def gradient(t: np.ndarray) -> np.ndarray:
-            y, point, e = at(t)
-            found: np.ndarray = 2 / unit * scaling.T @ (self.slopes(y, point).T @ e)
-            return found
+            y, point, e = state(t)
+            slope: np.ndarray = 2 / unit * scaling.T @ (self.slopes(y, point).T @ e)
+            return slope
 
         constraints = [
             {
                 "type": "ineq",
-                "fun": lambda t: self.margins(at(t)[1], tables),
-                "jac": lambda t: self.margin_slopes(at(t)[1], tables) @ scaling,
+                "fun": lambda t: self.margins(state(t)[1], tables),
+                "jac": lambda t: self.margin_slopes(state(t)[1], tables) @ scaling,
             }
         ]
         if self.moduli is not None:
             constraints.append(
                 {
                     "type": "eq",
-                    "fun": lambda t: self.departure(at(t)[1]),
-                    "jac": lambda t: self.departure_slopes(at(t)[1]) @ scaling,
+                    "fun": lambda t: self.departure(state(t)[1]),
+                    "jac": lambda t: self.departure_slopes(state(t)[1]) @ scaling,
                 }
             )
         result = minimize(
@@ -246,8 +249,8 @@ class Problem:
         kappa, mu = point.kappa, point.mu
         # μ and λ + μ = 2μ + κμ²
         values = [np.array([mu, 2 * mu + kappa * mu**2]) - self.asked[0].zeta]
-        for one, table, v, z in zip(self.asked, tables, point.v, point.z):
-            values.append(one.margins(table, v, z, kappa).ravel())
+        for conditions, table, v, z in zip(self.asked, tables, point.v, point.z):
+            values.append(conditions.margins(table, v, z, kappa).ravel())
         values.append(point.limits)
         return np.concatenate(values)
 
@@ -257,10 +260,10 @@ class Problem:
         dkappa = np.zeros_like(dmu)
         dkappa[0] = 1.0
         slopes = [np.array([dmu, (2 + 2 * kappa * mu) * dmu + mu**2 * dkappa])]
-        for one, table, v, z, dv, dz in zip(
+        for conditions, table, v, z, dv, dz in zip(
             self.asked, tables, point.v, point.z, point.dv, point.dz
         ):
-            by = one.gradients(table, v, z, kappa).reshape(-1, 1 + 2 * len(v))
+            by = conditions.gradients(table, v, z, kappa).reshape(-1, 1 + 2 * len(v))
             slopes.append(by @ np.concatenate([dkappa[None], dv, dz]))
         slopes.append(point.dlimits)
         return np.concatenate(slopes)
