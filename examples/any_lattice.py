@@ -59,8 +59,8 @@ class Atoms:
         )
         return warp_peri.coarse_grain(
             omega,
-            displacement=np.stack([one.displacement for one in samples]),
-            force=np.stack([one.force for one in samples]),
+            displacement=np.stack([sample.displacement for sample in samples]),
+            force=np.stack([sample.force for sample in samples]),
             node_area=1.0,
             thickness=THICKNESS,
         )
@@ -90,7 +90,7 @@ def clouds(seed: int = 1) -> dict[str, Points]:
     """Nodes shifted by parts of 5 Å, and blue noise as dense."""
     nodes = lattice(5.0).x
     random = np.random.default_rng(seed)
-    found = {
+    places = {
         f"shifted by {part}": nodes + 5 * part * random.uniform(-1, 1, nodes.shape)
         for part in (0.2, 0.45)
     }
@@ -100,9 +100,9 @@ def clouds(seed: int = 1) -> dict[str, Points]:
         away = (x[:, None] - x[near[:, 1:]]) / r[:, 1:, None]
         x = x + 0.15 * (away * np.maximum(5.25 - r[:, 1:], 0)[..., None]).sum(axis=1)
         x = np.clip(x, -REACH, REACH)
-    found["blue noise"] = x
-    size = {name: np.asarray(np.abs(x).max(axis=1)) for name, x in found.items()}
-    return {name: Points(x, size[name] <= INTERIOR, 0.0) for name, x in found.items()}
+    places["blue noise"] = x
+    size = {name: np.asarray(np.abs(x).max(axis=1)) for name, x in places.items()}
+    return {name: Points(x, size[name] <= INTERIOR, 0.0) for name, x in places.items()}
 
 
 def errors(model: Model, atoms: Atoms, points: Points) -> dict[str, float]:
@@ -121,18 +121,18 @@ def transferred(
     for make in (new_lattice, on_lattice, on_lattice):
         kept.forget()  # as another process would ask for it
         begin = time.perf_counter()
-        found = make(model, spacing=spacing, horizon=horizon)
+        there = make(model, spacing=spacing, horizon=horizon)
         seconds.append(time.perf_counter() - begin)
-    record = found.provenance["transfer"]
+    record = there.provenance["transfer"]
     return {
         "spacing": spacing,
-        "horizon": found.horizon,
+        "horizon": there.horizon,
         "bonds": record["bonds"],
         "c": record["symbol_bound"],
         "agreement": record["statement"],
         "seconds": seconds[0],
         "seconds_again": seconds[2],
-        **errors(found, atoms, lattice(spacing)),
+        **errors(there, atoms, lattice(spacing)),
     }
 
 
@@ -161,12 +161,12 @@ def scattered(
 
 def many(model: Model, atoms: Atoms) -> dict[str, Any]:
     """One influence function for lattices of h/δ from 0.11 to 0.3."""
-    found = one_kernel(model, horizon=20.0)
-    record = found.provenance["many_lattices"]
+    kernel = one_kernel(model, horizon=20.0)
+    record = kernel.provenance["many_lattices"]
     rows = {f"{h:g}": float("nan") for h in (5.0, 4.0, 2.5)}
     for h in rows:
         points = atoms.on(lattice(float(h)), "test")
-        table = warp_peri.evaluate(found, points, allow_uncertified=True)
+        table = warp_peri.evaluate(kernel, points, allow_uncertified=True)
         rows[h] = 100 * table["E_u"]
     return {**record, "disks": rows}
 
@@ -223,15 +223,15 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def report(found: dict[str, Any]) -> str:
+def report(tables: dict[str, Any]) -> str:
     """The tables, E_u in %."""
     lines = ["# One model, learned at 5 Å, elsewhere", "", "Displacement errors in %.", ""]
     for name in ("home", "rich_teacher"):
-        lines += [f"**{name}**", "", table([found[name]]), ""]
+        lines += [f"**{name}**", "", table([tables[name]]), ""]
     for name in ("lattices", "turned_4", "reduced", "scattered"):
-        lines += [f"**{name}**", "", table(found[name]), ""]
-    lines += [f"- {row['agreement']}" for row in found["lattices"]]
-    kernel = found["one_kernel"]
+        lines += [f"**{name}**", "", table(tables[name]), ""]
+    lines += [f"- {row['agreement']}" for row in tables["lattices"]]
+    kernel = tables["one_kernel"]
     rows = zip(kernel["h_over_horizon"], kernel["mean_error"], kernel["largest_error"])
     lines += ["", "**one kernel for many lattices**, error of the response in %", ""]
     lines.append(table([{"h/δ": h, "mean": 100 * a, "largest": 100 * b} for h, a, b in rows]))
@@ -243,9 +243,9 @@ def figure(model: Model, file: Path) -> None:
     """Error against home by wavelength."""
     _, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
     for spacing, horizon in LATTICES:
-        found = on_lattice(model, spacing=spacing, horizon=horizon)
-        record = found.provenance["transfer"]
-        label = f"{spacing:g} Å, δ = {found.horizon:.3g} Å, {record['bonds']} bonds"
+        there = on_lattice(model, spacing=spacing, horizon=horizon)
+        record = there.provenance["transfer"]
+        label = f"{spacing:g} Å, δ = {there.horizon:.3g} Å, {record['bonds']} bonds"
         ax.loglog(record["wavelength"], 100 * np.array(record["error"]), label=label)
     ax.set(xlabel="wavelength [Å]", ylabel="displacement against home [%]", ylim=(0.05, 100))
     ticks = (20, 30, 50, 100, 200, 400, 800)
@@ -273,14 +273,14 @@ def main(arguments: list[str] | None = None) -> int:
         with locked(given.out), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # each transfer would say so
             part = functools.partial(kept_part, given.out / "parts")
-            found = measure(model, data, given.data.with_suffix(".cache"), part)
-            write_json(given.out / "any_lattice.json", found)
-            write_text(given.out / "report.md", report(found))
+            tables = measure(model, data, given.data.with_suffix(".cache"), part)
+            write_json(given.out / "any_lattice.json", tables)
+            write_text(given.out / "report.md", report(tables))
             figure(model, given.out / "any_lattice.png")
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(json.dumps(found) if given.json else report(found))
+    print(json.dumps(tables) if given.json else report(tables))
     return 0
 
 

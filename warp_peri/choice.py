@@ -159,7 +159,9 @@ def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str,
     for number in range(SPACINGS):
         spacing = float(f"{wave / 3 / RATIO**number:.2g}")
         try:
-            found = on_lattice(model, spacing=spacing, tolerance=tolerance, shortest_wave=wave)
+            transferred = on_lattice(
+                model, spacing=spacing, tolerance=tolerance, shortest_wave=wave
+            )
         except InputError as error:
             reason = error
             continue
@@ -171,7 +173,7 @@ def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str,
             seconds = whole * (nodes / row["disks_nodes"]) ** LU_POWER
         else:
             seconds = table["seconds_per_node"][method] * nodes
-        record = found.provenance["transfer"]
+        record = transferred.provenance["transfer"]
         pairs = zip(record["wavelength"], record["error"])
         reached = max((e for length, e in pairs if length >= wave), default=tolerance)
         words = (
@@ -179,5 +181,7 @@ def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str,
             f"{100 * tolerance:g} % of the model at home on waves of {wave:g} Å, by {method}, "
             f"about {seconds:.2g} s for {nodes:.0f} nodes."
         )
-        return Choice(spacing, found.horizon, found.degree, method, reached, seconds, words)
+        return Choice(
+            spacing, transferred.horizon, transferred.degree, method, reached, seconds, words
+        )
     raise reason

@@ -142,7 +142,7 @@ def write_operator(path: str | os.PathLike[str], model: Model, points: PointsLik
     return Path(path)
 
 
-def write_body(path: str | os.PathLike[str], found: BodySolution) -> dict[str, float]:
+def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, float]:
     """Displacement [Å] and stress [TPa] of a body on its mesh, as one VTU file.
 
     `elements` is 1 at corners whose values the elements gave, those of the outline among them, and
@@ -154,10 +154,10 @@ def write_body(path: str | os.PathLike[str], found: BodySolution) -> dict[str, f
         import meshio
     except ImportError:
         raise InputError("meshio is not installed: pip install 'warp_peri[bodies]'") from None
-    mesh = found.rim.mesh
-    u, stress = found.on_corners()
+    mesh = body.rim.mesh
+    u, stress = body.on_corners()
     elements = np.zeros(len(mesh.x))
-    elements[found.rim.corners] = 1
+    elements[body.rim.corners] = 1
     data = {"displacement": _vector(u), "stress": _tensor(stress), "elements": elements}
     x = np.column_stack([mesh.x, np.zeros(len(mesh.x))])
     with whole_file(path) as temporary:

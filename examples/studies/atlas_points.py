@@ -97,10 +97,10 @@ def solid() -> Model:
 
 def figures_of(points: Points) -> tuple[float, float, float, float]:
     """Smallest eigenvalue, asymmetry, share of negative weights, and error against elasticity."""
-    found = warp_peri.solvability(solid(), points)
+    figures = warp_peri.solvability(solid(), points)
     h = np.pi / NUMBER
     error = elastic_error(replace(points, x=h * points.x), LAM, HORIZON * h)
-    return found.symmetric_min, found.asymmetry, found.negative_weights, error
+    return figures.symmetric_min, figures.asymmetry, figures.negative_weights, error
 
 
 def holes_and_clusters(base: Points, away: np.ndarray, near: np.ndarray) -> dict[str, Points]:
@@ -169,14 +169,14 @@ def free_edge(number: int, lam: float, *, corrected: bool) -> float:
     bonds = Bonds(body, horizon)
     if not corrected:
         bonds.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
-    one = torch.ones(1, dtype=torch.float64)
-    alpha, D = (bonds.floats(one.numpy()) for _ in range(2))
+    scalar = torch.ones(1, dtype=torch.float64)
+    alpha, D = (bonds.floats(scalar.numpy()) for _ in range(2))
     tables = 2 * influence(bonds, alpha, D)
     L = assemble(bonds, tables).operator(lam, MU)
     unknown = np.repeat(body.interior, 2)
     given = np.where(outside[:, None], 0.0, exact).ravel()
-    found = spsolve(sp.csc_array(L[:, unknown]), -L[:, ~unknown] @ given[~unknown])
-    return float(np.abs(found - exact.ravel()[unknown]).max())
+    u = spsolve(sp.csc_array(L[:, unknown]), -L[:, ~unknown] @ given[~unknown])
+    return float(np.abs(u - exact.ravel()[unknown]).max())
 
 
 def free_surfaces() -> Entry:

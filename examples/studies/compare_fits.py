@@ -63,10 +63,10 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
     rows = []
     for name, options in tqdm(cases.items(), desc="one grid"):
         begin = time.perf_counter()
-        found = fit(data["train"], **({"horizon": 20.0, "kernel": Bernstein(10)} | options))
+        learned = fit(data["train"], **({"horizon": 20.0, "kernel": Bernstein(10)} | options))
         row = {"fit": name, "seconds": time.perf_counter() - begin}
         sets = {role: data[role] for role in ("train", "val", "test")}
-        rows.append(row | _numbers(found) | _errors(found.model, sets))
+        rows.append(row | _numbers(learned) | _errors(learned.model, sets))
     return rows
 
 
@@ -76,25 +76,25 @@ def two_grids(data: Dataset, unseen: Samples) -> list[dict[str, Any]]:
     both = [data["train"], data["train_fine"]]
     for horizon in tqdm((12.5, 20.0), desc="two grids"):
         begin = time.perf_counter()
-        found = fit(both, horizon=horizon, kernel=Bernstein(10))
+        learned = fit(both, horizon=horizon, kernel=Bernstein(10))
         row = {"fit": f"δ = {horizon:g} Å", "seconds": time.perf_counter() - begin}
-        row |= _numbers(found)
-        third = warp_peri.certify(found.model, spacing=unseen.spacing)
+        row |= _numbers(learned)
+        third = warp_peri.certify(learned.model, spacing=unseen.spacing)
         row["c on the unseen grid"] = third.symbol_bound
         sets = {"h = 5 Å": data["test"], "h = 2.5 Å": data["test_fine"], "h = 4 Å": unseen}
-        rows.append(row | _errors(found.model, sets))
+        rows.append(row | _errors(learned.model, sets))
     return rows
 
 
-def _numbers(found: Fit) -> dict[str, Any]:
+def _numbers(learned: Fit) -> dict[str, Any]:
     """Constants, moduli, certificate and whether the starts agree."""
-    reached = list(found.starts.values())
+    reached = list(learned.starts.values())
     spread = float(np.ptp(reached) / min(reached)) if reached else None
     return {
-        "lambda": found.model.lam,
-        "mu": found.model.mu,
-        "moduli": found.moduli,
-        "c": [one.symbol_bound for one in found.certificates],
+        "lambda": learned.model.lam,
+        "mu": learned.model.mu,
+        "moduli": learned.moduli,
+        "c": [certificate.symbol_bound for certificate in learned.certificates],
         "spread of the starts": spread,
     }
 
@@ -120,16 +120,16 @@ def dense_seconds(points: Samples) -> float:
     classes = bond_classes(points.spacing, 20.0)
     kw = model.influence(classes.r) * classes.weight
     w = torch.tensor(kw / (classes.count @ (kw * classes.r**2)), requires_grad=True)
-    one = torch.ones((), dtype=torch.float64)
+    scalar = torch.ones((), dtype=torch.float64)
     seconds = []
     for _ in range(3):
         begin = time.perf_counter()
-        margins(one, one, [(w, w)]).sum().backward()
+        margins(scalar, scalar, [(w, w)]).sum().backward()
         seconds.append(time.perf_counter() - begin)
     return float(np.median(seconds))
 
 
-def report(one: list[dict[str, Any]], two: list[dict[str, Any]], dense: float) -> str:
+def report(single: list[dict[str, Any]], double: list[dict[str, Any]], dense: float) -> str:
     """The tables."""
     columns = ["E_res train", "E_res val", "E_u train", "E_u val", "E_u test"]
     lines = [
@@ -141,7 +141,7 @@ def report(one: list[dict[str, Any]], two: list[dict[str, Any]], dense: float) -
         "| fit | " + " | ".join(columns) + " | λ | μ | C11 | C12 | C44 | c [TPa] | seconds |",
         "|---" * (len(columns) + 8) + "|",
     ]
-    for row in one:
+    for row in single:
         cells = [f"{100 * row[column]:.2f}" for column in columns]
         cells += [f"{row['lambda']:.4f}", f"{row['mu']:.4f}"]
         cells += [f"{row['moduli'][0][key]:.4f}" for key in ("C11", "C12", "C44")]
@@ -157,7 +157,7 @@ def report(one: list[dict[str, Any]], two: list[dict[str, Any]], dense: float) -
         "| fit | h = 5 Å | h = 2.5 Å | h = 4 Å (unseen) | c at 5, 2.5, 4 Å [TPa] | seconds |",
         "|---|---|---|---|---|---|",
     ]
-    for row in two:
+    for row in double:
         errors = [row[f"E_u {name}"] for name in ("h = 5 Å", "h = 2.5 Å", "h = 4 Å")]
         cells = ["refused" if error is None else f"{100 * error:.2f}" for error in errors]
         bounds = ", ".join(f"{value:.4f}" for value in [*row["c"], row["c on the unseen grid"]])
@@ -179,16 +179,16 @@ def main(arguments: list[str] | None = None) -> int:
         data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
         body, loads, samples = read_samples(DATA.with_suffix(".cache"), "test")
         unseen = point_set(body, loads, samples, spacing=UNSEEN_SPACING)
-        one, two = one_grid(data), two_grids(data, unseen)
+        single, double = one_grid(data), two_grids(data, unseen)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     dense = dense_seconds(data["train"])
     write_json(
         given.out / "compare_fits.json",
-        {"one_grid": one, "two_grids": two, "dense_conditions_seconds": dense},
+        {"one_grid": single, "two_grids": double, "dense_conditions_seconds": dense},
     )
-    text = report(one, two, dense)
+    text = report(single, double, dense)
     write_text(given.out / "report.md", text)
     print(text)
     return 0

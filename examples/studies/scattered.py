@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> int:
         data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
         sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)
         begin = time.perf_counter()
-        found = fit(
+        learned = fit(
             sets,
             horizon=given.horizon,
             kernel=Bernstein(given.degree),
@@ -96,18 +96,18 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     seconds = time.perf_counter() - begin
     errors = {
-        name: warp_peri.evaluate(found.model, data[name], allow_uncertified=True)["E_u"]
+        name: warp_peri.evaluate(learned.model, data[name], allow_uncertified=True)["E_u"]
         for name in ("train", "val", "test")
     }
-    found.model.save(given.out / "model.json")
-    stages = {stage.name: stage.E_res_train for stage in found.history}
+    learned.model.save(given.out / "model.json")
+    stages = {stage.name: stage.E_res_train for stage in learned.history}
     content = {"E_u": errors, "E_res_train": stages, "seconds": seconds}
-    content |= {"lambda": found.model.lam, "mu": found.model.mu}
+    content |= {"lambda": learned.model.lam, "mu": learned.model.mu}
     write_json(given.out / "scattered.json", content)
     for name, value in stages.items():
         print(f"stage {name}: E_res on the scattered nodes {100 * value:.2f} %")
     print("E_u on the lattice: " + ", ".join(f"{k} {100 * v:.2f} %" for k, v in errors.items()))
-    print(f"λ = {found.model.lam:.4f} TPa, μ = {found.model.mu:.4f} TPa, {seconds:.0f} s")
+    print(f"λ = {learned.model.lam:.4f} TPa, μ = {learned.model.mu:.4f} TPa, {seconds:.0f} s")
     return 0
 
 

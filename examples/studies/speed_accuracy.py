@@ -62,8 +62,8 @@ ROUNDS = 3
 
 def waves(points: Samples) -> np.ndarray:
     """Wave numbers (p, q) of the periodic samples, shape [S, 2], from their load ids."""
-    ids = [str(one) for one in points.arrays["load_id"]]
-    return np.array([[int(n) for n in re.findall(r"\d+", one)[-2:]] for one in ids])
+    ids = [str(load) for load in points.arrays["load_id"]]
+    return np.array([[int(n) for n in re.findall(r"\d+", load)[-2:]] for load in ids])
 
 
 def held_out(points: Samples) -> np.ndarray:
@@ -133,10 +133,10 @@ def timed(prepare: Callable[[], Solver], points: Samples, samples: np.ndarray) -
         errors = []
         for s in samples:
             start = time.perf_counter()
-            found = solver(points.loads[s], points.u[s])
+            u = solver(points.loads[s], points.u[s])
             each.append(time.perf_counter() - start)
             exact = points.u[s][points.interior]
-            errors.append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
+            errors.append(float(np.linalg.norm(u - exact) / np.linalg.norm(exact)))
     return {"setup": min(setup), "solve": min(each), "error": float(np.mean(errors))}
 
 
@@ -172,7 +172,7 @@ def fitted(
 
 def molecular() -> dict[str, float]:
     """Seconds of the atoms for disk and sheet: relaxing and factorising once, then one load."""
-    found: dict[str, float] = {}
+    seconds_of: dict[str, float] = {}
     sheet, disk = making.graphene_bodies()
     cases: dict[str, tuple[Any, Any]] = {
         "disks": (disk, making.TEST),
@@ -186,8 +186,8 @@ def molecular() -> dict[str, float]:
                 making.solve_samples(body, list(some), Path(folder))
                 seconds.append(time.perf_counter() - start)
         each = seconds[1] / 3
-        found |= {f"{name}_solve": each, f"{name}_setup": max(seconds[0] - each, 0.0)}
-    return found
+        seconds_of |= {f"{name}_solve": each, f"{name}_setup": max(seconds[0] - each, 0.0)}
+    return seconds_of
 
 
 def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> list[dict[str, Any]]:
@@ -250,9 +250,9 @@ def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> lis
 
 def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
     """Set-up and solve of a large square and a large disk, over their unknown nodes."""
-    found = {}
-    at = np.arange(side) - (side - 1) / 2
-    disk = at[:, None] ** 2 + at**2 <= (side / 2) ** 2
+    costs = {}
+    line = np.arange(side) - (side - 1) / 2
+    disk = line[:, None] ** 2 + line**2 <= (side / 2) ** 2
     pad = 2 * int(np.ceil(model.horizon / model.certified_on[0]))
     for method, mask in (("sine", np.ones_like(disk)), ("multigrid", disk)):
         mask = np.pad(mask, pad)
@@ -260,19 +260,19 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
         noise = np.random.default_rng(0).normal(size=(2, 1, len(x), 2))
         points = Samples(Points(x, mask.ravel(), model.certified_on[0]), *noise)
         record = timed(functools.partial(by_cg(method), model, points), points, np.arange(1))
-        found[method] = (record["setup"] + record["solve"]) / int(mask.sum())
-    return found
+        costs[method] = (record["setup"] + record["solve"]) / int(mask.sum())
+    return costs
 
 
 def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
     """Rows that no other beats in both error and solve time, fastest first."""
-    best, found = np.inf, []
+    best, unbeaten = np.inf, []
     for row in sorted(rows, key=lambda row: (row[f"{name}_solve"], row[f"{name}_error"])):
         # The same model by another solver is no better.
         if row[f"{name}_error"] < best * (1 - 1e-3):
             best = row[f"{name}_error"]
-            found.append(row)
-    return found
+            unbeaten.append(row)
+    return unbeaten
 
 
 def chart(rows: list[dict[str, Any]], file: Path) -> None:
@@ -342,8 +342,8 @@ def main(arguments: list[str] | None = None) -> int:
         data, truth = point_sets(given.data)
         rows = measure(data, truth, given.out)
         large = seconds_per_node(fitted(data, given.out, 5.0, 20.0, DEGREE, "learned"))
-        found = {"rows": rows, **wavelengths(data["train"]), "seconds_per_node": large}
-        write_json(table, found)
+        content = {"rows": rows, **wavelengths(data["train"]), "seconds_per_node": large}
+        write_json(table, content)
     chart(rows, given.out / "speed_accuracy.png")
     with whole_file(given.out / "speed_accuracy.md") as path:
         Path(path).write_text(markdown(rows), encoding="utf-8")

@@ -12,8 +12,8 @@ from warp_peri.files.whole import write_json
 def test_parts_are_measured_once(tmp_path):
     calls = []
     for _ in range(2):
-        found = any_lattice.kept_part(tmp_path, "a part", lambda: calls.append(1) or {"E": 0.5})
-        assert found == {"E": 0.5}
+        measured = any_lattice.kept_part(tmp_path, "a part", lambda: calls.append(1) or {"E": 0.5})
+        assert measured == {"E": 0.5}
     assert len(calls) == 1
     write_json(tmp_path / "a_part.json", {"E": 0.25})
     assert any_lattice.kept_part(tmp_path, "a part", None) == {"E": 0.25}
@@ -35,26 +35,26 @@ def test_the_tables(graphene, tmp_path):
     fit(data["train"], 20.0, Bernstein(10)).model.save(tmp_path / "model.json")
     given = ["--model", tmp_path / "model.json", "--data", graphene, "--out", tmp_path / "out"]
     assert any_lattice.main([*map(str, given), "--json"]) == 0
-    found = json.loads((tmp_path / "out" / "any_lattice.json").read_text())
-    home = found["home"]
-    for row in found["lattices"]:
+    tables = json.loads((tmp_path / "out" / "any_lattice.json").read_text())
+    home = tables["home"]
+    for row in tables["lattices"]:
         assert row["c"] >= 0.0099
         assert row["seconds"] <= 5
         assert row["seconds_again"] <= 0.1
         if row["spacing"] in (4.0, 2.5):
             assert row["disks"] <= home["disks"] + 0.1
-    smooth = {row["spacing"]: row["smooth"] for row in found["lattices"]}
+    smooth = {row["spacing"]: row["smooth"] for row in tables["lattices"]}
     assert smooth[7.5] <= 0.8
     assert smooth[10.0] <= 2.4
-    assert max(row["disks"] for row in found["turned_4"]) <= home["disks"] + 0.1
-    assert found["reduced"][0]["disks"] <= 0.7
-    assert found["reduced"][0]["smooth"] <= 0.9
-    for row in found["scattered"]:
+    assert max(row["disks"] for row in tables["turned_4"]) <= home["disks"] + 0.1
+    assert tables["reduced"][0]["disks"] <= 0.7
+    assert tables["reduced"][0]["smooth"] <= 0.9
+    for row in tables["scattered"]:
         assert row["asymmetry"] <= 1e-12
         assert row["smallest_eigenvalue"] > 0
         assert row["smooth_b_on_lattice"] <= 0.75
         assert row["smooth_b_on_nodes"] <= 0.75
         assert row["short_b_on_lattice"] <= 2.1
         assert row["short_b_on_nodes"] <= 4.5
-    learned = [row["learned_disks"] for row in found["scattered"]]
-    assert all(one <= most for one, most in zip(learned, (1.3, 1.7, 1.4)))
+    learned = [row["learned_disks"] for row in tables["scattered"]]
+    assert all(error <= most for error, most in zip(learned, (1.3, 1.7, 1.4)))

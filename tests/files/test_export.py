@@ -36,7 +36,7 @@ def test_fields_for_paraview(model, points, tmp_path):
     u = 1.01 * points.u
     paths = write_fields(tmp_path, model, points, u)
     assert [path.name for path in paths] == ["sample_0000.vtu", "sample_0001.vtu"]
-    found = node_fields(model, points, u)
+    fields = node_fields(model, points, u)
     inside = points.interior
     for s, path in enumerate(paths):
         mesh = meshio.read(path)
@@ -48,11 +48,11 @@ def test_fields_for_paraview(model, points, tmp_path):
         data = mesh.point_data
         np.testing.assert_array_equal(data["displacement"][:, :2], u[s])
         np.testing.assert_allclose(data["error"][:, :2], 0.01 * points.u[s], atol=1e-12)
-        for name, tensor in (("stress", found.stress[s]), ("strain", found.strain[s])):
+        for name, tensor in (("stress", fields.stress[s]), ("strain", fields.strain[s])):
             np.testing.assert_array_equal(symmetric(data[name][inside])[:, :2, :2], tensor)
             assert not symmetric(data[name][inside])[:, 2].any()
             assert np.isnan(data[name][~inside]).all()
-        np.testing.assert_array_equal(data["energy"][inside], found.energy[s])
+        np.testing.assert_array_equal(data["energy"][inside], fields.energy[s])
 
 
 def symmetric(six):
@@ -118,9 +118,9 @@ def test_refused_formats_and_folders(model, points, tmp_path):
     with pytest.raises(InputError, match="expected one of vtu, xdmf, got 'vtk'"):
         write_fields(tmp_path, model, points, points.u, format="vtk")
     write_fields(tmp_path, model, points, points.u)
-    one = replace(points, u=points.u[:1], b=points.b[:1])
+    single = replace(points, u=points.u[:1], b=points.b[:1])
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
-        write_fields(tmp_path, model, one, one.u)
+        write_fields(tmp_path, model, single, single.u)
     write_fields(tmp_path, model, points, points.u)  # as many as before: they are replaced
 
 
@@ -152,8 +152,8 @@ def test_the_table_holds_what_enters_the_model(model, tmp_path):
 def test_the_matrix_is_the_operator(model, points, tmp_path):
     L = sp.load_npz(write_operator(tmp_path / "L.npz", model, points))
     force = LPSOperator(model, points)(points.u)
-    found = (L @ points.u.reshape(2, -1).T).T.reshape(force.shape)
-    np.testing.assert_allclose(found, force, atol=1e-12 * np.abs(force).max())
+    fields = (L @ points.u.reshape(2, -1).T).T.reshape(force.shape)
+    np.testing.assert_allclose(fields, force, atol=1e-12 * np.abs(force).max())
 
 
 def test_the_command(model, points, tmp_path, capsys):

@@ -36,12 +36,14 @@ def test_fields_carried_to_a_lattice():
     points = cloud()
     assert mean_spacing(points) == pytest.approx(1.0, rel=0.05)
     wave = lambda x: np.sin(x @ (0.5, 0.4))[None, :, None] * (1.0, 0.3)
-    found = onto_lattice(Samples(points, wave(points.x), 2 * wave(points.x)), spacing=1.0)
-    assert found.spacing == 1.0
-    assert np.array_equal(found.x, np.rint(found.x))
-    assert found.interior.sum() >= points.interior.sum()
-    assert found.u[:, found.interior] == pytest.approx(wave(found.x)[:, found.interior], abs=1e-3)
-    assert found.b == pytest.approx(2 * found.u)
+    carried = onto_lattice(Samples(points, wave(points.x), 2 * wave(points.x)), spacing=1.0)
+    assert carried.spacing == 1.0
+    assert np.array_equal(carried.x, np.rint(carried.x))
+    assert carried.interior.sum() >= points.interior.sum()
+    assert carried.u[:, carried.interior] == pytest.approx(
+        wave(carried.x)[:, carried.interior], abs=1e-3
+    )
+    assert carried.b == pytest.approx(2 * carried.u)
     assert onto_lattice(Samples(points, wave(points.x)), spacing=1.0).b is None
 
 

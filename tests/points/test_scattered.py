@@ -38,16 +38,16 @@ def test_neighbours_are_those_of_a_tree(x, horizon, box):
     tree = cKDTree(x if box is None else x % box, boxsize=box)
     pairs = tree.query_pairs(reach, output_type="ndarray")
     expected = np.concatenate([pairs, pairs[:, ::-1]])
-    at = np.repeat(np.arange(len(x)), np.diff(row))
-    found = np.stack([at, neighbour], axis=1)
-    assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0))
-    assert len(found) == len(expected)
-    bonds = x[neighbour] - x[at]
+    start = np.repeat(np.arange(len(x)), np.diff(row))
+    pairs_found = np.stack([start, neighbour], axis=1)
+    assert np.array_equal(np.unique(pairs_found, axis=0), np.unique(expected, axis=0))
+    assert len(pairs_found) == len(expected)
+    bonds = x[neighbour] - x[start]
     if box is not None:
         bonds -= np.round(bonds / box) * box
     np.testing.assert_allclose(r, np.hypot(*bonds.T), rtol=1e-9)
     reverse = reverse_bonds(row, neighbour)
-    assert np.array_equal(neighbour[reverse], at)
+    assert np.array_equal(neighbour[reverse], start)
     assert np.array_equal(reverse[reverse], np.arange(len(reverse)))
     assert np.array_equal(r[reverse], r)
 
@@ -63,8 +63,8 @@ def test_weights_are_exact_and_of_smallest_norm(degree):
         W = families.weight[some]
         r = np.hypot(*xi.T)
         for a, b in reference.monomials(degree):
-            found = W @ (xi[:, 0] ** a * xi[:, 1] ** b / r**3) / horizon ** (a + b - 1)
-            assert found == pytest.approx(reference.ball_integral(a, b, 1.0), abs=QUADRATURE)
+            integral = W @ (xi[:, 0] ** a * xi[:, 1] ** b / r**3) / horizon ** (a + b - 1)
+            assert integral == pytest.approx(reference.ball_integral(a, b, 1.0), abs=QUADRATURE)
         if degree == 5:
             np.testing.assert_allclose(W, reference.quadrature(xi, horizon), atol=1e-9)
         np.testing.assert_allclose(W, quadrature_weights(xi, horizon, degree=degree), atol=1e-9)
@@ -78,11 +78,11 @@ def test_the_operator_is_the_reference(name):
     expected = reference.operator(points.x, points.interior, model, u)
     size = np.abs(expected).max()
     with pytest.warns(UserWarning, match="certified"):
-        found = LPSOperator(model, points, allow_uncertified=True)(u)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
+        force = LPSOperator(model, points, allow_uncertified=True)(u)
+    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-10 * size)
     L = matrices(model, points).operator(model.lam, model.mu)
-    found = (L @ u.ravel()).reshape(-1, 2)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * size)
+    force = (L @ u.ravel()).reshape(-1, 2)
+    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-10 * size)
 
 
 def test_the_operator_is_the_reference_in_a_periodic_box():
@@ -91,8 +91,8 @@ def test_the_operator_is_the_reference_in_a_periodic_box():
     u = noise(points)
     expected = reference.operator(points.x, points.interior, model, u, np.array(box))
     with pytest.warns(UserWarning, match="certified"):
-        found = LPSOperator(model, points, allow_uncertified=True)(u)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+        force = LPSOperator(model, points, allow_uncertified=True)(u)
+    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 def test_a_lattice_given_as_scattered_points_has_the_same_force():
@@ -101,8 +101,8 @@ def test_a_lattice_given_as_scattered_points_has_the_same_force():
     u = noise(ordered)
     expected = LPSOperator(model, ordered)(u)
     with pytest.warns(UserWarning, match="certified"):
-        found = LPSOperator(model, replace(ordered, spacing=0.0), allow_uncertified=True)(u)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+        force = LPSOperator(model, replace(ordered, spacing=0.0), allow_uncertified=True)(u)
+    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 def test_an_affine_field_has_no_force_for_the_plain_kernel():
@@ -121,20 +121,20 @@ def test_a_solve_gives_the_displacement_back(method):
     model = plain(3.0)
     b = np.zeros_like(u)
     b[:, points.interior] = LPSOperator(model, points, allow_uncertified=True)(u)
-    found = solve(model, points, b, u, method=method, allow_uncertified=True)
-    np.testing.assert_allclose(found, u, atol=1e-7)
+    solved = solve(model, points, b, u, method=method, allow_uncertified=True)
+    np.testing.assert_allclose(solved, u, atol=1e-7)
 
 
 def test_solvability_figures():
     points = cloud(8, 3.0)
     model = plain(3.0)
-    found = solvability(model, points)
+    figures = solvability(model, points)
     L = matrices(model, points).operator(model.lam, model.mu)
     A = L[:, np.repeat(points.interior, 2)].toarray()
-    assert found.symmetric_min == pytest.approx(np.linalg.eigvalsh((A + A.T) / 2)[0])
-    assert found.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
-    assert found.asymmetry == pytest.approx(np.linalg.norm(A - A.T) / np.linalg.norm(A + A.T))
-    assert 0.02 < found.asymmetry < 0.5  # scattered points are not symmetric
+    assert figures.symmetric_min == pytest.approx(np.linalg.eigvalsh((A + A.T) / 2)[0])
+    assert figures.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
+    assert figures.asymmetry == pytest.approx(np.linalg.norm(A - A.T) / np.linalg.norm(A + A.T))
+    assert 0.02 < figures.asymmetry < 0.5  # scattered points are not symmetric
     ordered = solvability(model, lattice(8, 3.0))
     assert ordered.asymmetry < ROUNDING
     assert ordered.symmetric_min == pytest.approx(ordered.singular_min)
@@ -210,6 +210,6 @@ def test_negative_weights_are_counted():
     families = families_of(points, 3.0)
     rows = np.repeat(np.arange(len(points.x)), np.diff(families.row))
     inside = families.weight[points.interior[rows]]
-    found = solvability(plain(3.0), points).negative_weights
-    assert found == np.count_nonzero(inside < 0) / len(inside) > 0
+    share = solvability(plain(3.0), points).negative_weights
+    assert share == np.count_nonzero(inside < 0) / len(inside) > 0
     assert solvability(plain(3.0), lattice(4, 3.0)).negative_weights == 0

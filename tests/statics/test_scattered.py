@@ -27,9 +27,9 @@ def waves(x):
     return u[None], (u @ dispersion(HOME, 1.0, k).T)[None]
 
 
-def wrong(operator, found, u):
+def wrong(operator, solved, u):
     inside = operator.points.interior
-    return np.linalg.norm((found - u)[:, inside]) / np.linalg.norm(u[:, inside])
+    return np.linalg.norm((solved - u)[:, inside]) / np.linalg.norm(u[:, inside])
 
 
 def test_symmetric_and_positive_definite(operator):
@@ -64,11 +64,11 @@ def test_waves_are_answered_as_at_home(operator):
 
 def test_solve_and_evaluate_go_this_way(operator):
     u, b = waves(operator.points.x)
-    found = solve(HOME, operator.points, b, u)
-    assert found == pytest.approx(operator.solve(b, u), abs=1e-12)
-    assert np.array_equal(found[:, ~operator.points.interior], u[:, ~operator.points.interior])
+    solved = solve(HOME, operator.points, b, u)
+    assert solved == pytest.approx(operator.solve(b, u), abs=1e-12)
+    assert np.array_equal(solved[:, ~operator.points.interior], u[:, ~operator.points.interior])
     table = evaluate(HOME, Samples(operator.points, u, b))
-    assert table["E_u"] == pytest.approx(wrong(operator, found, u))
+    assert table["E_u"] == pytest.approx(wrong(operator, solved, u))
     assert table["E_res"] < 0.05
     assert table["transferred_from"] == 1.0
 

@@ -29,9 +29,9 @@ def test_the_loss_is_the_mean_square_of_the_error_in_displacement(name):
     loss = wave_loss(target, k, classes)
     v, z, kappa = stiffnesses(model, classes)
     i, j = loss.pairs
-    found = np.linalg.norm(loss.R @ np.concatenate([v, kappa * z[i] * z[j], [1.0]])) ** 2
+    value = np.linalg.norm(loss.R @ np.concatenate([v, kappa * z[i] * z[j], [1.0]])) ** 2
     wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
-    assert found == pytest.approx((wrong**2).sum(axis=(1, 2)).mean() / 2, rel=1e-10)
+    assert value == pytest.approx((wrong**2).sum(axis=(1, 2)).mean() / 2, rel=1e-10)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3])
@@ -66,16 +66,16 @@ def test_what_a_record_holds(finer):
 
 @pytest.mark.parametrize("spacing", [0.45, 1.0, 1.3, 1.9])
 def test_every_lattice_is_certified(spacing):
-    found = on_lattice(HOME, spacing=spacing)
-    assert found.certificate[f"{spacing:g}"]["symbol_bound"] >= 0.0099
-    assert len(bond_classes(spacing, found.horizon).steps) <= 80
+    transferred = on_lattice(HOME, spacing=spacing)
+    assert transferred.certificate[f"{spacing:g}"]["symbol_bound"] >= 0.0099
+    assert len(bond_classes(spacing, transferred.horizon).steps) <= 80
 
 
 def test_two_functions_keep_two():
     home = replace(kernel("two functions", 3.0), largest_wave_number=2.0)
-    found = on_lattice(home, spacing=0.8, horizon=2.4)
-    assert not np.array_equal(found.D, found.dilatation)
-    assert np.interp(1.0, *_curve(found)) < 0.01
+    transferred = on_lattice(home, spacing=0.8, horizon=2.4)
+    assert not np.array_equal(transferred.D, transferred.dilatation)
+    assert np.interp(1.0, *_curve(transferred)) < 0.01
 
 
 def _curve(model):

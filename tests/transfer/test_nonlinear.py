@@ -19,11 +19,11 @@ def test_constants_go_along_and_the_guarantee_is_proven_anew():
     assert nonlinear_for(model, lattice(2, 3.0)) is model
     fine = lattice(3, 2.5, spacing=0.8)
     with pytest.warns(UserWarning, match="transferred from 1 Å to 0.8 Å"):
-        found = nonlinear_for(model, fine)
-    assert found.linear.certified_on == (0.8,)
-    assert np.array_equal(found.numbers[2:], model.numbers[2:])
-    assert found.smoothing == model.smoothing
-    assert list(found.proven) == ["0.8"]
-    assert 0 < found.proven_strain(0.8) != model.proven_strain(1.0)
+        transferred = nonlinear_for(model, fine)
+    assert transferred.linear.certified_on == (0.8,)
+    assert np.array_equal(transferred.numbers[2:], model.numbers[2:])
+    assert transferred.smoothing == model.smoothing
+    assert list(transferred.proven) == ["0.8"]
+    assert 0 < transferred.proven_strain(0.8) != model.proven_strain(1.0)
     again = nonlinear_for(model, fine)
-    assert again.proven == found.proven
+    assert again.proven == transferred.proven

@@ -131,10 +131,10 @@ def test_uncertified_means_the_models_own_numbers(points):
 def test_the_horizon_that_the_collar_carries():
     for horizon in (1.6, 0.8 * np.sqrt(5), 2.4):
         points = lattice(4, horizon, spacing=0.8)
-        found = carried_horizon(points)
-        families_of(points, found)
+        carried = carried_horizon(points)
+        families_of(points, carried)
         with pytest.raises(InputError, match="complete families"):
-            families_of(points, found + 0.8)
+            families_of(points, carried + 0.8)
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
     with pytest.warns(UserWarning, match="transferred"):
         assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))

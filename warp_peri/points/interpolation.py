@@ -55,9 +55,9 @@ def _weights(offset: np.ndarray) -> np.ndarray:
     """Weights of the nodes at offsets from where the value is wanted, shape [Y, K, 2] to [Y, K]."""
     count = offset.shape[1]
     s = offset / np.abs(offset).max(axis=(1, 2), keepdims=True)
-    one = np.ones(s.shape[:2])
+    unit = np.ones(s.shape[:2])
     a, b = s[..., 0], s[..., 1]
-    powers = np.stack([one, a, b, a * a, a * b, b * b], axis=2)
+    powers = np.stack([unit, a, b, a * a, a * b, b * b], axis=2)
     system = np.zeros((len(s), count + 6, count + 6))
     system[:, :count, :count] = _spline(s[:, :, None] - s[:, None])
     system[:, :count, count:] = powers

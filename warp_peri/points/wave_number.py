@@ -26,11 +26,11 @@ def largest_wave_number(points: Samples) -> float | None:
     r, near = cKDTree(points.x).query(points.x, k=min(5, len(points.x)))
     whole = points.interior & (r <= 1.1 * h).all(axis=1) & (near.shape[1] == 5)
     near = near[whole, 1:]
-    found = 0.0
+    largest = 0.0
     for b in points.b:
         size = (b[whole] ** 2).sum()
         if size > 0:
             s = ((b[near] - b[whole, None]) ** 2).sum() / (2 * h**2 * size)
             # of all directions on average s = |k|² − |k|⁴ h²/16
-            found = max(found, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
-    return float(np.sqrt(found)) or None
+            largest = max(largest, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
+    return float(np.sqrt(largest)) or None

@@ -18,10 +18,10 @@ def warn_beyond(model: Model, points: PointsLike, u: np.ndarray) -> None:
     """Warn when a solution is strained far beyond the data that the model was trained on."""
     if model.trained_strain is None:
         return
-    found = largest_strain(points, u)
-    if found > BEYOND * model.trained_strain:
+    strain = largest_strain(points, u)
+    if strain > BEYOND * model.trained_strain:
         warnings.warn(
-            f"strain: the solution reaches {100 * found:.2g} %, the training data "
+            f"strain: the solution reaches {100 * strain:.2g} %, the training data "
             f"{100 * model.trained_strain:.2g} %: the model is linear and knows nothing of what "
             "comes beyond",
             stacklevel=3,

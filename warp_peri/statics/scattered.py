@@ -117,13 +117,13 @@ class ThroughLattice:
                 count; or at the nodes, shape [S, N, 2], from where it is interpolated first.
         """
         if b.shape[1:] == (len(self.points.x), 2):
-            b = np.stack([self._for_loads @ one for one in b])
+            b = np.stack([self._for_loads @ field for field in b])
         if b.shape[1:] != (len(self.x), 2):
             raise InputError(
                 f"b: expected shape [S, {len(self.points.x)}, 2] at the nodes or "
                 f"[S, {len(self.x)}, 2] on the lattice, got {list(b.shape)}"
             )
-        return np.stack([self._unknown.T @ one[self.loaded] for one in b])
+        return np.stack([self._unknown.T @ field[self.loaded] for field in b])
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u on the interior nodes [TPa/Å], of u [Å] of shape [S, N, 2]: shape [S, I, 2]."""
@@ -159,8 +159,8 @@ class ThroughLattice:
         gram = sp.csc_array(self._unknown.T @ self._unknown)
         if gram.shape[0] < 20:
             return float(np.sqrt(max(np.linalg.eigvalsh(gram.toarray())[0], 0.0)))
-        found = eigsh(gram, 1, sigma=0, which="LM", return_eigenvectors=False)[0]
-        return float(np.sqrt(max(found, 0.0)))
+        square = eigsh(gram, 1, sigma=0, which="LM", return_eigenvectors=False)[0]
+        return float(np.sqrt(max(square, 0.0)))
 
     def _check_unknowns(self) -> None:
         """Refuse unknowns that the lattice cannot tell apart; splu finds a pivot of zero."""

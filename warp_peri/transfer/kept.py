@@ -46,12 +46,12 @@ def on_lattice(
     if (home, name) in _memory:
         return _memory[home, name]
     places = _places(model, home, name)
-    found = next((one for path in places if (one := _read(path, home))), None)
-    if found is None:
-        found = new_lattice(model, spacing=spacing, **asked)
-        _write(found, places)
-    _memory[home, name] = found
-    return found
+    transferred = next((kept for path in places if (kept := _read(path, home))), None)
+    if transferred is None:
+        transferred = new_lattice(model, spacing=spacing, **asked)
+        _write(transferred, places)
+    _memory[home, name] = transferred
+    return transferred
 
 
 def forget() -> None:
@@ -82,15 +82,15 @@ def model_at(
     if at_home or allow_uncertified or not transfer or not model.certified_on:
         model.check_spacing(spacing, allow_uncertified=allow_uncertified)
         return model
-    found = on_lattice(model, spacing=spacing)
-    if largest_horizon is not None and found.horizon > largest_horizon * (1 + 1e-9):
-        found = on_lattice(model, spacing=spacing, largest_horizon=largest_horizon)
-    record = found.provenance["transfer"]
+    transferred = on_lattice(model, spacing=spacing)
+    if largest_horizon is not None and transferred.horizon > largest_horizon * (1 + 1e-9):
+        transferred = on_lattice(model, spacing=spacing, largest_horizon=largest_horizon)
+    record = transferred.provenance["transfer"]
     once = record["home"], record["statement"]
     if once not in _said:
         _said.add(once)
         warnings.warn(f"transferred {record['statement']}", stacklevel=4)
-    return found
+    return transferred
 
 
 def _places(model: Model, home: str, name: str) -> list[Path]:
@@ -109,12 +109,12 @@ def _places(model: Model, home: str, name: str) -> list[Path]:
 def _read(path: Path, home: str) -> Model | None:
     """A transfer that was made of this very model, by this recipe."""
     try:
-        found = load_model(path)
+        kept = load_model(path)
     except InputError:  # not there, or damaged: it is made again
         return None
-    record: Any = found.provenance.get("transfer")
+    record: Any = kept.provenance.get("transfer")
     mine = isinstance(record, dict) and record.get("home") == home
-    return found if mine and record.get("recipe") == RECIPE else None
+    return kept if mine and record.get("recipe") == RECIPE else None
 
 
 def _write(model: Model, places: list[Path]) -> None:

@@ -97,8 +97,8 @@ def new_lattice(
         asked = _asked(home, spacing, shortest_wave)
         band = max(band, asked)
     candidates = _horizons(spacing, largest_horizon) if horizon is None else [horizon]
-    found = _fewest(home, spacing, candidates, band, asked, tolerance)
-    return _recorded(home, spacing, band, found)
+    candidate = _fewest(home, spacing, candidates, band, asked, tolerance)
+    return _recorded(home, spacing, band, candidate)
 
 
 @dataclass(frozen=True)
@@ -123,25 +123,25 @@ def _fewest(
 
     Raises InputError where none keeps the conditions, or none meets the tolerance.
     """
-    found: _Candidate | None = None
+    best: _Candidate | None = None
     for length in horizons:
-        one = _fitted(home, spacing, length, band, asked)
-        if one is not None and (found is None or one.error < found.error):
-            found = one
-        if found is not None and found.error <= (tolerance or TOLERANCE):
+        candidate = _fitted(home, spacing, length, band, asked)
+        if candidate is not None and (best is None or candidate.error < best.error):
+            best = candidate
+        if best is not None and best.error <= (tolerance or TOLERANCE):
             break
-    if found is None:
+    if best is None:
         raise InputError(
             f"horizon: no kernel on the lattice of {spacing:g} Å keeps the conditions of a "
             f"certificate within {horizons[-1]:g} Å"
         )
-    if tolerance is not None and found.error > tolerance:
+    if tolerance is not None and best.error > tolerance:
         raise InputError(
             f"tolerance: on the lattice of {spacing:g} Å waves longer than {2 * np.pi / asked:.3g} "
             f"Å cannot be had to {100 * tolerance:g} %; the best there is is "
-            f"{100 * found.error:.2g} % at horizon {found.model.horizon:g} Å"
+            f"{100 * best.error:.2g} % at horizon {best.model.horizon:g} Å"
         )
-    return found
+    return best
 
 
 def home_of(model: Model, spacing: float) -> Home:
@@ -151,13 +151,13 @@ def home_of(model: Model, spacing: float) -> Home:
             "model: expected one that is certified on a lattice, which others are fitted to; "
             "this one is certified on none"
         )
-    at = _nearest(model, spacing)
-    figures = model.certificate.get(f"{at:g}", {})
+    nearest = _nearest(model, spacing)
+    figures = model.certificate.get(f"{nearest:g}", {})
     proven = figures.get("symbol_bound", ZETA) if isinstance(figures, dict) else ZETA
     largest = model.largest_wave_number
     if largest is None:  # an older file does not tell
         largest = SHARE * np.pi / min(model.certified_on)
-    return Home(model, at, largest, min(ZETA, proven) or ZETA)
+    return Home(model, nearest, largest, min(ZETA, proven) or ZETA)
 
 
 def _nearest(model: Model, spacing: float) -> float:
@@ -192,7 +192,9 @@ def _horizons(spacing: float, largest: float | None) -> list[float]:
     a, b = np.mgrid[0 : reach + 1, 0 : reach + 1]
     squares = np.unique(a**2 + b**2)
     lengths = spacing * np.sqrt(squares[(squares >= 4) & (squares <= LARGEST**2)])
-    kept = [float(one) for one in lengths if largest is None or one <= largest * (1 + 1e-9)]
+    kept = [
+        float(length) for length in lengths if largest is None or length <= largest * (1 + 1e-9)
+    ]
     if not kept:
         raise InputError(
             f"horizon: a lattice of {spacing:g} Å needs one of {2 * spacing:g} Å or more, "
@@ -221,9 +223,14 @@ def _fitted(
     )
     if not best.converged:
         return None
-    at = best.parameters
+    parameters = best.parameters
     model = Model(
-        unit * at.lam, unit * at.mu, at.alpha, at.D, horizon, D_dilatation=at.D_dilatation
+        unit * parameters.lam,
+        unit * parameters.mu,
+        parameters.alpha,
+        parameters.D,
+        horizon,
+        D_dilatation=parameters.D_dilatation,
     )
     waves = rings(asked * (np.arange(RADII) + 1) / RADII)
     errors = wave_errors(
@@ -232,21 +239,21 @@ def _fitted(
     return _Candidate(model, classes, home.zeta, float(errors.max()))
 
 
-def _recorded(home: Home, spacing: float, band: float, found: _Candidate) -> Model:
+def _recorded(home: Home, spacing: float, band: float, candidate: _Candidate) -> Model:
     """The model with its certificate and its record.
 
     Raises InputError when the proof does not hold.
     """
-    certificate = certify(found.model, spacing=spacing)
+    certificate = certify(candidate.model, spacing=spacing)
     if not certificate.holds:
         raise InputError(
             f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} Å at horizon "
-            f"{found.model.horizon:g} Å"
+            f"{candidate.model.horizon:g} Å"
         )
-    record = _record(home, spacing, band, found, certificate)
+    record = _record(home, spacing, band, candidate, certificate)
     kept = home.model
     return dataclasses.replace(
-        found.model,
+        candidate.model,
         trained_on=kept.trained_on,
         certified_on=(spacing,),
         trained_strain=kept.trained_strain,
@@ -258,16 +265,16 @@ def _recorded(home: Home, spacing: float, band: float, found: _Candidate) -> Mod
 
 
 def _record(
-    home: Home, spacing: float, band: float, found: _Candidate, certificate: Certificate
+    home: Home, spacing: float, band: float, candidate: _Candidate, certificate: Certificate
 ) -> dict[str, Any]:
     """Where a transferred model comes from, and its error by wavelength, long waves first."""
     largest = min(home.largest, 0.99 * np.pi / spacing, 0.99 * np.pi / home.spacing)
     sizes = largest * (np.arange(RADII) + 1) / RADII
     waves = rings(sizes)
     errors = wave_errors(
-        dispersion(found.model, spacing, waves), dispersion(home.model, home.spacing, waves)
+        dispersion(candidate.model, spacing, waves), dispersion(home.model, home.spacing, waves)
     ).max(axis=1)
-    bonds = len(found.classes.steps)
+    bonds = len(candidate.classes.steps)
     parts = []
     for level in (0.005, 0.01, 0.02, 0.05):
         wave = agrees_to(2 * np.pi / sizes, errors, level)
@@ -285,8 +292,8 @@ def _record(
         "error": errors.tolist(),
         "symbol_bound": certificate.symbol_bound,
         "statement": (
-            f"from {home.spacing:g} Å to {spacing:g} Å (δ = {found.model.horizon:.4g} Å, {bonds} "
-            f"bonds): {agreement}"
+            f"from {home.spacing:g} Å to {spacing:g} Å (δ = {candidate.model.horizon:.4g} Å, "
+            f"{bonds} bonds): {agreement}"
         ),
     }
 

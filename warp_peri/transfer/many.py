@@ -66,9 +66,9 @@ def one_kernel(
     target = dispersion(model, home.spacing, k)
     unit = model.mu
     best = constrained_optimum(
-        [wave_loss(target / unit, k, one) for one in classes],
+        [wave_loss(target / unit, k, lattice) for lattice in classes],
         Parameters(model.lam / unit, 1.0, 1.0, np.ones(degree + 1)),
-        [LatticeConditions(one, Conditions(zeta=home.zeta / unit)) for one in classes],
+        [LatticeConditions(lattice, Conditions(zeta=home.zeta / unit)) for lattice in classes],
         Optimum(smoothness=SMOOTHNESS),
     )
     if not best.converged:
@@ -76,26 +76,33 @@ def one_kernel(
             f"ratios, degree: no kernel of degree {degree} keeps the conditions on lattices of h/δ "
             f"from {low:g} to {high:g}"
         )
-    at = best.parameters
-    found = Model(unit * at.lam, unit * at.mu, at.alpha, at.D, horizon, trained_on=model.trained_on)
-    certificates = [certify(found, spacing=float(h)) for h in spacings]
-    record = _record(found, horizon, ratios, Home(model, home.spacing, band, home.zeta))
+    parameters = best.parameters
+    kernel = Model(
+        unit * parameters.lam,
+        unit * parameters.mu,
+        parameters.alpha,
+        parameters.D,
+        horizon,
+        trained_on=model.trained_on,
+    )
+    certificates = [certify(kernel, spacing=float(h)) for h in spacings]
+    record = _record(kernel, horizon, ratios, Home(model, home.spacing, band, home.zeta))
     return dataclasses.replace(
-        found,
-        certified_on=tuple(one.spacing for one in certificates if one.holds),
+        kernel,
+        certified_on=tuple(lattice.spacing for lattice in certificates if lattice.holds),
         trained_strain=model.trained_strain,
         largest_wave_number=band,
-        certificate={f"{one.spacing:g}": one.figures() for one in certificates},
+        certificate={f"{lattice.spacing:g}": lattice.figures() for lattice in certificates},
         provenance={**model.provenance, "many_lattices": record},
         versions=model.versions,
     )
 
 
 def _record(
-    found: Model, horizon: float, ratios: tuple[float, float], home: Home
+    kernel: Model, horizon: float, ratios: tuple[float, float], home: Home
 ) -> dict[str, Any]:
     """Errors by h/δ on lattices in between."""
-    errors = _between(found, horizon, ratios, home)
+    errors = _between(kernel, horizon, ratios, home)
     return {
         "from_spacing": home.spacing,
         "h_over_horizon": np.linspace(*ratios, BETWEEN).tolist(),
@@ -106,12 +113,12 @@ def _record(
 
 
 def _between(
-    found: Model, horizon: float, ratios: tuple[float, float], home: Home
+    kernel: Model, horizon: float, ratios: tuple[float, float], home: Home
 ) -> list[np.ndarray]:
     """Errors by wave on lattices that a kernel was not fitted on, of BETWEEN values of h/δ."""
     waves = rings(home.largest * (np.arange(RADII) + 1) / RADII)
     wanted = dispersion(home.model, home.spacing, waves)
     return [
-        wave_errors(dispersion(found, float(horizon * ratio), waves), wanted)
+        wave_errors(dispersion(kernel, float(horizon * ratio), waves), wanted)
         for ratio in np.linspace(*ratios, BETWEEN)
     ]

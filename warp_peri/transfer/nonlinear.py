@@ -37,10 +37,10 @@ def nonlinear_for(
     linear = model_for(model.linear, points, **options)
     if linear is model.linear:
         return model
-    found = dataclasses.replace(model, linear=linear, proven={})
+    transferred = dataclasses.replace(model, linear=linear, proven={})
     spacing = linear.nominal_spacing(points.spacing)
     smoothing = None if model.smoothing is None else dataclasses.astuple(model.smoothing)
     key = (model_content(linear)["sha256"], *model.numbers.tolist(), smoothing, spacing)
     if key not in _known:
-        _known[key] = uniqueness(found, spacing=spacing)
-    return dataclasses.replace(found, proven={f"{spacing:g}": _known[key].figures()})
+        _known[key] = uniqueness(transferred, spacing=spacing)
+    return dataclasses.replace(transferred, proven={f"{spacing:g}": _known[key].figures()})

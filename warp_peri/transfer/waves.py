@@ -61,12 +61,12 @@ def wave_loss(target: np.ndarray, k: np.ndarray, classes: BondClasses) -> Reduce
     return ReducedLoss(classes, factor, class_pairs(len(classes.r)))
 
 
-def wave_errors(found: np.ndarray, target: np.ndarray) -> np.ndarray:
+def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
     """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., 2, 2] to [...] (M4).
 
     The largest relative error of displacement under a load at that wave vector.
     """
     errors: np.ndarray = np.linalg.norm(
-        np.linalg.solve(found, target) - np.eye(2), ord=2, axis=(-2, -1)
+        np.linalg.solve(answer, target) - np.eye(2), ord=2, axis=(-2, -1)
     )
     return errors
