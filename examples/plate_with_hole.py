@@ -36,27 +36,27 @@ def solve_plate(
     sides = ("left", "right", "top", "bottom")
     held = {side: lambda x: plate_with_hole(x, radius, TENSION, stiff)[0] for side in sides}
     start = time.perf_counter()
-    found = solve_body(model, mesh, displacement=held, coupling=coupling)
+    solution = solve_body(model, mesh, displacement=held, coupling=coupling)
     seconds = time.perf_counter() - start
-    u, _ = found.on_corners()
+    u, _ = solution.on_corners()
     exact, _ = plate_with_hole(mesh.x, radius, TENSION, stiff)
-    edge = found.rim.nodes_of("hole")
-    x = found.rim.x[edge]
+    edge = solution.rim.nodes_of("hole")
+    x = solution.rim.x[edge]
     hoop = hoop_stress(x, plate_with_hole(x, radius, TENSION, stiff)[1])
-    off = hoop_stress(x, found.rim_stress[edge]) - hoop
+    off = hoop_stress(x, solution.rim_stress[edge]) - hoop
     numbers = {
         "u_error": float(np.linalg.norm(u - exact) / np.linalg.norm(exact)),
         "hoop_stress_error": float(np.abs(off).max() / hoop.max()),
-        "peak_over_tension": float(hoop_stress(x, found.rim_stress[edge]).max() / TENSION),
+        "peak_over_tension": float(hoop_stress(x, solution.rim_stress[edge]).max() / TENSION),
         "exact_peak_over_tension": float(hoop.max() / TENSION),
-        "exchanges": found.exchange.exchanges,
-        "mismatch": found.exchange.mismatch,
-        "rim_residual": found.exchange.rim_residual,
-        "bulk_residual": found.exchange.bulk_residual,
-        "overlap": found.overlap,
+        "exchanges": solution.exchange.exchanges,
+        "mismatch": solution.exchange.mismatch,
+        "rim_residual": solution.exchange.rim_residual,
+        "bulk_residual": solution.exchange.bulk_residual,
+        "overlap": solution.overlap,
         "seconds": seconds,
     }
-    return numbers, found
+    return numbers, solution
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -77,10 +77,10 @@ def main(argv: list[str] | None = None) -> int:
     if not model.is_certified_on(args.spacing) or args.horizon != model.horizon:
         model = warp_peri.on_lattice(model, spacing=args.spacing, horizon=args.horizon)
     coupling = Coupling(spacing=args.spacing, overlap=args.overlap)
-    numbers, found = solve_plate(model, args.radius, args.half, args.size, coupling)
+    numbers, solution = solve_plate(model, args.radius, args.half, args.size, coupling)
     print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
-    mesh = found.rim.mesh
-    _, stress = found.on_corners()
+    mesh = solution.rim.mesh
+    _, stress = solution.on_corners()
     figure = Figure(figsize=(5.5, 4.5), layout="constrained")
     axes = figure.subplots()
     triangles = Triangulation(mesh.x[:, 0], mesh.x[:, 1], mesh.triangles)

@@ -21,8 +21,8 @@ def files(tmp_path):
     sides = {
         "hole": mesh.parts["hole"],
         **{
-            name: [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], at)]
-            for name, at in (("left", -20.0), ("right", 20.0))
+            name: [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], place)]
+            for name, place in (("left", -20.0), ("right", 20.0))
         },
     }
     lines = np.concatenate([mesh.edges[sides[name]] for name in numbers])

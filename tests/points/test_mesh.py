@@ -25,8 +25,8 @@ def test_an_outline_has_its_parts_curves_and_distances():
     away = mesh.along(np.array([0.0, 0.25, 0.5]), hole) - (3, 1)
     np.testing.assert_allclose(np.hypot(*away.T), 5, rtol=1e-4)
     assert area(mesh) == pytest.approx(40 * 30 - np.pi * 25, rel=1e-2)
-    at = np.array([[0.0, 14.0], [9.0, 1.0]])
-    np.testing.assert_allclose(mesh.distance(at, 0.01), [1, 1], atol=1e-3)
+    inside = np.array([[0.0, 14.0], [9.0, 1.0]])
+    np.testing.assert_allclose(mesh.distance(inside, 0.01), [1, 1], atol=1e-3)
     assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
 
 
@@ -70,18 +70,18 @@ def test_a_file_of_second_order_keeps_the_curve(tmp_path, suffix):
         )
     file = tmp_path / f"plate.{suffix}"
     written.write(file, **({"file_format": "gmsh22", "binary": False} if suffix == "msh" else {}))
-    found = load_mesh(file)
-    assert len(found.x) == len(mesh.x)
-    assert set(found.parts) == ({"hole", REST} if suffix == "msh" else {REST})
-    radius = np.hypot(*found.middle.T)
+    reread = load_mesh(file)
+    assert len(reread.x) == len(mesh.x)
+    assert set(reread.parts) == ({"hole", REST} if suffix == "msh" else {REST})
+    radius = np.hypot(*reread.middle.T)
     assert np.count_nonzero(np.abs(radius - 4) < 1e-6) == 16
 
 
 def test_quadrilaterals_are_cut_in_two(tmp_path):
     meshio.Mesh(SQUARE, [("quad", [[0, 1, 2, 3]])]).write(tmp_path / "one.vtu")
-    found = load_mesh(tmp_path / "one.vtu")
-    assert len(found.triangles) == 2
-    assert len(found.edges) == 4
+    reread = load_mesh(tmp_path / "one.vtu")
+    assert len(reread.triangles) == 2
+    assert len(reread.edges) == 4
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,10 @@ SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 @pytest.fixture(scope="module")
 def model():
     """A kernel that changes sign, three spacings wide, certified on its lattice."""
-    found = Model(lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0)
-    assert certify(found, spacing=SPACING).holds
-    assert found.influence([1.0, 3.0]).prod() < 0
-    return dataclasses.replace(found, certified_on=(SPACING,))
+    material = Model(lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0)
+    assert certify(material, spacing=SPACING).holds
+    assert material.influence([1.0, 3.0]).prod() < 0
+    return dataclasses.replace(material, certified_on=(SPACING,))
 
 
 def exact(model):
@@ -30,46 +30,48 @@ def exact(model):
     return lambda x: plate_with_hole(x, RADIUS, TENSION, moduli)
 
 
-def error(found, expected):
-    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
+def error(values, expected):
+    return np.linalg.norm(values - expected) / np.linalg.norm(expected)
 
 
 def test_a_hole_has_the_exact_displacement_and_hoop_stress(model):
     field = exact(model)
     mesh = plate(RADIUS, HALF, 16, 80)
-    found = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
-    assert error(found.u_rim, field(found.rim.x)[0]) < 5e-4
-    assert error(found.u_bulk, field(found.points.x)[0]) < 5e-4
-    edge = found.rim.nodes_of("hole")
-    x = found.rim.x[edge]
+    solution = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
+    assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
+    assert error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
+    edge = solution.rim.nodes_of("hole")
+    x = solution.rim.x[edge]
     expected = hoop_stress(x, field(x)[1])
-    assert np.abs(hoop_stress(x, found.rim_stress[edge]) - expected).max() < 0.01 * expected.max()
-    assert found.exchange.exchanges <= 12
-    assert found.exchange.mismatch <= 1e-8
-    assert found.exchange.rim_residual < 1e-8
-    assert found.exchange.bulk_residual < 1e-8
+    assert (
+        np.abs(hoop_stress(x, solution.rim_stress[edge]) - expected).max() < 0.01 * expected.max()
+    )
+    assert solution.exchange.exchanges <= 12
+    assert solution.exchange.mismatch <= 1e-8
+    assert solution.exchange.rim_residual < 1e-8
+    assert solution.exchange.bulk_residual < 1e-8
 
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_an_affine_field_is_exact(model, degree):
     gradient = np.array([[2e-3, 7e-4], [-3e-4, -1e-3]])
     stress = long_wave(model, SPACING).stress(gradient)
-    found = solve_body(
+    solution = solve_body(
         model,
         plate(RADIUS, HALF, 12, 40),
         displacement={"sides": lambda x: x @ gradient.T},
         traction={"hole": lambda x, n: n @ stress},
         coupling=Coupling(degree=degree, tolerance=1e-12),
     )
-    assert error(found.u_rim, found.rim.x @ gradient.T) < 1e-10
-    assert error(found.u_bulk, found.points.x @ gradient.T) < 1e-10
+    assert error(solution.u_rim, solution.rim.x @ gradient.T) < 1e-10
+    assert error(solution.u_bulk, solution.points.x @ gradient.T) < 1e-10
     np.testing.assert_allclose(
-        found.rim_stress,
-        np.broadcast_to(stress, found.rim_stress.shape),
+        solution.rim_stress,
+        np.broadcast_to(stress, solution.rim_stress.shape),
         atol=1e-10 * np.abs(stress).max(),
     )
-    u, everywhere = found.on_corners()
-    assert error(u, found.rim.mesh.x @ gradient.T) < 1e-10
+    u, everywhere = solution.on_corners()
+    assert error(u, solution.rim.mesh.x @ gradient.T) < 1e-10
     assert np.abs(everywhere - stress).max() < 1e-9 * np.abs(stress).max()
 
 
@@ -119,9 +121,9 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
     field = exact(model)
     mesh = plate(RADIUS, 14.0, 12, 80)
     with pytest.warns(UserWarning, match="elements alone"):
-        found = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
-    assert found.points is None
-    assert error(found.u_rim, field(found.rim.x)[0]) < 5e-4
+        solution = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
+    assert solution.points is None
+    assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
 
 
 @pytest.mark.slow
@@ -130,7 +132,7 @@ def test_displacement_converges_with_the_mesh_of_the_rim(model, degree, least):
     field = exact(model)
     rings = np.array([8, 16, 32, 64])
     coupling = Coupling(degree=degree)
-    found = [
+    solutions = [
         solve_body(
             model,
             plate(RADIUS, HALF, n, 4 * n),
@@ -139,12 +141,12 @@ def test_displacement_converges_with_the_mesh_of_the_rim(model, degree, least):
         )
         for n in rings
     ]
-    finest = found.pop()
+    finest = solutions.pop()
     tree = cKDTree(finest.rim.x)
     errors = []
-    for one in found:
-        corners = one.rim.corner_nodes
-        away, same = tree.query(one.rim.x[corners])
+    for solution in solutions:
+        corners = solution.rim.corner_nodes
+        away, same = tree.query(solution.rim.x[corners])
         there = away < 1e-9  # the inner sides of two rims do not lie on one line
-        errors.append(error(one.u_rim[corners[there]], finest.u_rim[same[there]]))
+        errors.append(error(solution.u_rim[corners[there]], finest.u_rim[same[there]]))
     assert -np.polyfit(np.log(rings[:-1]), np.log(errors), 1)[0] >= least

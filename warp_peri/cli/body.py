@@ -27,7 +27,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
         raise InputError("data, body: expected one of DATA.h5 and --body MESH")
     if given.out.suffix != ".vtu":
         raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
-    found = solve_body(
+    solution = solve_body(
         load_model(given.model),
         load_mesh(given.body),
         displacement=_vectors("hold", given.hold),
@@ -36,24 +36,24 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
         allow_uncertified=given.allow_uncertified,
     )
     with locked(given.out):
-        largest = write_body(given.out, found)
+        largest = write_body(given.out, solution)
         keep(given, given.out.with_suffix(".solve.toml"))
-    exchange = found.exchange
+    exchange = solution.exchange
     return {
         "file": str(given.out),
         **largest,
-        "lattice_nodes": 0 if found.points is None else int(found.points.interior.sum()),
+        "lattice_nodes": 0 if solution.points is None else int(solution.points.interior.sum()),
         "exchanges": exchange.exchanges,
         "mismatch": exchange.mismatch,
         "rim_residual": exchange.rim_residual,
         "bulk_residual": exchange.bulk_residual,
-        "overlap": found.overlap,
+        "overlap": solution.overlap,
     }
 
 
 def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
     """PART=a,b as vectors by part; "-" is no number."""
-    found = {}
+    vectors = {}
     for word in words:
         name, _, numbers = word.rpartition("=")
         try:
@@ -62,5 +62,5 @@ def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
             pair = []
         if not name or len(pair) != 2:
             raise InputError(f"{option}: expected PART=number,number, got {word!r}")
-        found[name] = np.array(pair)
-    return found
+        vectors[name] = np.array(pair)
+    return vectors

@@ -55,9 +55,9 @@ class Body:
     def opposite(self) -> np.ndarray:
         """Number of the bond with the opposite vector, shape [B]."""
         order = np.lexsort(self.classes.steps.T)
-        found = np.empty(len(order), dtype=np.int64)
-        found[order] = order[::-1]
-        return found
+        numbers = np.empty(len(order), dtype=np.int64)
+        numbers[order] = order[::-1]
+        return numbers
 
 
 def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> Body:

@@ -45,11 +45,11 @@ class Mesh:
     @cached_property
     def loops(self) -> np.ndarray:
         """Number of the closed curve that each edge belongs to, shape [E]."""
-        one = np.ones(len(self.edges))
+        weight = np.ones(len(self.edges))
         size = (len(self.x), len(self.x))
-        _, label = connected_components(coo_array((one, tuple(self.edges.T)), shape=size))
-        found: np.ndarray = np.unique(label[self.edges[:, 0]], return_inverse=True)[1]
-        return found
+        _, label = connected_components(coo_array((weight, tuple(self.edges.T)), shape=size))
+        numbers: np.ndarray = np.unique(label[self.edges[:, 0]], return_inverse=True)[1]
+        return numbers
 
     @property
     def loop_sizes(self) -> np.ndarray:
@@ -72,8 +72,8 @@ class Mesh:
         """Distance [Å] of points to the outline, by points of it no further than `step` apart."""
         lengths = np.hypot(*(self.x[self.edges[:, 1]] - self.x[self.edges[:, 0]]).T)
         count = int(np.ceil(lengths.max() / step)) + 1
-        found: np.ndarray = cKDTree(self.along(np.arange(count) / count)).query(x)[0]
-        return found
+        distances: np.ndarray = cKDTree(self.along(np.arange(count) / count)).query(x)[0]
+        return distances
 
     def holding(self, x: np.ndarray) -> np.ndarray:
         """Number of the straight-sided triangle that holds each point, −1 where none does."""
@@ -219,4 +219,4 @@ def _named_lines(read: object) -> dict[str, np.ndarray]:
         for name, kept in read.cell_sets.items():  # type: ignore[attr-defined]
             if kept[number] is not None and len(kept[number]):
                 sets.setdefault(name, []).append(pairs[kept[number]])
-    return {name: np.concatenate(found) for name, found in sets.items()}
+    return {name: np.concatenate(pairs) for name, pairs in sets.items()}

@@ -138,23 +138,23 @@ def solve_body(
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     stiff = long_wave(model, spacing)
     overlap = _overlap(model, mesh, coupling)
-    found = bulk_points(mesh, spacing, model.horizon)
-    if found is None:
+    lattice = bulk_points(mesh, spacing, model.horizon)
+    if lattice is None:
         message = f"mesh: nowhere is the body's edge {2 * model.horizon:g} Å away, two horizons"
         warnings.warn(f"{message}; it is solved by elements alone", stacklevel=2)
-    kept = _rim_triangles(mesh, spacing, model.horizon, overlap, found)
+    kept = _rim_triangles(mesh, spacing, model.horizon, overlap, lattice)
     rim = Rim(mesh, kept, coupling.degree)
     f = _loads(rim, pulls, b)
     given, fixed = _given(rim, held)
     fixed[rim.inner] = True
     problem = RimProblem(rim.stiffness(stiff), fixed.ravel())
-    if found is None:
+    if lattice is None:
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
         return BodySolution(
             model, stiff, rim, u.reshape(-1, 2), None, np.zeros((0, 2)), overlap, record
         )
-    points, triangle = found
+    points, triangle = lattice
     bulk = Bulk(model, points, coupling.tolerance)
     to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
     two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk)
@@ -178,13 +178,13 @@ def _overlap(model: Model, mesh: Mesh, coupling: Coupling) -> float:
 
 def long_wave(model: Model, spacing: float) -> Moduli:
     """The moduli of a model on its lattice; InputError unless their energy is positive."""
-    found = Moduli(**moduli(model, bond_classes(spacing, model.horizon)))
-    if not (found.C44 > 0 and found.C11 > abs(found.C12)):
+    stiff = Moduli(**moduli(model, bond_classes(spacing, model.horizon)))
+    if not (stiff.C44 > 0 and stiff.C11 > abs(stiff.C12)):
         raise InputError(
             "model: expected long-wave moduli of positive energy, got C11, C12, C44 = "
-            f"{found.C11:.4g}, {found.C12:.4g}, {found.C44:.4g} TPa"
+            f"{stiff.C11:.4g}, {stiff.C12:.4g}, {stiff.C44:.4g} TPa"
         )
-    return found
+    return stiff
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, mesh: Mesh) -> Any:
@@ -193,13 +193,13 @@ def _field(name: str, value: Field | Traction | ArrayLike, mesh: Mesh) -> Any:
         raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")
 
     def answer(*where: np.ndarray) -> np.ndarray:
-        found = np.asarray(value(*where) if callable(value) else value, dtype=float)
+        vectors = np.asarray(value(*where) if callable(value) else value, dtype=float)
         try:
-            return np.broadcast_to(found, where[0].shape)
+            return np.broadcast_to(vectors, where[0].shape)
         except ValueError:
             raise InputError(
                 f"part '{name}': expected vectors of shape {list(where[0].shape)}, got "
-                f"{list(found.shape)}"
+                f"{list(vectors.shape)}"
             ) from None
 
     return answer
@@ -210,12 +210,12 @@ def _rim_triangles(
     spacing: float,
     horizon: float,
     overlap: float,
-    found: tuple[Points, np.ndarray] | None,
+    lattice: tuple[Points, np.ndarray] | None,
 ) -> np.ndarray:
     """Triangles with a corner within 2δ and the overlap of the outline, or that hold the collar."""
-    if found is None:
+    if lattice is None:
         return np.ones(len(mesh.triangles), bool)
-    points, triangle = found
+    points, triangle = lattice
     width = 2 * horizon + MARGIN * spacing + overlap
     near = mesh.distance(mesh.x, spacing / 10) < width
     kept = near[mesh.triangles].any(axis=1)

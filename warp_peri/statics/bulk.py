@@ -122,12 +122,12 @@ class Bulk:
         """L_II⁻¹ of a right-hand side [TPa/Å], shape [I, 2]."""
         if self.problem is not None:
             flat = right.reshape(-1, 1)
-            found = self.problem.factors.solve(flat)
-            self.problem.check(found, flat)
-            return np.asarray(found).reshape(-1, 2)
+            solution = self.problem.factors.solve(flat)
+            self.problem.check(solution, flat)
+            return np.asarray(solution).reshape(-1, 2)
         field = self.domain.gather_free(torch.from_numpy(np.ascontiguousarray(right)))
-        found, _ = self.system.solve(field, self.tolerance)
-        return self.domain.scatter_free(found).numpy()
+        solution, _ = self.system.solve(field, self.tolerance)
+        return self.domain.scatter_free(solution).numpy()
 
     def field(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
         """Both on all nodes, shape [N, 2]."""

@@ -60,5 +60,5 @@ def plate_with_hole(
 def hoop_stress(x: np.ndarray, stress: np.ndarray) -> np.ndarray:
     """σ_θθ about the origin, shape [n], of stresses [n, 2, 2] at positions [n, 2]."""
     around = np.stack([-x[:, 1], x[:, 0]], axis=1) / np.hypot(*x.T)[:, None]
-    found: np.ndarray = np.einsum("na,nab,nb->n", around, stress, around)
-    return found
+    hoop: np.ndarray = np.einsum("na,nab,nb->n", around, stress, around)
+    return hoop

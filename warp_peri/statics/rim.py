@@ -101,20 +101,20 @@ class Rim:
 
     def _assembled(self) -> list[sp.csr_array]:
         """∫ ∂_a φ_i ∂_c φ_j for (a, c) = (1, 1), (2, 2), (1, 2), shape [n, n] each."""
-        found = []
+        squares = []
         for a, c in ((0, 0), (1, 1), (0, 1)):
             form = self._fem.BilinearForm(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
-            found.append(sp.csr_array(form.assemble(self.basis)))
-        return found
+            squares.append(sp.csr_array(form.assemble(self.basis)))
+        return squares
 
     def stiffness(self, moduli: Moduli) -> sp.csr_array:
         """K [TPa], shape [2 n, 2 n], linear in the moduli (B2)."""
-        one, two, mixed = self._squares
+        first, second, mixed = self._squares
         unit = [[sp.csr_array(np.eye(2)[:, [a]] @ np.eye(2)[[c]]) for c in (0, 1)] for a in (0, 1)]
         across = moduli.C12 * mixed + moduli.C44 * mixed.T
         parts = (
-            sp.kron(moduli.C11 * one + moduli.C44 * two, unit[0][0]),
-            sp.kron(moduli.C11 * two + moduli.C44 * one, unit[1][1]),
+            sp.kron(moduli.C11 * first + moduli.C44 * second, unit[0][0]),
+            sp.kron(moduli.C11 * second + moduli.C44 * first, unit[1][1]),
             sp.kron(across, unit[0][1]),
             sp.kron(across.T, unit[1][0]),
         )

@@ -95,8 +95,8 @@ class Schwarz:
         def left(side: np.ndarray) -> np.ndarray:
             record.exchanges += 1
             asked[:] = [(side.copy(), *self.once(*nothing, side.reshape(start.shape)))]
-            found: np.ndarray = side - (self.to_rim @ asked[0][2]).ravel()
-            return found
+            gap: np.ndarray = side - (self.to_rim @ asked[0][2]).ravel()
+            return gap
 
         matrix = LinearOperator((off.size, off.size), left, dtype=float)
         goal = 0.5 * tolerance * float(np.linalg.norm(start + off.reshape(start.shape)))
