@@ -44,8 +44,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     numbers: dict[str, Any] = {"truth": truth, "horizon": given.horizon}
     numbers["linear"] = {"seconds": time.perf_counter() - begin, **errors(linear, data, larger)}
     for name, smoothing in FORMS.items():
-        found = warp_peri.fit_nonlinear(train, given.horizon, kernel, smoothing=smoothing)
-        model = found.model
+        learned = warp_peri.fit_nonlinear(train, given.horizon, kernel, smoothing=smoothing)
+        model = learned.model
         table = errors(model, data, larger)
         guarantee = model.proven.get(f"{train.spacing:g}", {})
         numbers[name] = {
@@ -55,7 +55,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
             "mu": model.linear.mu,
             "proven_strain": model.proven_strain(train.spacing),
             "kappa": [guarantee.get("kappa_in"), guarantee.get("kappa_out")],
-            "seconds": found.seconds,
+            "seconds": learned.seconds,
         }
         record = {key: table[key] for key in ("E_res", "E_u")}
         dataclasses.replace(model, errors=record).save(given.out / f"{name}.json")
@@ -75,7 +75,7 @@ def strained_file(given: argparse.Namespace) -> Path:
 
 def errors(model: Any, data: Dataset, larger: Dataset) -> dict[str, Any]:
     """E_res and E_u of every set there is, by name, with what solves took and how large |H| is."""
-    found: dict[str, Any] = {"E_res": {}, "E_u": {}, "linear_solves": {}, "largest_gradient": {}}
+    means: dict[str, Any] = {"E_res": {}, "E_u": {}, "linear_solves": {}, "largest_gradient": {}}
     for name in SETS:
         source = data if name in data.sets else larger
         if name not in source.sets:
@@ -87,10 +87,10 @@ def errors(model: Any, data: Dataset, larger: Dataset) -> dict[str, Any]:
             except InputError as error:  # a load that the model does not bear
                 print(f"{name}: {error}", file=sys.stderr)
                 continue
-        for key in found:
+        for key in means:
             if key in table:
-                found[key][name] = table[key]
-    return {key: value for key, value in found.items() if value}
+                means[key][name] = table[key]
+    return {key: value for key, value in means.items() if value}
 
 
 def draw(path: Path, numbers: dict[str, Any]) -> None:
@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
     print("mean E_u [%]".ljust(14) + "".join(name.rjust(8) for name in SETS) + "  proven |H|")
     for name in ("linear", *FORMS):
         row = numbers[name]
-        cells = "".join(f"{100 * row['E_u'].get(one, float('nan')):8.2f}" for one in SETS)
+        cells = "".join(f"{100 * row['E_u'].get(role, float('nan')):8.2f}" for role in SETS)
         print(name.ljust(14) + cells + f"{100 * row.get('proven_strain', 0):10.2f} %")
     print(f"everything is in {given.out}/")
     return 0

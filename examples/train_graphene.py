@@ -119,7 +119,7 @@ def run_sweep(given: argparse.Namespace) -> None:
     if "val" not in sets:
         raise InputError("the sweep needs a validation set beside the training set")
     begin = time.perf_counter()
-    found = sweep(
+    chosen = sweep(
         sets["train"],
         sets["val"],
         given.out,
@@ -129,10 +129,10 @@ def run_sweep(given: argparse.Namespace) -> None:
         jobs=given.jobs,
         progress=True,
     )
-    print(f"{len(found.trials)} fits in {time.perf_counter() - begin:.1f} s")
+    print(f"{len(chosen.trials)} fits in {time.perf_counter() - begin:.1f} s")
     sweep_report.write_sweep(
         given.out,
-        found,
+        chosen,
         spacing=given.spacing,
         truth=data.provenance.get("truth"),
         command=given.command,
@@ -141,15 +141,15 @@ def run_sweep(given: argparse.Namespace) -> None:
 
 def sets_at(data: Dataset, spacing: float) -> dict[str, Samples]:
     """The training, validation and test sets on nodes of one spacing [Å], by role."""
-    found = {}
+    sets = {}
     for role in report.ROLES:
         for name in data:
             if name.split("_")[0] == role and abs(data[name].spacing - spacing) < 1e-6 * spacing:
-                found[role] = data[name]
-    if "train" not in found:
+                sets[role] = data[name]
+    if "train" not in sets:
         known = ", ".join(f"{name} ({data[name].spacing:g} Å)" for name in data)
         raise InputError(f"no training set on nodes {spacing:g} Å apart; the file has {known}")
-    return found
+    return sets
 
 
 def noise_at(data: Dataset, spacing: float) -> Samples | None:
@@ -159,10 +159,10 @@ def noise_at(data: Dataset, spacing: float) -> Samples | None:
     return data["noise"]
 
 
-def print_certificate(found: warp_peri.Fit) -> None:
+def print_certificate(learned: warp_peri.Fit) -> None:
     """Print the dense eigenvalues of (4.6) and what they are judged to mean."""
-    figures = found.certificate.figures()
-    print("certificate:", "holds" if found.model.certified_on else "DOES NOT HOLD")
+    figures = learned.certificate.figures()
+    print("certificate:", "holds" if learned.model.certified_on else "DOES NOT HOLD")
     for key, unit in (
         ("symbol_min", "TPa, smallest D(k)/s(k) over the zone"),
         ("symbol_bound", "TPa, the same, proven for the whole zone"),

@@ -160,11 +160,11 @@ def solve_strained(body: Body, loads: Sequence[Load], strains: Sequence[float], 
         before: Sample | None = None
         for strain in strains:
             file = strained_file(cache, body, load, strain)
-            found = read_sample(file)
-            if found is None:
-                found = strained(body, statics, load, strain, before)
-                write_record(file, found)
-            before = found
+            equilibrium = read_sample(file)
+            if equilibrium is None:
+                equilibrium = strained(body, statics, load, strain, before)
+                write_record(file, equilibrium)
+            before = equilibrium
     return len(loads) * len(strains)
 
 
@@ -174,7 +174,9 @@ def _solve_missing(groups, strains: Sequence[float], cache: Path, jobs: int, pro
         missing = [
             load
             for load in loads
-            if any(read_sample(strained_file(cache, body, load, one)) is None for one in strains)
+            if any(
+                read_sample(strained_file(cache, body, load, strain)) is None for strain in strains
+            )
         ]
         # A disk relaxes and factorises for longer than its loads take: they share one process.
         chunks = [[load] for load in missing] if body.cells else [missing] if missing else []
@@ -198,8 +200,8 @@ def _sample(statics: Statics, rest: Equilibrium, amplitude: float, strain: float
 
 
 def _set(body: Body, loads: Sequence[Load], strain: float, cache: Path) -> Samples:
-    found = [read_sample(strained_file(cache, body, load, strain)) for load in loads]
-    samples = [sample for sample in found if sample is not None]
+    equilibria = [read_sample(strained_file(cache, body, load, strain)) for load in loads]
+    samples = [sample for sample in equilibria if sample is not None]
     if len(samples) < len(loads):
         raise OSError(f"{cache}: samples just made cannot be read back")
     return base.point_set(body, loads, samples, spacing=SPACING)

@@ -81,10 +81,10 @@ class Network:
     def moduli(self) -> dict[str, float]:
         """C11, C22, C12, C44 [TPa]."""
         unit = TPA / (self.box[0] * self.box[1] * THICKNESS)
-        one, two, both = np.diag([1.0, 0.0]), np.diag([0.0, 1.0]), np.eye(2)
+        first, second, area = np.diag([1.0, 0.0]), np.diag([0.0, 1.0]), np.eye(2)
         shear = np.array([[0.0, 0.5], [0.5, 0.0]])
-        C11, C22 = self.energy(one) * unit, self.energy(two) * unit
-        C12 = (self.energy(both) * unit - C11 - C22) / 2
+        C11, C22 = self.energy(first) * unit, self.energy(second) * unit
+        C12 = (self.energy(area) * unit - C11 - C22) / 2
         return {"C11": C11, "C22": C22, "C12": C12, "C44": self.energy(shear) * unit}
 
 
@@ -151,7 +151,7 @@ def springs(
 
 def wave_loads(network: Network, highest: int = 3, strain: float = 1e-3) -> list[np.ndarray]:
     """Forces [eV/Å] of waves along each axis, scaled to about a strain; shape [A, 2] each."""
-    found = []
+    loads = []
     for axis in (0, 1):
         for p in range(highest + 1):
             for q in range(highest + 1):
@@ -162,15 +162,15 @@ def wave_loads(network: Network, highest: int = 3, strain: float = 1e-3) -> list
                 force[:, axis] = np.prod(np.cos(network.x * k), axis=1)
                 force -= force.mean(axis=0)
                 size = np.abs(network.response(force)).max() * np.linalg.norm(k)
-                found.append(force * (strain / size))
-    return found
+                loads.append(force * (strain / size))
+    return loads
 
 
 def write_dump(path: Path, network: Network, u: np.ndarray) -> None:
     """One frame of a LAMMPS dump, positions x + u unwrapped."""
-    (one, two), x = network.box, network.x + u
+    (width, height), x = network.box, network.x + u
     head = f"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n{len(x)}\nITEM: BOX BOUNDS pp pp pp\n"
-    bounds = f"0 {one!r}\n0 {two!r}\n-5 5\nITEM: ATOMS id type xu yu zu\n"
+    bounds = f"0 {width!r}\n0 {height!r}\n-5 5\nITEM: ATOMS id type xu yu zu\n"
     rows = [f"{n} 1 {a!r} {b!r} 0" for n, (a, b) in enumerate(x.tolist(), start=1)]
     path.write_text(head + bounds + "\n".join(rows) + "\n")
 

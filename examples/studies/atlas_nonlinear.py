@@ -53,11 +53,11 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     seen = [words(lambda: warp_peri.evaluate(energy, last))]
     proven = energy.proven_strain(train.spacing)
     measured = {"strains": list(sets), "proven": proven, **errors}
-    at = list(sets).index(0.04)
+    column = list(sets).index(0.04)
     text = written(
         "larger-strains",
-        linear=100 * errors["linear"][at],
-        filtered=100 * errors["filtered form"][at],
+        linear=100 * errors["linear"][column],
+        filtered=100 * errors["filtered form"][column],
         worst=100 * float(np.nanmax(errors["filtered form"])),
         bears_filtered=percent[np.isfinite(errors["filtered form"])].max(),
         bears_energy=percent[np.isfinite(errors["energy form"])].max(),
@@ -76,14 +76,14 @@ def _patches(cache: Path) -> dict[float, Samples]:
     before: Sample | None = None
     for strain in STRAINS:
         file = strained_file(cache, body, load, strain)
-        found = read_sample(file)
-        if found is None:
+        equilibrium = read_sample(file)
+        if equilibrium is None:
             try:
-                found = strained(body, _statics(body), load, strain, before)
+                equilibrium = strained(body, _statics(body), load, strain, before)
             except ConvergenceError:
                 return sets
-            write_record(file, found)
-        before = found
-        samples = point_set(body, [load], [found], spacing=5.0)
+            write_record(file, equilibrium)
+        before = equilibrium
+        samples = point_set(body, [load], [equilibrium], spacing=5.0)
         sets[strain] = replace(samples, arrays={})
     return sets

@@ -66,14 +66,14 @@ def turned_body(model: NonlinearModel, samples: Samples) -> dict[str, float]:
 
 def turned_crystal(model: NonlinearModel, cache: Path) -> dict[str, float]:
     """E_u on disks whose atoms lie at an angle to the nodes; also with the axis forgotten."""
-    body, _, found = read_samples(cache, "test")
+    body, _, disks = read_samples(cache, "test")
     turn, out = rotation(CRYSTAL), {}
     for name, by in (("straight", np.eye(2)), ("turned", turn)):
         nodes = on_nodes(
             body,
-            found[0].reference @ by.T,
-            np.stack([one.displacement for one in found]) @ by.T,
-            np.stack([one.force for one in found]) @ by.T,
+            disks[0].reference @ by.T,
+            np.stack([disk.displacement for disk in disks]) @ by.T,
+            np.stack([disk.force for disk in disks]) @ by.T,
             spacing=5.0,
         )
         solid = model
@@ -158,8 +158,8 @@ def main(arguments: list[str] | None = None) -> int:
     if given.json:
         print(json.dumps(numbers))
         return 0
-    for name, found in numbers.items():
-        for check, values in found.items():
+    for name, checks in numbers.items():
+        for check, values in checks.items():
             line = ", ".join(f"{key} {value:.4g}" for key, value in values.items())
             print(f"{name}: {check}: {line}")
     return 0

@@ -115,7 +115,8 @@ class Monotone(torch.nn.Module):
     def forward(self, e: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
         positive = torch.nn.functional.softplus
         k, k_d = (
-            positive(one(r[:, None] / HORIZON)[:, 0]) for one in (self.kernel, self.dilatation)
+            positive(influence(r[:, None] / HORIZON)[:, 0])
+            for influence in (self.kernel, self.dilatation)
         )
         theta = (e * k_d * r).sum(-1, keepdim=True) / (k_d * r**2).sum()
         return self.scale * (k * self.g(e / (STRAIN * r)) + k_d * r * self.g_d(theta / STRAIN))
@@ -123,8 +124,8 @@ class Monotone(torch.nn.Module):
 
 def errors_of(net: torch.nn.Module, bonds: Bonds, some: torch.Tensor) -> torch.Tensor:
     """Relative ℓ2 errors of b."""
-    found = bonds.force(net(bonds.e[some], bonds.r), bonds.M[some])
-    return (found - bonds.b[some]).flatten(1).norm(dim=1) / bonds.size[some]
+    force = bonds.force(net(bonds.e[some], bonds.r), bonds.M[some])
+    return (force - bonds.b[some]).flatten(1).norm(dim=1) / bonds.size[some]
 
 
 def train(
@@ -179,8 +180,8 @@ def solved(net: Any, bonds: Bonds, model: NonlinearModel) -> dict[str, float]:
             field[inside] = inner
             with torch.no_grad():
                 e, M = bonds.stretched(field[None])
-                found = bonds.force(net(e, bonds.r), M)[0].double().numpy()
-            return np.asarray((b[inside] - found) / scale)
+                force = bonds.force(net(e, bonds.r), M)[0].double().numpy()
+            return np.asarray((b[inside] - force) / scale)
 
         def correction(residual: np.ndarray, scale: float = scale) -> np.ndarray:
             return solver(residual * scale)
@@ -201,20 +202,20 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     sets = {name: Bonds(samples) for name, samples in named.items()}
     model = warp_peri.load_nonlinear(given.models / "energy.json")
     first, second = tuple(given.first), tuple(given.second)
-    found: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
     for name, kind in (("printed", Printed), ("monotone", Monotone)):
         net = kind(first, second)
-        found[name] = train(net, sets["train"], sets["val"], given.minutes, given.rate, given.json)
+        tables[name] = train(net, sets["train"], sets["val"], given.minutes, given.rate, given.json)
         with torch.no_grad():
-            found[name]["E_res"] = {
+            tables[name]["E_res"] = {
                 key: float(errors_of(net, bonds, torch.arange(len(bonds.b))).mean())
                 for key, bonds in sets.items()
             }
         answers = {key: solved(net, bonds, model) for key, bonds in sets.items()}
-        found[name]["E_u"] = {key: one["E_u"] for key, one in answers.items()}
-        found[name]["converged"] = {key: one["converged"] for key, one in answers.items()}
-        write_json(given.models / "pno.json", found)
-    return found
+        tables[name]["E_u"] = {key: answer["E_u"] for key, answer in answers.items()}
+        tables[name]["converged"] = {key: answer["converged"] for key, answer in answers.items()}
+        write_json(given.models / "pno.json", tables)
+    return tables
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -231,16 +232,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     try:
-        found = run(given)
+        tables = run(given)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if given.json:
-        print(json.dumps(found))
+        print(json.dumps(tables))
         return 0
-    for name, table in found.items():
+    for name, table in tables.items():
         for key in ("E_res", "E_u"):
-            cells = "  ".join(f"{one} {100 * value:.2f}" for one, value in table[key].items())
+            cells = "  ".join(f"{role} {100 * value:.2f}" for role, value in table[key].items())
             print(f"{name}, {table['numbers']} numbers: {key} in %: {cells}")
     return 0
 

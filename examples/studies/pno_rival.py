@@ -109,9 +109,9 @@ def on_grid(samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.tensor(u).float(), torch.tensor(b[:, edge, edge]).float()
 
 
-def relative(found: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Relative ℓ2 errors, shape [S]."""
-    return (found - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
+    return (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
 
 
 def train(
@@ -157,8 +157,8 @@ def mirrored(samples: Samples) -> Samples:
     edge = np.clip(place, 0, NODES - 1)
     image = 2 * edge - place
     outside = (place != edge).any(axis=1)[None, :, None]
-    at = u[:, image[:, 0], image[:, 1]]
-    wide = np.where(outside, 2 * u[:, edge[:, 0], edge[:, 1]] - at, at)
+    there = u[:, image[:, 0], image[:, 1]]
+    wide = np.where(outside, 2 * u[:, edge[:, 0], edge[:, 1]] - there, there)
     loads = np.where(outside, 0.0, b[:, image[:, 0], image[:, 1]])
     interior: np.ndarray = np.all((place > 0) & (place < NODES - 1), axis=1)
     return Samples(Points(SPACING * place, interior, SPACING), wide, loads)
@@ -192,7 +192,7 @@ def main() -> None:
     counts = (given.samples, 25, 25, 0)
     sets = make_hgo(given.data, element=given.element, counts=counts, jobs=given.jobs)
     wide = {name: mirrored(samples) for name, samples in sets.items()}
-    found: dict[str, Any] = {
+    records: dict[str, Any] = {
         "dictionary": dictionary_errors(sets, FREE),
         "dictionary, mirror rule": dictionary_errors(wide, FREE),
     }
@@ -200,15 +200,15 @@ def main() -> None:
     for name, chosen in runs.items():
         model, record = train(chosen, given.minutes, tuple(given.widths), given.rate, given.json)
         with torch.no_grad():
-            found[name] = record | {
+            records[name] = record | {
                 key: float(relative(*(model(u), b)).mean())
-                for key, (u, b) in ((key, on_grid(one)) for key, one in chosen.items())
+                for key, (u, b) in ((key, on_grid(samples)) for key, samples in chosen.items())
             }
-    write_json(given.out / f"{given.element}.json", found)
+    write_json(given.out / f"{given.element}.json", records)
     if given.json:
-        print(json.dumps(plain(found), indent=2))
+        print(json.dumps(plain(records), indent=2))
         return
-    for name, errors in found.items():
+    for name, errors in records.items():
         parts = [f"{key} {100 * errors[key]:.2f}" for key in ("train", "val", "test")]
         print(f"{name:26} E_res in %: {'  '.join(parts)}")
 

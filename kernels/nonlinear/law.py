@@ -60,7 +60,7 @@ def _joined(scalar):
 def _stress(scalar):
     vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
     numbers = wp.types.vector(6, scalar)
-    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    half, unit, two = scalar(0.5), scalar(1.0), scalar(2.0)
     times, parts, joined = _times(scalar), _parts(scalar), _joined(scalar)
 
     @wp.func
@@ -70,7 +70,7 @@ def _stress(scalar):
         t = h[0]
         w = h[3]
         q = vec(h[1], h[2])
-        x = one + half * t
+        x = unit + half * t
         z = vec(x, -w)
         rho = wp.dot(q, q)
         zz = x * x + w * w
@@ -84,7 +84,7 @@ def _stress(scalar):
         yz = times(y, z)
         yq = times(y, q)
         A = by_e + by_s * rho
-        B = by_e + m[3] * e * zz + two * m[1] * (zz - one)
+        B = by_e + m[3] * e * zz + two * m[1] * (zz - unit)
         return joined(
             A * x - K * t + half * yq[0],
             two * q[0] * B + yz[0],
@@ -99,7 +99,7 @@ def _stress(scalar):
 def _curved(scalar):
     vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
     numbers = wp.types.vector(6, scalar)
-    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    half, unit, two = scalar(0.5), scalar(1.0), scalar(2.0)
     times, parts, joined = _times(scalar), _parts(scalar), _joined(scalar)
 
     @wp.func
@@ -110,7 +110,7 @@ def _curved(scalar):
         t = h[0]
         w = h[3]
         q = vec(h[1], h[2])
-        x = one + half * t
+        x = unit + half * t
         z = vec(x, -w)
         rho = wp.dot(q, q)
         zz = x * x + w * w
@@ -120,7 +120,7 @@ def _curved(scalar):
         by_e = K * e + scalar(3.0) * m[2] * e * e + m[3] * s
         by_s = two * m[1] + m[3] * e
         A = by_e + by_s * rho
-        B = by_e + m[3] * e * zz + two * m[1] * (zz - one)
+        B = by_e + m[3] * e * zz + two * m[1] * (zz - unit)
         dq = vec(v[1], v[2])
         dz = vec(half * v[0], -v[3])
         d_rho = two * wp.dot(q, dq)
@@ -151,7 +151,7 @@ def _curved(scalar):
 def _slopes(scalar):
     vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
     numbers = wp.types.vector(6, scalar)
-    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
+    half, unit, two = scalar(0.5), scalar(1.0), scalar(2.0)
     times, parts = _times(scalar), _parts(scalar)
 
     @wp.func
@@ -162,7 +162,7 @@ def _slopes(scalar):
         t = h[0]
         w = h[3]
         q = vec(h[1], h[2])
-        x = one + half * t
+        x = unit + half * t
         z = vec(x, -w)
         rho = wp.dot(q, q)
         zz = x * x + w * w
@@ -207,14 +207,14 @@ def _clipped(scalar):
 @cache
 def _clipped_back(scalar):
     mat = wp.types.matrix((2, 2), scalar)
-    one = scalar(1.0)
+    unit = scalar(1.0)
 
     @wp.func
     def clipped_back(H: mat, radius: scalar, D: mat):
         """The derivative of `clipped` at H, which is symmetric, times D."""
         size = wp.sqrt(wp.ddot(H, H))
         if radius > scalar(0.0) and size > radius:
-            n = (one / size) * H
+            n = (unit / size) * H
             return (radius / size) * (D - wp.ddot(n, D) * n)
         return D
 

@@ -42,15 +42,15 @@ def _state(scalar):
         ui = u[s, i]
         count = bonds.shape[0]
         total = scalar(0.0)
-        one = vec()
-        two = vec()
+        by_x = vec()
+        by_y = vec()
         for p in range(count):
             b = bond_at(bonds, p)
             eta = vecs_at(u, s, int_at(neighbour, i * count + p)) - ui
             total += b[3] * (b[0] * eta[0] + b[1] * eta[1])
-            one += (b[4] * b[0]) * eta
-            two += (b[4] * b[1]) * eta
-        gradient = mat(one[0], two[0], one[1], two[1])
+            by_x += (b[4] * b[0]) * eta
+            by_y += (b[4] * b[1]) * eta
+        gradient = mat(by_x[0], by_y[0], by_x[1], by_y[1])
         theta[s, i] = total
         H[s, i] = gradient
         P[s, i] = stress(clipped(gradient, radius), m)
@@ -127,15 +127,15 @@ def _state_adjoint(scalar):
         i = nodes[first + t]
         count = bonds.shape[0]
         total = scalar(0.0)
-        one = vec()
-        two = vec()
+        by_x = vec()
+        by_y = vec()
         for p in range(count):
             b = bond_at(bonds, p)
             gj = vecs_at(g, s, int_at(neighbour, i * count + p))
             total += b[3] * (b[0] * gj[0] + b[1] * gj[1])
-            one += (b[5] * b[0]) * gj
-            two += (b[5] * b[1]) * gj
-        back = mat(one[0], two[0], one[1], two[1])
+            by_x += (b[5] * b[0]) * gj
+            by_y += (b[5] * b[1]) * gj
+        back = mat(by_x[0], by_y[0], by_x[1], by_y[1])
         theta_bar[s, i] = bulk * total
         P_bar[s, i] = back
         gradient = H[s, i]

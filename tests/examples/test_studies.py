@@ -19,10 +19,10 @@ def test_sweep_from_the_command_line(graphene, tmp_path, monkeypatch, capsys):
     arguments = ["--sweep", "--data", str(graphene), "--out", str(tmp_path), "--jobs", "1"]
     assert train_graphene.main(arguments) == 0
     assert "Table 3" in capsys.readouterr().out
-    found = json.loads((tmp_path / "sweep.json").read_text())
-    assert len(found["trials"]) == 4
-    assert found["printed_choice"]["horizon"] == 12.5
-    assert found["printed_choice"]["E_u_test"] < 0.03
+    sweep_record = json.loads((tmp_path / "sweep.json").read_text())
+    assert len(sweep_record["trials"]) == 4
+    assert sweep_record["printed_choice"]["horizon"] == 12.5
+    assert sweep_record["printed_choice"]["E_u_test"] < 0.03
     for name in ("sweep.md", "sweep_errors.png", "sweep_kernels.png"):
         assert (tmp_path / name).stat().st_size > 500
 
@@ -38,23 +38,23 @@ def test_continuum_symbol_has_the_long_waves_of_elasticity():
 @pytest.mark.slow
 def test_manufactured_loss_falls_with_degree_and_spacing(tmp_path):
     assert manufactured.main(["--out", str(tmp_path)]) == 0
-    found = json.loads((tmp_path / "manufactured.json").read_text())
-    residual = np.array(found["fixed_alpha"]["residual"])  # by spacing, by degree
+    record = json.loads((tmp_path / "manufactured.json").read_text())
+    residual = np.array(record["fixed_alpha"]["residual"])  # by spacing, by degree
     assert (residual[:, -1] < residual[:, 0]).all()
     assert (np.diff(residual, axis=0) < 0).all()  # finer is better at every degree
-    assert found["fixed_alpha"]["kernel_order"] > 2
-    assert np.all(np.diff(found["fixed_alpha"]["kernel_error"]) < 0)
+    assert record["fixed_alpha"]["kernel_order"] > 2
+    assert np.all(np.diff(record["fixed_alpha"]["kernel_error"]) < 0)
 
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_path):
     data = load_dataset(graphene)
-    found = influence_shapes.fits(data["train"])
-    rows = [influence_shapes.row(name, *one, data) for name, one in found.items()]
-    disks = {one["shape"]: one["E_u test"] for one in rows}
+    shapes = influence_shapes.fits(data["train"])
+    rows = [influence_shapes.row(name, *fitted, data) for name, fitted in shapes.items()]
+    disks = {fitted["shape"]: fitted["E_u test"] for fitted in rows}
     assert disks["damped wave"] < 1.2
     assert disks["table, 9 knots"] < 1.3
     assert min(disks[name] for name in ("gaussian", "exponential", "conical")) > 10
-    assert {one["shape"]: round(one["E"], 2) for one in rows}["gaussian"] == 0.04
-    influence_shapes.picture(found, rows, tmp_path / "shapes.png")
+    assert {row["shape"]: round(row["E"], 2) for row in rows}["gaussian"] == 0.04
+    influence_shapes.picture(shapes, rows, tmp_path / "shapes.png")
     assert (tmp_path / "shapes.png").stat().st_size > 10_000

@@ -34,20 +34,20 @@ def learned(request):
     known = solid(request.param, HORIZON)
     known = replace(known, linear=replace(known.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
     train = samples_of(known, 0.02)
-    found = fit_nonlinear(
+    result = fit_nonlinear(
         train,
         HORIZON,
         Bernstein(3, two_functions=True),
         smoothing=known.smoothing,
         axis=known.axis,
     )
-    return known, train, found
+    return known, train, result
 
 
 def test_what_made_the_data_is_found_again(learned):
-    known, _, found = learned
-    model = found.model
-    assert found.E_res_train < 1.1 * NOISE
+    known, _, result = learned
+    model = result.model
+    assert result.E_res_train < 1.1 * NOISE
     assert np.allclose([model.t3, model.tq2, model.q3], CONSTANTS, rtol=0.02)
     assert np.allclose(model.numbers[:2], known.numbers[:2], rtol=1e-3)
     assert model.linear.certified_on == (1.0,)
@@ -56,7 +56,7 @@ def test_what_made_the_data_is_found_again(learned):
     assert unseen["E_res"] < 1.2 * NOISE
     assert unseen["E_u"] < NOISE
     assert unseen["unique"]
-    assert found.linear.history[-1].E_res_train > 10 * found.E_res_train
+    assert result.linear.history[-1].E_res_train > 10 * result.E_res_train
     assert isinstance(model, NonlinearModel)
 
 

@@ -61,7 +61,8 @@ def test_the_force_is_the_gradient_of_the_energy():
     points, _ = periodic((7, 8))
     model = solid("energy")
     op, linear = (
-        one(part, points) for one, part in ((NonlinearOperator, model), (LPSOperator, model.linear))
+        operator(part, points)
+        for operator, part in ((NonlinearOperator, model), (LPSOperator, model.linear))
     )
     u = strained(points)
     directions = noise(points, 5, seed=2)
@@ -72,8 +73,8 @@ def test_the_force_is_the_gradient_of_the_energy():
         return psi(H, model).sum() + (field * linear(field)).sum() / 2
 
     work = (directions * op(u)).sum(axis=(1, 2))
-    found = difference(energy, np.zeros(5), 2e-3)
-    assert np.abs(found - work).max() <= 1e-9 * np.abs(work).max()
+    slope = difference(energy, np.zeros(5), 2e-3)
+    assert np.abs(slope - work).max() <= 1e-9 * np.abs(work).max()
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -140,8 +141,8 @@ def test_tangent(form):
 
     slope = difference(force, np.zeros(1), 1e-2)[0]
     tangent = op.tangent(u)
-    found = (tangent @ toward.ravel()).reshape(-1, 2)
-    assert np.abs(slope - found).max() <= DIFFERENCES * np.abs(slope).max()
+    predicted = (tangent @ toward.ravel()).reshape(-1, 2)
+    assert np.abs(slope - predicted).max() <= DIFFERENCES * np.abs(slope).max()
     inside = tangent[:, np.repeat(points.interior, 2)].toarray()
     asymmetry = np.abs(inside - inside.T).max() / np.abs(inside).max()
     assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
@@ -172,8 +173,8 @@ class Problem:
 
     def gradient(self):
         given = [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
-        found = torch.autograd.grad(self.scalar(*given), given)
-        return {name: one.numpy() for name, one in zip(self.leaves, found)}
+        gradients = torch.autograd.grad(self.scalar(*given), given)
+        return {name: gradient.numpy() for name, gradient in zip(self.leaves, gradients)}
 
     def value(self, name, leaf):
         leaves = self.leaves | {name: leaf.reshape(self.leaves[name].shape)}
@@ -185,33 +186,33 @@ class Problem:
 @pytest.mark.parametrize("form", FORMS)
 def test_gradient_against_differences(form, radius):
     problem = Problem(form, radius)
-    for name, found in problem.gradient().items():
-        at = problem.leaves[name].ravel()
+    for name, gradient in problem.gradient().items():
+        leaf = problem.leaves[name].ravel()
         if name == "u":
-            directions = noise(Points(at.reshape(-1, 2), np.ones(len(at) // 2, bool), 0.0), 3)
+            directions = noise(Points(leaf.reshape(-1, 2), np.ones(len(leaf) // 2, bool), 0.0), 3)
             directions = directions.reshape(3, -1)
-            value = lambda amounts, name=name, at=at, d=directions: problem.value(
-                name, at + amounts @ d
+            value = lambda amounts, name=name, leaf=leaf, d=directions: problem.value(
+                name, leaf + amounts @ d
             )
-            expected, found = difference(value, np.zeros(3), 1e-5), directions @ found.ravel()
+            expected, gradient = difference(value, np.zeros(3), 1e-5), directions @ gradient.ravel()
         else:
             step = STEPS.get(name, 0.002)
-            expected = difference(partial(problem.value, name), at, step)
+            expected = difference(partial(problem.value, name), leaf, step)
         scale = np.abs(expected).max()
-        assert np.abs(found.ravel() - expected).max() <= DIFFERENCES * scale, name
+        assert np.abs(gradient.ravel() - expected).max() <= DIFFERENCES * scale, name
 
 
 def test_results_do_not_depend_on_threads():
     before = threads()
-    found = []
+    gradients = []
     try:
         for count in (1, 2, 3):
             set_threads(count)
-            found.append(Problem("filtered").gradient())
+            gradients.append(Problem("filtered").gradient())
     finally:
         set_threads(before)
-    for name, first in found[0].items():
-        assert all(np.array_equal(first, other[name]) for other in found[1:]), name
+    for name, first in gradients[0].items():
+        assert all(np.array_equal(first, other[name]) for other in gradients[1:]), name
 
 
 def test_clipping_projects_the_gradient():

@@ -22,8 +22,8 @@ def certified(form):
     """A model and its guarantee."""
     model = solid(form, axis=0.2)
     model = replace(model, linear=replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
-    found = uniqueness(model, spacing=1.0)
-    return replace(model, proven={"1": found.figures()}), found
+    proof = uniqueness(model, spacing=1.0)
+    return replace(model, proven={"1": proof.figures()}), proof
 
 
 def balls(count, seed=0):
@@ -39,8 +39,8 @@ def test_homogeneous_parts_stay_below_their_bounds_and_come_close():
     sizes = np.array([1.0, -1.0, 2.0, -2.0, 0.5, 3.0])
     values = np.stack([psi(size * H, model) for size in sizes])
     degrees = np.arange(3, 7)
-    found = np.linalg.lstsq(sizes[:, None] ** degrees, values, rcond=None)[0]
-    largest = np.abs(found).max(axis=1)
+    by_degree = np.linalg.lstsq(sizes[:, None] ** degrees, values, rcond=None)[0]
+    largest = np.abs(by_degree).max(axis=1)
     assert (largest <= parts).all()
     assert (largest >= 0.9 * np.array(parts)).all()
 
@@ -62,14 +62,14 @@ def test_curvature_stays_below_its_bound_and_comes_close():
 
 @pytest.mark.parametrize("form", FORMS)
 def test_kappa_is_a_bound_over_the_whole_zone(form):
-    model, found = certified(form)
+    model, proof = certified(form)
     classes = bond_classes(1.0, HORIZON)
     stiff = stiffnesses(model.linear, classes)
     k = np.random.default_rng(1).uniform(-np.pi, np.pi, size=(4000, 2))
     k = np.concatenate([k, 1e-3 * k])
     table = symbol(classes, k)
     smallest = table.ratio(*stiff) * table.laplacian
-    for p, kappa in zip(model.weights(classes), (found.kappa_in, found.kappa_out)):
+    for p, kappa in zip(model.weights(classes), (proof.kappa_in, proof.kappa_out)):
         sampled = np.sqrt(((table.phi @ p) ** 2).sum(axis=1) / smallest).max()
         assert sampled <= kappa <= 1.05 * sampled
     assert proven_kappa(classes, -stiff[0], *stiff[1:], model.weights(classes)[0]) == np.inf
@@ -96,9 +96,9 @@ class Iteration:
 
     def __call__(self, field):
         left = self.load - self.operator(field)
-        found = field.copy()
-        found[self.inside] += self.factors.solve(left.ravel()).reshape(-1, 2)
-        return found
+        moved = field.copy()
+        moved[self.inside] += self.factors.solve(left.ravel()).reshape(-1, 2)
+        return moved
 
     def energy(self, difference):
         flat = difference[self.inside].ravel()
@@ -108,15 +108,15 @@ class Iteration:
 @pytest.mark.parametrize("form", FORMS)
 def test_the_clipped_iteration_contracts_from_anywhere(form):
     """In the energy norm, by no more than C κ κ, on random domains, to one answer."""
-    model, found = certified(form)
-    assert found.strain > 0.003
-    rate = found.curvature * found.kappa_in * found.kappa_out
+    model, proof = certified(form)
+    assert proof.strain > 0.003
+    rate = proof.curvature * proof.kappa_in * proof.kappa_out
     assert rate < 1
     for seed in range(3):
         random = np.random.default_rng(seed)
         mask = random.uniform(size=(5, 5)) < 0.7
         mask[2, 2] = True
-        iteration = Iteration(model, found.strain, lattice(mask, HORIZON), seed)
+        iteration = Iteration(model, proof.strain, lattice(mask, HORIZON), seed)
         starts = [iteration.start(size, random) for size in (0.1, 1.0, 30.0)]
         for _ in range(3):
             after = [iteration(start) for start in starts]
@@ -131,9 +131,9 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
 
 
 def test_a_planted_violation_takes_the_guarantee_away():
-    model, found = certified("energy")
+    model, proof = certified("energy")
     softer = replace(model, tq2=10 * model.tq2)
-    assert uniqueness(softer, spacing=1.0).strain < found.strain / 5
+    assert uniqueness(softer, spacing=1.0).strain < proof.strain / 5
     soft = replace(model.linear, D=[1.0, -1.0], D_dilatation=[1.0, 1.0])
     classes = bond_classes(1.0, HORIZON)
     table = symbol(classes, zone_wedge(1.0, 20))
@@ -142,4 +142,4 @@ def test_a_planted_violation_takes_the_guarantee_away():
     nothing = uniqueness(indefinite, spacing=1.0)
     assert nothing.strain == 0
     assert nothing.statement == "Nothing is proven on the lattice of spacing 1 Å."
-    assert "at most one solution has |H| ≤" in found.statement
+    assert "at most one solution has |H| ≤" in proof.statement

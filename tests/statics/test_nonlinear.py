@@ -39,8 +39,8 @@ def test_a_known_answer_is_found_within_the_proven_strain(form):
     records: list[NonlinearRecord] = []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = solve_nonlinear(model, points, b, u, records=records, eigenvalues=True)
-    assert np.abs(found - u).max() <= 1e-7 * np.abs(u).max()
+        solved = solve_nonlinear(model, points, b, u, records=records, eigenvalues=True)
+    assert np.abs(solved - u).max() <= 1e-7 * np.abs(u).max()
     (record,) = records
     assert record.unique
     assert record.largest_gradient <= model.proven_strain(1.0)
@@ -54,9 +54,9 @@ def test_answers_beyond_the_proven_strain_come_with_a_warning():
     model = proven("energy")
     points, u, b = problem(model, 0.1, interior=0)
     with pytest.warns(UserWarning, match=r"proven unique up to \|H\| = .* go beyond it"):
-        found = solve_nonlinear(model, points, np.stack([b, 0 * b]), np.stack([u, 0 * u]))
-    assert np.abs(found[0] - u).max() <= 1e-6 * np.abs(u).max()
-    assert not found[1].any()
+        solved = solve_nonlinear(model, points, np.stack([b, 0 * b]), np.stack([u, 0 * u]))
+    assert np.abs(solved[0] - u).max() <= 1e-6 * np.abs(u).max()
+    assert not solved[1].any()
 
 
 def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
@@ -65,9 +65,9 @@ def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
     monkeypatch.setattr(statics, "MOST_STEPS", 2)
     records: list[NonlinearRecord] = []
     with pytest.warns(UserWarning, match="no strain, for want of a certificate"):
-        found = solve_nonlinear(model, points, b, u, records=records)
+        solved = solve_nonlinear(model, points, b, u, records=records)
     assert records[0].method == "newton"
-    assert np.abs(found - u).max() <= 1e-6 * np.abs(u).max()
+    assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
     monkeypatch.setattr(statics, "MOST_NEWTON", 1)
     with pytest.raises(InputError, match="sample 0: no equilibrium was found: residual"):
         solve_nonlinear(model, points, 40 * b, u)
@@ -78,8 +78,8 @@ def test_iterative_linear_solves_give_the_same_answer(monkeypatch):
     points, u, b = problem(model, 0.004)
     expected = solve_nonlinear(model, points, b, u)
     monkeypatch.setattr(statics, "DIRECT", 10)
-    found = solve_nonlinear(model, points, b, u)
-    assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+    solved = solve_nonlinear(model, points, b, u)
+    assert np.abs(solved - expected).max() <= 1e-6 * np.abs(expected).max()
 
 
 def test_wrong_input_is_refused():

@@ -20,12 +20,12 @@ def test_gradient_of_a_solution(form):
     points, u, b = problem(model, 0.02, interior=3)
     operator = NonlinearOperator(model, points)
     seed = noise(points, seed=8)
-    leaves = [torch.tensor(one[None], requires_grad=True) for one in (b, u)]
+    leaves = [torch.tensor(field[None], requires_grad=True) for field in (b, u)]
     tables, bulk = operator.tables.clone().requires_grad_(), operator.bulk.clone().requires_grad_()
     numbers = operator.numbers.clone().requires_grad_()
     parameters = {"tables": tables, "bulk": bulk, "numbers": numbers}
-    found = nonlinear_equilibrium(model, points, *leaves, **parameters, tolerance=1e-12)
-    by = torch.autograd.grad((found[0] * torch.from_numpy(seed)).sum(), [*leaves, numbers])
+    solved = nonlinear_equilibrium(model, points, *leaves, **parameters, tolerance=1e-12)
+    by = torch.autograd.grad((solved[0] * torch.from_numpy(seed)).sum(), [*leaves, numbers])
     directions = noise(points, 2, seed=9) * 0.01
 
     def value(load, collar, solid=model):

@@ -35,10 +35,10 @@ def test_constants_from_dumps_are_those_of_the_statics(tmp_path, capsys):
     """Loads times 0.01 are those of a sheet a hundred times as soft."""
     sheet, force = lennard_jones((52, 30)), 0.01
     data = sampled(tmp_path, sheet, force=force)
-    found = fit(data, 20.0, Bernstein(4), progress=False)
+    learned = fit(data, 20.0, Bernstein(4), progress=False)
     true = {name: force * value for name, value in sheet.moduli().items()}
     for name in ("C11", "C12", "C44"):
-        assert found.moduli[0][name] == pytest.approx(true[name], rel=0.03)
-    assert found.model.mu == pytest.approx(true["C44"], rel=0.03)
-    assert found.model.lam == pytest.approx(true["C12"], rel=0.03)
-    assert evaluate(found.model, data)["E_u"] < 0.01
+        assert learned.moduli[0][name] == pytest.approx(true[name], rel=0.03)
+    assert learned.model.mu == pytest.approx(true["C44"], rel=0.03)
+    assert learned.model.lam == pytest.approx(true["C12"], rel=0.03)
+    assert evaluate(learned.model, data)["E_u"] < 0.01

@@ -200,7 +200,7 @@ def _plain(kernel: Bernstein) -> dict[str, Parameters]:
 
 def _shaped(data: TrainingData, shapes: Sequence[InfluenceFunction]) -> dict[str, Parameters]:
     """The functions that were given, with the values they have."""
-    lengths = np.concatenate([one.classes.r for one in data.conditions])
+    lengths = np.concatenate([lattice.classes.r for lattice in data.conditions])
     begin = [(shape, shape.coefficients(lengths, data.horizon)[0]) for shape in shapes]
     return {
         f"{number} {shape.name}": Parameters(0.0, 1.0, 0.0, D, shape=shape)
@@ -220,40 +220,40 @@ def _certified(
     asked = settings.conditions
     horizon = asked[0].classes.horizon
     bare = as_model(final, horizon)
-    if all(one.spacing > 0 for one in sets):
-        certificates = [certify(bare, spacing=one.spacing, points=one) for one in sets]
+    if all(points.spacing > 0 for points in sets):
+        certificates = [certify(bare, spacing=points.spacing, points=points) for points in sets]
     else:
-        certificates = [certify(bare, spacing=one.classes.spacing) for one in asked]
+        certificates = [certify(bare, spacing=lattice.classes.spacing) for lattice in asked]
     certified = tuple(
         certificate.spacing
-        for certificate, one in zip(certificates, asked)
-        if certificate.holds and (one.kind != "paper" or bool(certificate.paper))
+        for certificate, lattice in zip(certificates, asked)
+        if certificate.holds and (lattice.kind != "paper" or bool(certificate.paper))
     )
     provenance = {"zeta": {"zeta": asked[0].zeta, "stiffness of the data": scale.stiffness}}
     if final.shape is not None:
-        lengths = np.concatenate([one.classes.r for one in asked])
+        lengths = np.concatenate([lattice.classes.r for lattice in asked])
         _, departure = final.shape.coefficients(lengths, horizon)
         provenance["influence"] = final.shape.record(departure)
     model = dataclasses.replace(
         bare,
-        trained_on=tuple(one.spacing for one in sets),
+        trained_on=tuple(points.spacing for points in sets),
         certified_on=certified,
-        trained_strain=max(largest_strain(one, one.u) for one in sets),
-        largest_wave_number=max(largest_wave_number(one) or 0.0 for one in sets) or None,
-        certificate={f"{one.spacing:g}": one.figures() for one in certificates},
+        trained_strain=max(largest_strain(points, points.u) for points in sets),
+        largest_wave_number=max(largest_wave_number(points) or 0.0 for points in sets) or None,
+        certificate={f"{proof.spacing:g}": proof.figures() for proof in certificates},
         provenance=provenance,
         versions=_versions(),
     )
-    moduli = [moduli_of(model, one.classes) for one in asked]
+    moduli = [moduli_of(model, lattice.classes) for lattice in asked]
     history, starts = stages.history, stages.starts
     return Fit(model, certificates, moduli, history, starts, choice, settings, final.shape)
 
 
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for name in ("warp_peri", "warp-lang", "torch", "numpy", "scipy"):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            versions[name] = "not installed"
+    return versions

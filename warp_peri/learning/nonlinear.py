@@ -89,7 +89,7 @@ def fit_nonlinear(
     for name, given, kind in (("kernel", kernel, Bernstein), ("method", method, Optimum)):
         if not isinstance(given, kind):
             raise InputError(f"{name}: expected {kind.__name__}(…), got {given!r:.60}")
-    if len({one.spacing for one in sets}) != 1:
+    if len({points.spacing for points in sets}) != 1:
         raise InputError("samples: expected training sets on lattices of one spacing")
     linear = fit(
         sets,
@@ -151,26 +151,26 @@ class _Task:
 
     def settle(self) -> tuple[NonlinearModel, int]:
         """Optimum after optimum, each with the λ, μ and weights of the one before; how many."""
-        at, settings, before = self.start, self.settings, None
+        parameters, settings, before = self.start, self.settings, None
         for passes in range(1, MOST_PASSES + 1):
             if self.smoothing is None and passes > 1:
                 self.loss = self._reduced()
-            lam, mu = at.lam, at.mu
-            found = constrained_optimum(
+            lam, mu = parameters.lam, parameters.mu
+            optimum = constrained_optimum(
                 [self.loss.reduced(lam, mu)],
-                at,
+                parameters,
                 settings.conditions[:1],
                 self.method,
                 two_functions=settings.two_functions,
             )
-            if not found.converged:
+            if not optimum.converged:
                 raise RuntimeError(
-                    f"nonlinear stage: ended with a margin of {found.margin:.1e} TPa, and moduli "
-                    f"to be held missed by {found.departure:.1e} TPa"
+                    f"nonlinear stage: ended with a margin of {optimum.margin:.1e} TPa, and moduli "
+                    f"to be held missed by {optimum.departure:.1e} TPa"
                 )
-            at = found.parameters
-            constants = self.loss.constants(self._products(self._solid(at)), lam, mu)
-            self.model = self._solid(at, *constants)
+            parameters = optimum.parameters
+            constants = self.loss.constants(self._products(self._solid(parameters)), lam, mu)
+            self.model = self._solid(parameters, *constants)
             now = np.concatenate([self.model.numbers, self.model.weights(self.classes)[0]])
             if before is not None and np.abs(now - before).max() <= SETTLED * np.abs(now).max():
                 break
@@ -203,7 +203,7 @@ class _Task:
         return products(model.linear, self.classes)
 
     def _solid(
-        self, at: Parameters, t3: float = 0.0, tq2: float = 0.0, q3: float = 0.0
+        self, parameters: Parameters, t3: float = 0.0, tq2: float = 0.0, q3: float = 0.0
     ) -> NonlinearModel:
-        linear = as_model(at, self.horizon)
+        linear = as_model(parameters, self.horizon)
         return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing, axis=self.axis)

@@ -50,8 +50,8 @@ class GradientLoss:
         """The best t3, tq2 and q3 [TPa] beside c of (17), shape [F + 1]; back-substitution."""
         others = np.concatenate([products[:-1], (lam, mu, 1.0)])
         top = self.R[:CONSTANTS]
-        found: np.ndarray = np.linalg.solve(top[:, :CONSTANTS], -top[:, CONSTANTS:] @ others)
-        return found
+        best: np.ndarray = np.linalg.solve(top[:, :CONSTANTS], -top[:, CONSTANTS:] @ others)
+        return best
 
     def loss(self, constants: np.ndarray, products: np.ndarray, lam: float, mu: float) -> float:
         """Σ_s weight_s ‖L u − b‖² of any constants."""

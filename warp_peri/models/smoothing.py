@@ -52,8 +52,8 @@ class Smoothing:
         node, weight = np.polynomial.legendre.leggauss(200)
         r = (node + 1) * self.radius / 2
         part = weight * (self.radius - r) * r
-        found: np.ndarray = (j0(np.multiply.outer(k, r)) @ part) / part.sum()
-        return found
+        transform: np.ndarray = (j0(np.multiply.outer(k, r)) @ part) / part.sum()
+        return transform
 
     def inverse(self, k: np.ndarray) -> np.ndarray:
         """(1 + ρ) ω̂/(ω̂² + ρ)."""
@@ -92,5 +92,5 @@ def _fitted(
         rows.append(weight * SIZE * 2 * len(k) * np.diag(sigma))
         right.append(np.zeros(len(sigma)))
     p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
-    found: np.ndarray = p / (sigma @ p)
-    return found
+    scaled: np.ndarray = p / (sigma @ p)
+    return scaled

@@ -46,8 +46,8 @@ class _Force(torch.autograd.Function):
         ctx.given = (field, table, float(bulk), material, radius)
         ctx.state = sweeps.state(field, bonds, material, radius)
         Lu = sweeps.force(field, bonds, float(bulk), ctx.state[0], ctx.state[2])
-        found: torch.Tensor = wp.to_torch(Lu, requires_grad=False)
-        return found
+        force: torch.Tensor = wp.to_torch(Lu, requires_grad=False)
+        return force
 
     @staticmethod
     @once_differentiable
@@ -198,8 +198,8 @@ class NonlinearOperator:
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes within δ of the interior, shape [...]."""
         H, _ = self.gradients(u)
-        found: np.ndarray = np.linalg.norm(H, axis=(-2, -1)).max(axis=-1)
-        return found
+        largest: np.ndarray = np.linalg.norm(H, axis=(-2, -1)).max(axis=-1)
+        return largest
 
     def tangent(self, u: ArrayLike) -> sp.csr_array:
         """∂(L u)/∂u at a field [N, 2], without clipping: sparse, shape [2 I, 2 N] (N5)."""

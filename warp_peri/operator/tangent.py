@@ -36,20 +36,24 @@ class TangentMatrices:
 
     def tangent(self, second: np.ndarray) -> sp.csr_array:
         """L_LPS + Σ out Ψ″ in, shape [2 I, 2 N], from Ψ″ of every node, shape [4, 4, F]."""
-        found = self.linear
+        tangent = self.linear
         for out, row in zip(self.out, second):
             for into, entries in zip(self.into, row):
-                found = found + out @ sp.diags_array(entries) @ into
-        return sp.csr_array(found)
+                tangent = tangent + out @ sp.diags_array(entries) @ into
+        return sp.csr_array(tangent)
 
-    def _differences(self, at: np.ndarray, weight: np.ndarray) -> sp.csr_array:
+    def _differences(self, nodes_with: np.ndarray, weight: np.ndarray) -> sp.csr_array:
         """Σ_b weight_b (value_j − value_i) at some nodes, shape [len(at), N]."""
         nodes, count = self.sweeps.nodes, len(weight)
-        line = np.repeat(np.arange(len(at)), count)
-        far = self.sweeps.neighbour.reshape(nodes, count)[at].ravel()
-        ends = sp.coo_array((np.tile(weight, len(at)), (line, far)), shape=(len(at), nodes))
-        own = (np.full(len(at), weight.sum()), (np.arange(len(at)), at))
-        return sp.csr_array(ends.tocsr() - sp.coo_array(own, shape=(len(at), nodes)).tocsr())
+        line = np.repeat(np.arange(len(nodes_with)), count)
+        far = self.sweeps.neighbour.reshape(nodes, count)[nodes_with].ravel()
+        ends = sp.coo_array(
+            (np.tile(weight, len(nodes_with)), (line, far)), shape=(len(nodes_with), nodes)
+        )
+        own = (np.full(len(nodes_with), weight.sum()), (np.arange(len(nodes_with)), nodes_with))
+        return sp.csr_array(
+            ends.tocsr() - sp.coo_array(own, shape=(len(nodes_with), nodes)).tocsr()
+        )
 
     def _gathering(self, weight: np.ndarray) -> sp.csr_array:
         """Σ_b weight_b (value_j + value_i) on the interior of values at `full`, [I, F].

@@ -120,22 +120,22 @@ def largest_parts(model: NonlinearModel) -> list[float]:
         (model.t3, _product(e, square)),
         (model.tq2, _product(e, s)),
     ]
-    found = []
+    parts = []
     size = np.hypot(t / 2, w)
     for d in range(3, 7):
         smooth = sum(factor * term[d] for factor, term in terms if len(term) > d)
         binomial = (1, 3, 3, 1)[d - 3]
         worst = np.abs(smooth) + abs(model.q3) * binomial * q**3 * size ** (d - 3)
-        found.append(float(worst.max() / np.cos(d * reach)))
-    return found
+        parts.append(float(worst.max() / np.cos(d * reach)))
+    return parts
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Of polynomials by degree."""
-    found = np.zeros((len(a) + len(b) - 1, *a.shape[1:]))
-    for i, one in enumerate(a):
-        found[i : i + len(b)] += one * b
-    return found
+    product = np.zeros((len(a) + len(b) - 1, *a.shape[1:]))
+    for i, coefficient in enumerate(a):
+        product[i : i + len(b)] += coefficient * b
+    return product
 
 
 def proven_kappa(

@@ -109,7 +109,7 @@ def solve_nonlinear(
     solver = _Solver(operator, points, tolerance)
     loads = load.reshape(-1, nodes, 2)
     answers = u.reshape(-1, nodes, 2)
-    found = []
+    made = []
     for number, (load, field) in enumerate(zip(loads, answers)):
         try:
             field[inside], record = solver.solve(load[inside], field)
@@ -119,8 +119,8 @@ def solve_nonlinear(
             record.eigenvalue = solver.smallest_eigenvalue(field)
         if records is not None:
             records.append(record)
-        found.append(record)
-    _warn(found, model.proven_strain(points.spacing))
+        made.append(record)
+    _warn(made, model.proven_strain(points.spacing))
     return answers.reshape(u.shape)
 
 
@@ -154,8 +154,8 @@ class _Solver:
 
         def left(operator: NonlinearOperator, inner: np.ndarray) -> np.ndarray:
             field[self.inside] = inner
-            found: np.ndarray = (load - operator(field)) / scale
-            return found
+            unbalanced: np.ndarray = (load - operator(field)) / scale
+            return unbalanced
 
         def correction(residual: np.ndarray) -> np.ndarray:
             record.solves += 1
@@ -198,7 +198,7 @@ class _Solver:
         """Newton–Krylov with a line search on L_LPS⁻¹ (b − L u) = 0, as far as it comes."""
         scale = max(float(np.abs(start).max()), 1e-300)
         try:
-            found = newton_krylov(
+            inner = newton_krylov(
                 lambda v: correction(left(v * scale)) / scale,
                 start / scale,
                 f_tol=self.tolerance * 1e-2,
@@ -206,10 +206,10 @@ class _Solver:
                 line_search="armijo",
             )
         except NoConvergence as error:
-            found = np.reshape(error.args[0], start.shape)
+            inner = np.reshape(error.args[0], start.shape)
         except (ValueError, ZeroDivisionError):  # steps that ran away
             return start
-        answer: np.ndarray = found * scale
+        answer: np.ndarray = inner * scale
         return answer
 
     def smallest_eigenvalue(self, field: np.ndarray) -> float | None:
@@ -259,8 +259,8 @@ def anderson(
         del steps[: -MEMORY - 1], fields[: -MEMORY - 1]
         u = u + steps[-1]
         if len(steps) > 1:
-            by_step = np.stack([one - steps[-1] for one in steps[:-1]], axis=-1)
-            by_field = np.stack([one - fields[-1] for one in fields[:-1]], axis=-1)
+            by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
+            by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
             flat = by_step.reshape(-1, by_step.shape[-1])
             mix = np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
             u = u + (by_step + by_field) @ mix
@@ -285,8 +285,8 @@ def linear_solver(
 
     def solved(right: np.ndarray) -> np.ndarray:
         field, _ = system.solve(where.gather_free(torch.from_numpy(right)), tolerance)
-        found: np.ndarray = where.scatter_free(field).numpy()
-        return found
+        free: np.ndarray = where.scatter_free(field).numpy()
+        return free
 
     return solved
 

@@ -42,15 +42,15 @@ class _Equilibrium(torch.autograd.Function):
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         solution, *parameters = ctx.saved_tensors
         sweeps, (g,) = ctx.sweeps, upstream
-        tables, bulk, numbers = (one.detach().numpy() for one in parameters)
+        tables, bulk, numbers = (parameter.detach().numpy() for parameter in parameters)
         matrices = TangentMatrices(sweeps, tables, float(bulk[0]))
         bonds = sweeps.bonds(tables)
         rows = sweeps.rows
         unknown = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
         by_b, by_u = torch.zeros_like(g), g.clone()
         pull = np.empty((len(g), len(rows), 2))
-        for s, one in enumerate(solution.numpy()):
-            field = floats(np.ascontiguousarray(one[None]), sweeps.kernels.vec)
+        for s, answer in enumerate(solution.numpy()):
+            field = floats(np.ascontiguousarray(answer[None]), sweeps.kernels.vec)
             tangent = matrices.tangent(sweeps.curvatures(field, bonds, numbers)).tocsc()
             factors = splu(sp.csc_array(tangent[:, unknown]))
             w = factors.solve(np.ascontiguousarray(g[s].numpy().reshape(-1)[unknown]), "T")
@@ -58,13 +58,13 @@ class _Equilibrium(torch.autograd.Function):
             by_b[s, rows] = torch.from_numpy(pull[s])
             by_u[s] -= torch.from_numpy((tangent.T @ w).reshape(-1, 2))
         by_u[:, rows] = 0
-        found: tuple[torch.Tensor | None, ...] = (None, None, None)
+        gradients: tuple[torch.Tensor | None, ...] = (None, None, None)
         if any(ctx.needs_input_grad[4:]):
             with torch.enable_grad():
-                leaves = [one.detach().requires_grad_() for one in parameters]
+                leaves = [parameter.detach().requires_grad_() for parameter in parameters]
                 force = nonlinear_force(sweeps, solution, leaves[0], leaves[1], leaves[2])
-                found = torch.autograd.grad(force, leaves, torch.from_numpy(-pull))
-        return None, None, by_b, by_u, *found
+                gradients = torch.autograd.grad(force, leaves, torch.from_numpy(-pull))
+        return None, None, by_b, by_u, *gradients
 
 
 _equilibrium: Callable[..., torch.Tensor] = _Equilibrium.apply
@@ -98,6 +98,6 @@ def nonlinear_equilibrium(
     """
     nodes = on_nominal_lattice(model.linear, points)
     fields = (b.detach().numpy(), u_collar.detach().numpy())
-    found = solve_nonlinear(model, nodes, *fields, transfer=False, tolerance=tolerance)
+    solved = solve_nonlinear(model, nodes, *fields, transfer=False, tolerance=tolerance)
     sweeps = GradientSweeps(nodes, model.horizon)
-    return _equilibrium(sweeps, torch.from_numpy(found), b, u_collar, tables, bulk, numbers)
+    return _equilibrium(sweeps, torch.from_numpy(solved), b, u_collar, tables, bulk, numbers)
