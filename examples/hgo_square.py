@@ -60,26 +60,26 @@ def learn(samples: Samples, stiffness: float) -> dict[str, tuple[HyperelasticSol
         "rival: bonds only": lambda: fit_energy(samples, BONDS).solid,
         "rival: no fibres": lambda: fit_energy(samples, ISOTROPIC, stiffness=LITTLE).solid,
     }
-    found = {}
+    models = {}
     for name, way in ways.items():
         began = time.perf_counter()
-        found[name] = way(), time.perf_counter() - began
-    return found
+        models[name] = way(), time.perf_counter() - began
+    return models
 
 
 def table(
     solid: HyperelasticSolid, sets: dict[str, Samples], solved: int
 ) -> dict[str, dict[str, Any]]:
     """Errors on every set; E_u of the training set on its first samples only."""
-    found = {}
+    errors_of = {}
     for name, samples in sets.items():
         few = Samples(samples.points, samples.u[:solved], samples.loads[:solved])
         errors = hyperelastic_errors(solid, samples, solve=False)
         errors |= {k: v for k, v in hyperelastic_errors(solid, few).items() if k != "E_res"}
         numbers = {k: v for k, v in errors.items() if np.ndim(v) == 0}
-        found[name] = {k: None if np.isnan(v) else v for k, v in numbers.items()}
-        found[name]["E_u_max"] = float(np.nanmax([*errors["displacements"], 0.0]))
-    return found
+        errors_of[name] = {k: None if np.isnan(v) else v for k, v in numbers.items()}
+        errors_of[name]["E_u_max"] = float(np.nanmax([*errors["displacements"], 0.0]))
+    return errors_of
 
 
 def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
@@ -93,8 +93,8 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
         "difference": np.hypot(*(u - truth).T),
     }
     for ax, (title, size) in zip(axes, shown.items()):
-        at = (disks.x + truth)[inner]
-        drawn = ax.scatter(*at.T, c=size[inner], s=26, marker="s", cmap="viridis")
+        place = (disks.x + truth)[inner]
+        drawn = ax.scatter(*place.T, c=size[inner], s=26, marker="s", cmap="viridis")
         figure.colorbar(drawn, ax=ax, shrink=0.8)
         ax.set(title=f"|u|, {title}", aspect="equal", xlabel="x", ylabel="y")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,9 +122,9 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
         jobs=given.jobs,
         progress=not given.json,
     )
-    found: dict[str, Any] = {"seconds of data": time.perf_counter() - began}
+    report: dict[str, Any] = {"seconds of data": time.perf_counter() - began}
     for name, (solid, seconds) in learn(sets["train"], given.stiffness).items():
-        found[name] = {
+        report[name] = {
             "numbers": int(np.count_nonzero(solid.coefficients)),
             "seconds": seconds,
             "at rest": at_rest(solid, sets["val"]),
@@ -133,11 +133,11 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
         if name == "read out":
             words = solid.dictionary.labels[solid.dictionary.first_term :]
             values = solid.coefficients[solid.dictionary.first_term :]
-            found[name]["material"] = dict(zip(words, values))
+            report[name]["material"] = dict(zip(words, values))
             solid.save(given.out / f"{element}.json")
         if name == "guaranteed":
             picture(solid, sets["disks"], given.out / f"{element}_disk.png")
-    return found
+    return report
 
 
 def main() -> None:
@@ -156,12 +156,12 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, default=value, help="of the sheet")
     given = parser.parse_args()
     chosen = ELEMENTS if given.element == "both" else (given.element,)
-    found = {element: study(given, element) for element in chosen}
-    write_json(given.out / "errors.json", found)
+    reports = {element: study(given, element) for element in chosen}
+    write_json(given.out / "errors.json", reports)
     if given.json:
-        print(json.dumps(plain(found), indent=2))
+        print(json.dumps(plain(reports), indent=2))
         return
-    for element, models in found.items():
+    for element, models in reports.items():
         for name, model in models.items():
             if name == "seconds of data":
                 print(f"{element} elements, errors in %: E_res / E_u (not solved)")

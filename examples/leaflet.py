@@ -40,15 +40,15 @@ def learn(train: Samples, *, progress: bool) -> dict[str, tuple[DisplacementFit,
     """A fit on eight directions, then one whose directions and exponents are unknowns."""
     began = time.perf_counter()
     wide = fit_displacement(train, ROSE, most_steps=6, progress=progress)
-    found = {"eight directions": (wide, time.perf_counter() - began)}
+    fits = {"eight directions": (wide, time.perf_counter() - began)}
     dictionary, start = families(wide.solid)
     if len(dictionary.terms) > len(MATRIX):
         few = fit_displacement(
             train, dictionary, moving=True, start=start, most_steps=20, tolerance=1e-3,
             progress=progress,
         )  # fmt: skip
-        found["families"] = few, time.perf_counter() - began
-    return found
+        fits["families"] = few, time.perf_counter() - began
+    return fits
 
 
 def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str
     solid = fit.solid
     first = solid.dictionary.first_term
     energies = zip(solid.dictionary.labels[first:], solid.coefficients[first:])
-    found = {
+    report = {
         "train": fit.history[-1],
         "held out": errors["E_u"],
         "largest": float(np.nanmax(errors["displacements"])),
@@ -67,11 +67,11 @@ def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str
     }
     if "protocol" in test.arrays:
         protocols = test.arrays["protocol"]
-        found["protocols"] = {
+        report["protocols"] = {
             int(n): float(errors["displacements"][protocols == n].mean())
             for n in np.unique(protocols)
         }
-    return found
+    return report
 
 
 def synthetic(given: argparse.Namespace) -> tuple[Samples, Samples, np.ndarray]:
@@ -97,7 +97,7 @@ def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]
     chosen = np.unique(np.linspace(0, len(frames) - 1, given.count + 1).astype(int)[1:])
     samples = frames_on_lattice([frames[n] for n in chosen], radius=given.smooth)
     pick = np.arange(len(chosen)) % 2 == 1
-    return tuple(Samples(samples.points, samples.u[one]) for one in (pick, ~pick))  # type: ignore[return-value]
+    return tuple(Samples(samples.points, samples.u[part]) for part in (pick, ~pick))  # type: ignore[return-value]
 
 
 def main() -> None:
@@ -123,28 +123,28 @@ def main() -> None:
     else:
         train, test = measured(given.frames, given)
         truth = test.u
-    found: dict[str, Any] = {
+    report: dict[str, Any] = {
         "frames": [len(train), len(test)],
         "interior nodes": int(train.interior.sum()),
         "noise in spacings": noise_of(test) / test.spacing,
     }
     fits = learn(train, progress=not given.json)
     for name, (fit, seconds) in fits.items():
-        found[name] = held_out(fit, test, truth) | {"seconds": seconds}
+        report[name] = held_out(fit, test, truth) | {"seconds": seconds}
     best = min(fits, key=lambda name: fits[name][0].history[-1])
     for folder in given.other:
         _, other = measured(folder, given)
-        found[folder.name] = held_out(fits[best][0], other, other.u)
+        report[folder.name] = held_out(fits[best][0], other, other.u)
     began = time.perf_counter()
-    found["rivals"] = rival_errors(train, test, truth, given.rivals)
-    found["rivals' seconds"] = time.perf_counter() - began
+    report["rivals"] = rival_errors(train, test, truth, given.rivals)
+    report["rivals' seconds"] = time.perf_counter() - began
     fits[best][0].solid.save(given.out / "leaflet.json")
-    write_json(given.out / "errors.json", found)
-    draw(fits[best][0].solid, test, truth, found, given.out)
+    write_json(given.out / "errors.json", report)
+    draw(fits[best][0].solid, test, truth, report, given.out)
     if given.json:
-        print(json.dumps(plain(found), indent=2))
+        print(json.dumps(plain(report), indent=2))
         return
-    for name, entry in (*found.items(), *found["rivals"].items()):
+    for name, entry in (*report.items(), *report["rivals"].items()):
         if isinstance(entry, dict) and "held out" in entry:
             error, missing = 100 * entry["held out"], entry["not_solved"]
             print(f"{name:20} held out {error:.3f} % ({missing} not solved)")

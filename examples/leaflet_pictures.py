@@ -24,7 +24,7 @@ def draw(
     solid: HyperelasticSolid,
     test: Samples,
     truth: np.ndarray,
-    found: dict[str, Any],
+    report: dict[str, Any],
     folder: Path,
 ) -> None:
     """Write the four figures."""
@@ -33,7 +33,7 @@ def draw(
         "maps": maps(solid, test, truth),
         "curves": curves(solid, test),
         "rose": fibre_rose(solid),
-        "errors": errors_by_frame(found),
+        "errors": errors_by_frame(report),
     }
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=130)
@@ -94,13 +94,13 @@ def fibre_rose(solid: HyperelasticSolid) -> Figure:
     return figure
 
 
-def errors_by_frame(found: dict[str, Any]) -> Figure:
+def errors_by_frame(report: dict[str, Any]) -> Figure:
     """Held-out errors of every frame, and the rivals' means."""
     figure, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
     for name in ("eight directions", "families"):
-        if name in found:
-            ax.plot(100 * np.asarray(found[name]["frames"]), "o-", ms=3, label=name)
-    for number, (name, rival) in enumerate(found.get("rivals", {}).items()):
+        if name in report:
+            ax.plot(100 * np.asarray(report[name]["frames"]), "o-", ms=3, label=name)
+    for number, (name, rival) in enumerate(report.get("rivals", {}).items()):
         color = f"C{number + 2}"
         ax.axhline(100 * rival["held out"], color=color, ls="--", lw=1, label=name)
     ax.set(xlabel="held-out frame", ylabel="error of displacement [%]", yscale="log")

@@ -93,20 +93,20 @@ class Elements:
 
     def internal(self, energy: Energy, u: np.ndarray) -> np.ndarray | None:
         """Internal forces, shape [2 N]; None where the field is folded."""
-        found = self._stresses(energy, u)
-        if found is None:
+        stresses = self._stresses(energy, u)
+        if stresses is None:
             return None
-        P = found[0]
+        P = stresses[0]
         local = np.einsum("eqia,eqi,eq->ea", self.B, P, self.dx, optimize=True)
         f = np.bincount(self.dofs.ravel(), local.ravel(), 2 * self.nodes)
         return f if self.springs is None else f + self.springs @ u
 
     def tangent(self, energy: Energy, u: np.ndarray) -> sp.csc_matrix:
         """Their derivative, shape [2 N, 2 N]."""
-        found = self._stresses(energy, u)
-        if found is None:
+        stresses = self._stresses(energy, u)
+        if stresses is None:
             raise NotSolved("tangent of a folded field")
-        _, g, H, B = found
+        _, g, H, B = stresses
         A = np.einsum("eqki,eqkl,eqlj->eqij", B, H, B, optimize=True)
         A += np.einsum("eqk,kij->eqij", g, SECOND)
         A *= self.dx[..., None, None]
@@ -135,8 +135,8 @@ class Elements:
 
     def sample(self, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Displacement at points of shape [P, 2], shape [P, 2]."""
-        at = self.basis.probes(x.T)
-        return np.stack([at @ u[0::2], at @ u[1::2]], axis=-1)
+        probes = self.basis.probes(x.T)
+        return np.stack([probes @ u[0::2], probes @ u[1::2]], axis=-1)
 
     def solve(
         self,
@@ -172,13 +172,13 @@ class Elements:
             target = min(1.0, done + step)
             prescribed = origin + target * (given - origin)
             part = target if proportional else 1.0
-            found = self._step(energy, part * load, free, fixed, prescribed, u, tolerance)
-            if found is None:
+            moved = self._step(energy, part * load, free, fixed, prescribed, u, tolerance)
+            if moved is None:
                 step /= 2
                 if step < 1e-3:
                     raise NotSolved(f"no equilibrium beyond {100 * done:.1f} % of the load")
             else:
-                u, done, step = found, target, min(1.0, 1.5 * step)
+                u, done, step = moved, target, min(1.0, 1.5 * step)
         return u
 
     def _step(

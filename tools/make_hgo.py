@@ -157,11 +157,13 @@ def solved(
         joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel,
     ):
         for batch in batches(count, seed):
-            work = (joblib.delayed(sample)(folder, material, element, shape, one) for one in batch)
-            for found in parallel(work):
-                if found is not None and len(u) < count:
-                    u.append(found[0])
-                    b.append(found[1])
+            work = (
+                joblib.delayed(sample)(folder, material, element, shape, number) for number in batch
+            )
+            for pair in parallel(work):
+                if pair is not None and len(u) < count:
+                    u.append(pair[0])
+                    b.append(pair[1])
                     bar.update()
             if len(u) == count:
                 break
@@ -190,8 +192,8 @@ def sample(
     path = folder / f"{shape}_{key}.npz"
     if path.exists():
         try:
-            found = read_arrays(path)
-            return (found["u"], found["b"]) if len(found["u"]) else None
+            arrays = read_arrays(path)
+            return (arrays["u"], arrays["b"]) if len(arrays["u"]) else None
         except (KeyError, ValueError):
             pass  # damaged: solved again
     try:

@@ -80,7 +80,7 @@ def make_leaflet(
         folder.mkdir(parents=True, exist_ok=True)
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator")
         work = (joblib.delayed(protocol)(folder, leaflet, n) for n in range(len(PROTOCOLS)))
-        found = list(
+        protocols = list(
             tqdm(
                 parallel(work),
                 total=len(PROTOCOLS),
@@ -98,9 +98,9 @@ def make_leaflet(
         arrays = {
             "protocol": np.repeat(chosen, LEVELS),
             "level": np.tile(np.arange(1, LEVELS + 1) / LEVELS, len(chosen)),
-            "force": np.concatenate([found[n][1] for n in chosen]),
+            "force": np.concatenate([protocols[n][1] for n in chosen]),
         }
-        u = np.concatenate([found[n][0] for n in chosen])
+        u = np.concatenate([protocols[n][0] for n in chosen])
         sets[name] = Samples(points, u, arrays=arrays)
     return sets
 

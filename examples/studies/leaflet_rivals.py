@@ -42,23 +42,23 @@ class Window:
         nothing = np.zeros_like(given)
         for steps in (1, 8):
             try:
-                found = self.mesh.solve(
+                field = self.mesh.solve(
                     energy, nothing, self.fixed, given[self.fixed],
                     start=given if steps == 1 else None, steps=steps, tolerance=1e-8,
                 )  # fmt: skip
             except NotSolved:
                 continue
-            return found.reshape(-1, 2)[self.free]
+            return field.reshape(-1, 2)[self.free]
         return None
 
     def errors(self, energy: Energy, frames: Samples, truth: np.ndarray) -> np.ndarray:
         """Relative errors against the truth, NaN where not solved, shape [S]."""
-        found = []
+        errors = []
         for u, expected in zip(frames.u, truth):
             solved, target = self.solve(energy, u), expected[self.nodes][self.free]
             gap = np.nan if solved is None else np.linalg.norm(solved - target)
-            found.append(gap / np.linalg.norm(target))
-        return np.array(found)
+            errors.append(gap / np.linalg.norm(target))
+        return np.array(errors)
 
 
 def neo_hookean(_: np.ndarray) -> Energy:
@@ -98,13 +98,13 @@ def fit(
     """Levenberg and Marquardt with differences: numbers and root mean square of the errors."""
 
     def gaps(x: np.ndarray) -> np.ndarray | None:
-        found = []
+        parts = []
         for u in frames.u:
             solved, target = window.solve(make(x), u), u[window.nodes][window.free]
             if solved is None:
                 return None
-            found.append(((solved - target) / np.linalg.norm(target)).ravel())
-        return np.concatenate(found)
+            parts.append(((solved - target) / np.linalg.norm(target)).ravel())
+        return np.concatenate(parts)
 
     x, left, damping = start, gaps(start), 1e-3
     if left is None:
@@ -138,17 +138,17 @@ def rival_errors(
 ) -> dict[str, dict[str, Any]]:
     """Held-out errors of the rivals, with their numbers and errors on the training frames."""
     window = Window(train)
-    found = {}
+    report = {}
     for name in names:
         make, starts = RIVALS[name]
         x, trained = min(
             (fit(window, make, np.array(start), train) for start in starts), key=lambda f: f[1]
         )
         errors = window.errors(make(x), test, truth)
-        found[name] = {
+        report[name] = {
             "numbers": x,
             "train": trained,
             "held out": float(np.nanmean(errors)),
             "not_solved": int(np.isnan(errors).sum()),
         }
-    return found
+    return report

@@ -67,10 +67,10 @@ class Pulled:
         load = np.zeros(2 * self.mesh.nodes)
         load[1::2] = form.assemble(self.edge)
         try:
-            found = self.mesh.solve(energy, load, self.fixed, np.zeros(len(self.fixed)), steps=4)
+            solved = self.mesh.solve(energy, load, self.fixed, np.zeros(len(self.fixed)), steps=4)
         except NotSolved:
             return float("nan")
-        gap = self.mesh.sample(found, self.x).reshape(u.shape) - u
+        gap = self.mesh.sample(solved, self.x).reshape(u.shape) - u
         return float(np.linalg.norm(gap) / np.linalg.norm(u))
 
 
@@ -79,7 +79,7 @@ def check(repository: Path, tasks: list[int], samples: list[int]) -> dict[str, d
     skfem = finite_elements()
     linear = Pulled(triangles(NODES - 1), skfem.ElementTriP1(), 2)
     quadratic = Pulled(quadrilaterals(20), skfem.ElementQuad2(), 4)
-    found = {}
+    differences = {}
     for task in tasks:
         (E, nu, k1, k2, angle), tractions, u = published(repository, task)
         families = [Family(sign * angle, k1, k2) for sign in (1, -1)]
@@ -88,11 +88,11 @@ def check(repository: Path, tasks: list[int], samples: list[int]) -> dict[str, d
             "quadratic elements": (quadratic, hgo(E, nu, families)),
             "compressed fibres": (quadratic, hgo(E, nu, families, tension_only=False)),
         }
-        found[f"task {task}"] = {
+        differences[f"task {task}"] = {
             name: [body.error(energy, tractions[s], u[s]) for s in samples]
             for name, (body, energy) in ways.items()
         }
-    return found
+    return differences
 
 
 def main() -> None:
@@ -103,11 +103,11 @@ def main() -> None:
     parser.add_argument("--samples", type=int, nargs="+", default=[0, 1, 5])
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args()
-    found = check(given.repository, given.tasks, given.samples)
+    differences = check(given.repository, given.tasks, given.samples)
     if given.json:
-        print(json.dumps(plain(found), indent=2))
+        print(json.dumps(plain(differences), indent=2))
         return
-    for task, ways in found.items():
+    for task, ways in differences.items():
         for name, errors in ways.items():
             print(f"{task}, {name}: {', '.join(f'{100 * e:.4f} %' for e in errors)}")
 

@@ -32,26 +32,26 @@ def run(script, *arguments):
 
 @pytest.mark.slow
 def test_a_sheet_is_learned_and_read(tmp_path):
-    found = run(
+    report = run(
         "hgo_square.py", "--element", "quadratic", "--data", tmp_path / "data", "--out", tmp_path
     )["quadratic"]
     for name, limit in (("free signs", 0.015), ("guaranteed", 0.03)):
-        assert max(found[name][key]["E_res"] for key in ("train", "val", "test")) < limit
-        assert found[name]["seconds"] < 10
-    assert found["guaranteed"]["disks"]["not_solved"] == 0
-    assert found["guaranteed"]["disks"]["left_branch"] == 0
-    assert found["guaranteed"]["disks"]["E_u"] < 0.009
-    (fibre,) = (word for word in found["read out"]["material"] if word.startswith("fibre"))
+        assert max(report[name][key]["E_res"] for key in ("train", "val", "test")) < limit
+        assert report[name]["seconds"] < 10
+    assert report["guaranteed"]["disks"]["not_solved"] == 0
+    assert report["guaranteed"]["disks"]["left_branch"] == 0
+    assert report["guaranteed"]["disks"]["E_u"] < 0.009
+    (fibre,) = (word for word in report["read out"]["material"] if word.startswith("fibre"))
     assert fibre.startswith("fibre_exponential at 90.0°")
-    assert found["read out"]["material"]["neo_hookean"] == pytest.approx(0.0713, rel=0.02)
+    assert report["read out"]["material"]["neo_hookean"] == pytest.approx(0.0713, rel=0.02)
 
 
 @pytest.mark.slow
 def test_a_leaflet_is_learned_from_displacement(tmp_path):
-    found = run("leaflet.py", "--data", tmp_path / "data", "--out", tmp_path)
-    assert found["families"]["held out"] < 0.005
-    assert found["families"]["held out"] < found["rivals"]["Fung"]["held out"] / 6
-    assert found["families"]["seconds"] < 180
+    report = run("leaflet.py", "--data", tmp_path / "data", "--out", tmp_path)
+    assert report["families"]["held out"] < 0.005
+    assert report["families"]["held out"] < report["rivals"]["Fung"]["held out"] / 6
+    assert report["families"]["seconds"] < 180
     assert (tmp_path / "rose.png").exists()
 
 
@@ -77,9 +77,9 @@ def test_a_rival_recovers_its_own_numbers():
     truth = np.array([2.0, 1.0, -0.5])
     u = points.x @ np.array([[0.2, 0.05], [0.1, 0.15]]) + 0.03 * np.sin(3 * points.x)
     u[window.nodes[window.free]] = window.solve(make(truth), u)
-    found, left = fit(window, make, np.array(starts[0]), Samples(points, u[None]))
+    numbers, left = fit(window, make, np.array(starts[0]), Samples(points, u[None]))
     assert left < 1e-4
-    assert found[2] == pytest.approx(-0.5, abs=0.02)
+    assert numbers[2] == pytest.approx(-0.5, abs=0.02)
     assert window.solve(plane_stress_hgo(1.0), u) is not None
 
 
@@ -117,8 +117,8 @@ def test_pictures_are_drawn(tmp_path):
     u = np.stack([0.05 * n * points.x for n in (1, 2)])
     frames = Samples(points, u, arrays={"protocol": np.array([0, 0])})
     solid = HyperelasticSolid(hgo_dictionary(), np.array([0.2] * 4 + [0.07, 0.08, 0.2]), 0.1)
-    found = {"families": {"frames": [0.01, 0.02]}, "rivals": {"Fung": {"held out": 0.03}}}
-    draw(solid, frames, u, found, tmp_path)
+    report = {"families": {"frames": [0.01, 0.02]}, "rivals": {"Fung": {"held out": 0.03}}}
+    draw(solid, frames, u, report, tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {
         "maps.png", "curves.png", "rose.png", "errors.png",
     }  # fmt: skip

@@ -37,13 +37,13 @@ def test_signs_are_kept_and_bounds_too(samples):
 
 def test_the_reduced_equations_are_the_equations(samples):
     op = HyperelasticOperator(everything(), samples)
-    found = equations(op, samples)
+    system = equations(op, samples)
     c = np.random.default_rng(0).normal(size=len(op.dictionary))
     b = samples.b[:, op.interior]
     left = np.linalg.norm((op.force(samples.u, c) - b).reshape(3, -1), axis=1)
     size = np.linalg.norm(b.reshape(3, -1), axis=1)
-    assert residual(found, c) == pytest.approx(np.sqrt(np.mean((left / size) ** 2)), rel=1e-8)
-    assert (non_negative(found) >= 0).all()
+    assert residual(system, c) == pytest.approx(np.sqrt(np.mean((left / size) ** 2)), rel=1e-8)
+    assert (non_negative(system) >= 0).all()
 
 
 def test_what_cannot_be_learned_is_refused(samples):

@@ -92,8 +92,8 @@ def test_a_force_sets_the_scale(frames):
     op = HyperelasticOperator(sheet(), frames)
     pulls = [2.0 * piola_stress(op, u, TRUTH)[op.interior, 1, 1].mean() for u in frames.u]
     unscaled = HyperelasticSolid(sheet(), 7.0 * TRUTH, frames.spacing)
-    found = scaled_by_force(unscaled, frames, np.array(pulls), width=2.0, axis=1)
-    np.testing.assert_allclose(found.coefficients, true.coefficients, rtol=1e-12)
+    scaled = scaled_by_force(unscaled, frames, np.array(pulls), width=2.0, axis=1)
+    np.testing.assert_allclose(scaled.coefficients, true.coefficients, rtol=1e-12)
     with pytest.raises(InputError, match="sign of the solid's stress"):
         scaled_by_force(unscaled, frames, -np.array(pulls), width=2.0, axis=1)
 

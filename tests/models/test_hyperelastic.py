@@ -33,10 +33,10 @@ def test_a_file_keeps_the_solid(tmp_path):
     c = np.random.default_rng(0).normal(size=len(dictionary))
     solid = HyperelasticSolid(dictionary, c, 0.05, 1.4, {"element": "linear"})
     solid.save(tmp_path / "solid.json")
-    found = HyperelasticSolid.load(tmp_path / "solid.json")
-    assert found.dictionary == dictionary
-    assert np.array_equal(found.coefficients, c)
-    assert (found.spacing, found.stretch, found.provenance) == (0.05, 1.4, {"element": "linear"})
+    loaded = HyperelasticSolid.load(tmp_path / "solid.json")
+    assert loaded.dictionary == dictionary
+    assert np.array_equal(loaded.coefficients, c)
+    assert (loaded.spacing, loaded.stretch, loaded.provenance) == (0.05, 1.4, {"element": "linear"})
 
 
 def test_terms_without_a_coefficient_can_go():

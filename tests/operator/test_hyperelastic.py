@@ -73,8 +73,8 @@ def test_the_force_of_a_fibre_by_its_numbers(problem, by):
             moved = HyperelasticOperator(op.dictionary.with_terms(terms), op.points)
             ends.append(moved.features(u)[..., op.dictionary.first_term + number])
         expected = (ends[0] - ends[1]) / 2e-5
-        found = slopes[..., op.dictionary.first_term + number]
-        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+        slope = slopes[..., op.dictionary.first_term + number]
+        np.testing.assert_allclose(slope, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_torch_gradients_of_the_whole_pass(problem):

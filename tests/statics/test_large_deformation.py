@@ -31,11 +31,11 @@ def manufactured():
 def test_a_known_equilibrium_is_found(manufactured, direct):
     op, u, b = manufactured
     problem = StaticProblem(op, direct=direct)
-    found = problem.solve(COEFFICIENTS, b, u)
-    assert np.abs(found.u - u).max() < 1e-6 * np.abs(u).max()
-    assert found.followed
-    assert found.residual < 1e-8
-    assert found.smallest_eigenvalue > 0
+    answer = problem.solve(COEFFICIENTS, b, u)
+    assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
+    assert answer.followed
+    assert answer.residual < 1e-8
+    assert answer.smallest_eigenvalue > 0
 
 
 def test_the_smallest_eigenvalue_is_that_of_the_matrix(manufactured):
@@ -61,13 +61,13 @@ def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
     u = -0.66 * op.points.x + 1e-3 * waves(op.points)
     problem = StaticProblem(op)
     soft = COEFFICIENTS * ([0.01] * 4 + [1] * 3)
-    found = problem.find(soft, None, u)
-    assert found is None or not found.followed
-    if found is None:
+    answer = problem.find(soft, None, u)
+    assert answer is None or not answer.followed
+    if answer is None:
         with pytest.raises(NoEquilibrium, match="no stable equilibrium"):
             problem.solve(soft, None, u)
     else:
-        assert problem.smallest_eigenvalue(soft, found.u) > 0
+        assert problem.smallest_eigenvalue(soft, answer.u) > 0
         with pytest.warns(UserWarning, match="perhaps one of many"):
             problem.solve(soft, None, u)
 

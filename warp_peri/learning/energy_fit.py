@@ -69,13 +69,13 @@ def equations(op: HyperelasticOperator, samples: Samples) -> Equations:
 
 
 def least_squares(
-    found: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
+    system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
 ) -> np.ndarray:
     """Coefficients of any sign, or not below `lower` (−∞ where there is no bound), shape [K]."""
-    scale = found.scale
+    scale = system.scale
     K = len(scale)
-    A = np.concatenate([found.R / scale, np.sqrt(ridge) * np.eye(K)])
-    y = np.concatenate([found.y, np.zeros(K)])
+    A = np.concatenate([system.R / scale, np.sqrt(ridge) * np.eye(K)])
+    y = np.concatenate([system.y, np.zeros(K)])
     if lower is None:
         c: np.ndarray = np.linalg.lstsq(A, y, rcond=None)[0] / scale
     else:
@@ -84,21 +84,21 @@ def least_squares(
 
 
 def non_negative(
-    found: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
+    system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
 ) -> np.ndarray:
     """Coefficients not below `lower`, zero where none is given, shape [K] (Lawson and Hanson)."""
-    scale = found.scale
+    scale = system.scale
     K = len(scale)
     least = np.zeros(K) if lower is None else lower
-    A = np.concatenate([found.R / scale, np.sqrt(ridge) * np.eye(K)])
-    y = np.concatenate([found.y - found.R @ least, np.zeros(K)])
+    A = np.concatenate([system.R / scale, np.sqrt(ridge) * np.eye(K)])
+    y = np.concatenate([system.y - system.R @ least, np.zeros(K)])
     c: np.ndarray = least + nnls(A, y, maxiter=50 * K)[0] / scale
     return c
 
 
-def residual(found: Equations, c: np.ndarray) -> float:
+def residual(system: Equations, c: np.ndarray) -> float:
     """Root of the mean squared relative residual over the samples."""
-    return float(np.sqrt(((found.R @ c - found.y) ** 2).sum() + found.rest))
+    return float(np.sqrt(((system.R @ c - system.y) ** 2).sum() + system.rest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,13 +141,13 @@ def fit_energy(
     if positive and not dictionary.guaranteed:
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
     op = HyperelasticOperator(dictionary, samples)
-    found = equations(op, samples)
+    system = equations(op, samples)
     if positive:
-        c = non_negative(found, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
+        c = non_negative(system, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
     else:
-        c = least_squares(found, lower=deviations_only(dictionary, stiffness), ridge=ridge)
+        c = least_squares(system, lower=deviations_only(dictionary, stiffness), ridge=ridge)
     solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch=largest_stretch(op, samples))
-    return EnergyFit(solid, residual(found, c), positive)
+    return EnergyFit(solid, residual(system, c), positive)
 
 
 def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:

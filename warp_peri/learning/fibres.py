@@ -45,12 +45,12 @@ def rose_of(solid: HyperelasticSolid) -> dict[float, float]:
     """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
     strain = max((solid.stretch or 1.2) ** 2 - 1, 0.05)
     values = solid.coefficients[solid.dictionary.first_term :]
-    found: dict[float, float] = {}
+    energies: dict[float, float] = {}
     for term, value in zip(solid.dictionary.terms, values):
         if term.kind in FIBRES:
             angle = float(np.mod(term.angle, np.pi))
-            found[angle] = found.get(angle, 0.0) + value * fibre_energy(term, strain)
-    return found
+            energies[angle] = energies.get(angle, 0.0) + value * fibre_energy(term, strain)
+    return energies
 
 
 def families(
@@ -96,11 +96,11 @@ def grouped(energy: dict[float, float], within: float) -> list[tuple[float, floa
             groups.append([(angle, value)])
     if len(groups) > 1 and groups[0][0][0] + np.pi - groups[-1][-1][0] <= within:
         groups[0] = [(angle - np.pi, value) for angle, value in groups.pop()] + groups[0]
-    found = []
+    middles = []
     for group in groups:
         angles, values = np.array(group).T
-        found.append((float(np.mod(angles @ values / values.sum(), np.pi)), float(values.sum())))
-    return found
+        middles.append((float(np.mod(angles @ values / values.sum(), np.pi)), float(values.sum())))
+    return middles
 
 
 def read_material(
@@ -162,9 +162,9 @@ def move(
         for _ in range(6):
             terms = stepped(op.dictionary, wide, c, moving, lower, damping)
             tried = op.with_terms(terms)
-            found = equations(tried, samples)
-            new = non_negative(found, lower=lower)
-            size = residual(found, new)
+            system = equations(tried, samples)
+            new = non_negative(system, lower=lower)
+            size = residual(system, new)
             if size < best:
                 break
             damping = max(10 * damping, 1e-4)
@@ -204,16 +204,16 @@ def stepped(
     K, M = len(c), len(moving)
     scale = wide.scale
     rows = np.concatenate([wide.R / scale, np.sqrt(damping) * np.eye(len(scale))])
-    at = np.concatenate([c, np.zeros(2 * M)])
-    y = np.concatenate([wide.y, np.sqrt(damping) * at * scale])
+    now = np.concatenate([c, np.zeros(2 * M)])
+    y = np.concatenate([wide.y, np.sqrt(damping) * now * scale])
     terms = list(dictionary.terms)
     exponents = np.array([terms[n - dictionary.first_term].exponent for n in moving])
     least = np.maximum(-exponents, -GROWTH)
     most = np.maximum(np.minimum(LARGEST_EXPONENT - exponents, GROWTH), least + 1e-9)
     low = np.concatenate([lower, np.full(M, -TURN), least])
     high = np.concatenate([np.full(K, np.inf), np.full(M, TURN), most])
-    found = lsq_linear(rows, y, (low * scale, high * scale), method="bvls").x / scale
-    for n, turn, growth in zip(moving, found[K : K + M], found[K + M :]):
+    moved = lsq_linear(rows, y, (low * scale, high * scale), method="bvls").x / scale
+    for n, turn, growth in zip(moving, moved[K : K + M], moved[K + M :]):
         place = n - dictionary.first_term
         term = terms[place]
         angle = float(np.mod(term.angle + turn, np.pi))

@@ -116,20 +116,20 @@ def check_identifiable(frames: Samples) -> None:
 
 def initial_stiffness(op: HyperelasticOperator) -> np.ndarray:
     """Trace of the second derivative of every energy by the strain at a small stretch, (H14)."""
-    found = np.zeros(len(op.dictionary))
+    traces = np.zeros(len(op.dictionary))
     node = op.interior[0]
     small = 1e-6 * op.points.x
-    for number in range(op.dictionary.first_term, len(found)):
-        c = np.zeros(len(found))
+    for number in range(op.dictionary.first_term, len(traces)):
+        c = np.zeros(len(traces))
         c[number] = 1.0
-        found[number] = np.trace(op.states(small, c)[2][node][:3, :3])
+        traces[number] = np.trace(op.states(small, c)[2][node][:3, :3])
     count = len(op.dictionary.bonds)
     for k, unit in enumerate(op.unit[: op.bonds.classes]):
         for q in range(count):
-            c = np.eye(len(found))[k * count + q]
+            c = np.eye(len(traces))[k * count + q]
             curve = op.bond_slopes(np.array([1e-6]), c, np.array([k]))[1][0]
-            found[k * count + q] = curve * (unit @ unit)
-    return found
+            traces[k * count + q] = curve * (unit @ unit)
+    return traces
 
 
 class _Path:
@@ -185,8 +185,8 @@ class _Path:
         y[-1] = SCALE_WEIGHT * np.abs(triangle).max() / np.abs(self.measure).max()
         length = np.linalg.norm(A, axis=0)
         length[length == 0] = 1.0
-        found = lsq_linear(A / length, y, (self.lower * length, np.inf), method="bvls")
-        return self.scaled(found.x / length)
+        least = lsq_linear(A / length, y, (self.lower * length, np.inf), method="bvls")
+        return self.scaled(least.x / length)
 
     def begin(self, c: np.ndarray) -> None:
         """Solve all frames with the first coefficients; what has no equilibrium is left out."""
@@ -201,13 +201,13 @@ class _Path:
         """Fields of all kept frames, and their squared relative errors; infinite where none."""
         fields, squares = self.fields.copy(), np.full(len(self.data), np.inf)
         for n in self.kept:
-            found = problem.find(c, None, self.data[n], start=self.fields[n])
-            if found is None:
+            equilibrium = problem.find(c, None, self.data[n], start=self.fields[n])
+            if equilibrium is None:
                 if self.squares[n] < np.inf:
                     return fields, squares
                 continue
-            fields[n] = found.u
-            gap = (found.u - self.data[n])[self.inner]
+            fields[n] = equilibrium.u
+            gap = (equilibrium.u - self.data[n])[self.inner]
             squares[n] = (gap**2).sum() / self.size[n] ** 2
         return fields, squares
 
@@ -235,22 +235,22 @@ class _Path:
         """One step of Gauss, Newton and Levenberg; the next damping."""
         J, r = self._equations()
         K, M = len(self.c), len(self.moving)
-        at = np.concatenate([self.c, self._numbers()])
-        lower = np.concatenate([self.lower, at[K : K + M] - TURN, at[K + M :] - GROWTH])
+        now = np.concatenate([self.c, self._numbers()])
+        lower = np.concatenate([self.lower, now[K : K + M] - TURN, now[K + M :] - GROWTH])
         lower[K + M :] = np.maximum(lower[K + M :], [self._least(n) for n in self.moving])
-        upper = np.concatenate([np.full(K, np.inf), at[K : K + M] + TURN, at[K + M :] + GROWTH])
+        upper = np.concatenate([np.full(K, np.inf), now[K : K + M] + TURN, now[K + M :] + GROWTH])
         upper[K + M :] = np.minimum(upper[K + M :], LARGEST_EXPONENT)
         length = np.linalg.norm(J, axis=0)
         length[length == 0] = 1.0
-        fixed = np.zeros((1, len(at)))
+        fixed = np.zeros((1, len(now)))
         fixed[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
         for _ in range(8):
             A = np.concatenate([J, np.sqrt(damping) * np.diag(length), fixed]) / length
-            y = np.concatenate([J @ at - r, np.sqrt(damping) * length * at, fixed @ at])
+            y = np.concatenate([J @ now - r, np.sqrt(damping) * length * now, fixed @ now])
             upper = np.maximum(upper, lower + 1e-12)
-            found = lsq_linear(A, y, (lower * length, upper * length), method="bvls").x / length
-            problem = self._moved(found[K : K + M], found[K + M :])
-            c = self.scaled(np.maximum(found[:K], 0.0))
+            moved = lsq_linear(A, y, (lower * length, upper * length), method="bvls").x / length
+            problem = self._moved(moved[K : K + M], moved[K + M :])
+            c = self.scaled(np.maximum(moved[:K], 0.0))
             fields, squares = self._solve(problem, c)
             if squares[self.kept].sum() < self.loss:
                 self.problem, self.c, self.fields, self.squares = problem, c, fields, squares

@@ -34,11 +34,11 @@ def hyperelastic_errors(
         hold; residuals and displacements with the errors of every sample, NaN where not solved.
     """
     op = HyperelasticOperator(solid.dictionary, samples)
-    inner, found = op.interior, {}
+    inner, errors_of = op.interior, {}
     if samples.b is not None:
         left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]
         residuals = _size(np.asarray(left)) / _size(samples.b[:, inner])
-        found = {"E_res": float(residuals.mean()), "residuals": residuals}
+        errors_of = {"E_res": float(residuals.mean()), "residuals": residuals}
     if solve:
         truth = samples.u if truth is None else truth
         problem, errors, left_branch = StaticProblem(op), np.full(len(samples), np.nan), 0
@@ -51,15 +51,15 @@ def hyperelastic_errors(
                 left_branch += not solved.followed
         missing = int(np.isnan(errors).sum())
         mean = float(np.nanmean(errors)) if missing < len(errors) else float("nan")
-        found |= {
+        errors_of |= {
             "E_u": mean,
             "not_solved": missing,
             "left_branch": left_branch,
             "displacements": errors,
         }
-    return found
+    return errors_of
 
 
 def _size(field: np.ndarray) -> np.ndarray:
-    found: np.ndarray = np.linalg.norm(field.reshape(len(field), -1), axis=1)
-    return found
+    sizes: np.ndarray = np.linalg.norm(field.reshape(len(field), -1), axis=1)
+    return sizes

@@ -226,27 +226,27 @@ class HyperelasticSolid:
         """Read such a file; InputError for one that is none, or holds what no solid has."""
         try:
             with open(path, encoding="utf-8") as file:
-                found = json.load(file)
+                content = json.load(file)
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: expected a JSON file ({error})") from None
-        if not isinstance(found, dict) or found.get("format") != FORMAT:
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise InputError(f"{path}: expected a file of format {FORMAT}")
-        if found.get("version") != VERSION:
-            raise InputError(f"{path}: expected version {VERSION}, got {found.get('version')!r}")
+        if content.get("version") != VERSION:
+            raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
         try:
             dictionary = Dictionary(
-                float(found["reach"]),
-                tuple(found["bonds"]),
-                tuple(tuple(map(int, step)) for step in found["deviations"]),  # type: ignore[misc]
-                tuple(Term(**term) for term in found["terms"]),
+                float(content["reach"]),
+                tuple(content["bonds"]),
+                tuple(tuple(map(int, step)) for step in content["deviations"]),  # type: ignore[misc]
+                tuple(Term(**term) for term in content["terms"]),
             )
-            stretch = found["stretch"]
+            stretch = content["stretch"]
             return cls(
                 dictionary,
-                np.array(found["coefficients"], float),
-                float(found["spacing"]),
+                np.array(content["coefficients"], float),
+                float(content["spacing"]),
                 None if stretch is None else float(stretch),
-                dict(found["provenance"]),
+                dict(content["provenance"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: {error}") from None
@@ -261,8 +261,8 @@ def half_family(reach: float) -> np.ndarray:
     upper = (steps[:, 0] > 0) | ((steps[:, 0] == 0) & (steps[:, 1] > 0))
     kept = steps[upper & (square <= reach**2 + 1e-9)]
     order = np.lexsort((kept[:, 1], kept[:, 0], (kept**2).sum(axis=1)))
-    found: np.ndarray = kept[order]
-    return found
+    family: np.ndarray = kept[order]
+    return family
 
 
 def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.ndarray:

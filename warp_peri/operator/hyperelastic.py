@@ -167,16 +167,16 @@ class HyperelasticOperator:
         dictionary = self.dictionary
         terms = dictionary.terms if terms is None else terms
         real = np.float64 if self.scalar == wp.float64 else np.float32
-        found = self.of.Terms()
-        found.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
-        found.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
-        found.ripple = ints(np.array([term.ripple for term in terms], int))
-        found.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
-        found.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
-        found.c = floats(np.ascontiguousarray(c, real), self.scalar)
-        found.first_deviation = dictionary.first_deviation
-        found.first_term = dictionary.first_term
-        return found
+        terms_of = self.of.Terms()
+        terms_of.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
+        terms_of.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
+        terms_of.ripple = ints(np.array([term.ripple for term in terms], int))
+        terms_of.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
+        terms_of.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
+        terms_of.c = floats(np.ascontiguousarray(c, real), self.scalar)
+        terms_of.first_deviation = dictionary.first_deviation
+        terms_of.first_term = dictionary.first_term
+        return terms_of
 
     def _field(self, u: np.ndarray) -> Any:
         """A displacement as the kernels read it, shape [S, N]."""
@@ -208,8 +208,8 @@ class HyperelasticOperator:
         field = self._field(u)
         E = empty(*field.shape, dtype=self.of.six)
         launch(sweeps(self.scalar).strain, field.shape, [self._lattice, field], [E])
-        found: np.ndarray = E.numpy()[..., :3].reshape(*np.shape(u)[:-1], 3)
-        return found
+        strains: np.ndarray = E.numpy()[..., :3].reshape(*np.shape(u)[:-1], 3)
+        return strains
 
     def smallest_area(self, u: np.ndarray) -> float:
         """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
@@ -240,8 +240,8 @@ class HyperelasticOperator:
         E, G = self._states(field, terms)
         f = empty(*field.shape, dtype=self.of.vec)
         launch(sweeps(self.scalar).force, field.shape, [self._lattice, terms, field, E, G], [f])
-        found: np.ndarray = f.numpy().reshape(np.shape(u))
-        return found
+        forces: np.ndarray = f.numpy().reshape(np.shape(u))
+        return forces
 
     def product(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
@@ -256,8 +256,8 @@ class HyperelasticOperator:
         launch(kernels.strain_rate, shape, [lattice, field, along], [dE])
         launch(kernels.stress_rate, shape, [lattice, terms, field, along, H, E, dE], [dG])
         launch(kernels.force_rate, shape, [lattice, terms, field, along, E, dE, G, dG], [df])
-        found: np.ndarray = df.numpy().reshape(np.shape(u))
-        return found
+        rates: np.ndarray = df.numpy().reshape(np.shape(u))
+        return rates
 
     def features(self, u: np.ndarray, *, by: str = "coefficient") -> np.ndarray:
         """The force of every energy with coefficient one, shape [..., I, 2, K].
@@ -269,10 +269,10 @@ class HyperelasticOperator:
         """
         which = {"coefficient": 0, "angle": 1, "exponent": 2}[by]
         fields = np.asarray(u).reshape(-1, len(self.points.x), 2)
-        found = self._features(fields, which, self._rows)
+        forces = self._features(fields, which, self._rows)
         if which:
-            found[..., : self.dictionary.first_term] = 0.0
-        return found.reshape(*np.shape(u)[:-2], len(self.interior), 2, len(self.dictionary))
+            forces[..., : self.dictionary.first_term] = 0.0
+        return forces.reshape(*np.shape(u)[:-2], len(self.interior), 2, len(self.dictionary))
 
     def _features(self, fields: np.ndarray, which: int, rows: Any) -> np.ndarray:
         """Forces of single energies on some nodes, chunk by chunk of samples."""
@@ -280,7 +280,7 @@ class HyperelasticOperator:
         kernels, K = features(self.scalar), len(self.dictionary)
         states = K - self.dictionary.first_deviation
         chunk = max(1, CHUNK // (48 * max(states, 1) * len(self.points.x)))
-        found = np.empty((len(fields), len(rows), 2, K))
+        forces = np.empty((len(fields), len(rows), 2, K))
         for first in range(0, len(fields), chunk):
             field = self._field(fields[first : first + chunk])
             E = empty(*field.shape, dtype=self.of.six)
@@ -291,18 +291,18 @@ class HyperelasticOperator:
             F = zeros(len(field), len(rows), K, dtype=self.of.vec)
             inputs = [self._lattice, terms, rows, field, E, G]
             launch(kernels.force_of_each, F.shape[:2], inputs, [F])
-            found[first : first + chunk] = F.numpy().transpose(0, 1, 3, 2)
-        return found
+            forces[first : first + chunk] = F.numpy().transpose(0, 1, 3, 2)
+        return forces
 
     def pairing(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Σ f_k·v over samples and nodes for every energy k with coefficient one, shape [K]."""
         fields = np.asarray(u).reshape(-1, len(self.points.x), 2)
         seeds = np.asarray(v).reshape(fields.shape)
-        found = np.zeros(len(self.dictionary))
+        sums = np.zeros(len(self.dictionary))
         for field, seed in zip(fields, seeds):
             F = self._features(field[None], 0, self._all)[0]
-            found += np.einsum("idk,id->k", F, seed)
-        return found
+            sums += np.einsum("idk,id->k", F, seed)
+        return sums
 
     def bond_slopes(
         self, s: np.ndarray, c: np.ndarray, k: np.ndarray
@@ -348,8 +348,8 @@ class _Everywhere(torch.autograd.Function):
                 ctx.op.product(u.detach().numpy(), c.detach().numpy(), seed)
             ).to(u.dtype)
         if ctx.needs_input_grad[2]:
-            found = ctx.op.pairing(u.detach().numpy(), seed)
-            by_c = torch.from_numpy(found).to(c.dtype)
+            sums = ctx.op.pairing(u.detach().numpy(), seed)
+            by_c = torch.from_numpy(sums).to(c.dtype)
         return None, by_u, by_c
 
 

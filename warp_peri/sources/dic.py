@@ -100,31 +100,31 @@ def split(line: str) -> list[str]:
 def columns_of(header: Sequence[str]) -> dict[str, int]:
     """Places of x, y, u, v, and of sigma where there is one; empty where one is missing."""
     plain = [re.sub(r"[^a-z]", "", re.sub(r"\[.*?\]|\(.*?\)", "", h.lower())) for h in header]
-    found = {}
+    places_of = {}
     for name, known in NAMES.items():
         places = [n for n, field in enumerate(plain) if field in known]
         if not places:
             return {}
-        found[name] = places[0]
+        places_of[name] = places[0]
     if "sigma" in plain:
-        found["sigma"] = plain.index("sigma")
-    return found
+        places_of["sigma"] = plain.index("sigma")
+    return places_of
 
 
 def numbers(fields: Sequence[str], columns: dict[str, int]) -> list[float]:
     """x, y, u, v and sigma of a line; NaN for what is missing, 0 for a sigma that no one gave."""
-    found = []
+    values = []
     for name in ("x", "y", "u", "v"):
         try:
-            found.append(float(fields[columns[name]]))
+            values.append(float(fields[columns[name]]))
         except (IndexError, ValueError):
-            found.append(np.nan)
+            values.append(np.nan)
     sigma = columns.get("sigma")
     try:
-        found.append(0.0 if sigma is None else float(fields[sigma]))
+        values.append(0.0 if sigma is None else float(fields[sigma]))
     except (IndexError, ValueError):
-        found.append(-1.0)
-    return found
+        values.append(-1.0)
+    return values
 
 
 def frames_on_lattice(
@@ -186,12 +186,12 @@ def on_nodes(frame: Frame, x: np.ndarray, step: float, radius: float) -> np.ndar
     """Displacement on nodes, NaN where there are too few points, shape [N, 2]."""
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)
-    found = np.full(x.shape, np.nan)
+    fitted = np.full(x.shape, np.nan)
     near = distance <= ON_LATTICE * step
     if radius <= 0:
-        found[near] = frame.u[nearest[near]]
+        fitted[near] = frame.u[nearest[near]]
         if near.sum() >= 0.5 * len(frame.x):
-            return found
+            return fitted
         radius = 1.6
     for n, members in enumerate(tree.query_ball_point(x, radius * step * (1 + 1e-9))):
         if len(members) < 8:
@@ -202,8 +202,9 @@ def on_nodes(frame: Frame, x: np.ndarray, step: float, radius: float) -> np.ndar
         design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1)
         scaled = design * weight[:, None]
         if np.linalg.matrix_rank(scaled, tol=1e-6) == 6:
-            found[n] = np.linalg.lstsq(scaled, frame.u[members] * weight[:, None], rcond=None)[0][0]
-    return found
+            surface, *_ = np.linalg.lstsq(scaled, frame.u[members] * weight[:, None], rcond=None)
+            fitted[n] = surface[0]
+    return fitted
 
 
 def noise_of(samples: Samples) -> np.ndarray:
@@ -217,5 +218,5 @@ def noise_of(samples: Samples) -> np.ndarray:
     grid[:, steps[:, 0], steps[:, 1]] = samples.u
     fourth = [np.diff(grid, 4, axis=axis).reshape(len(samples), -1) for axis in (1, 2)]
     both = np.abs(np.concatenate(fourth, axis=1))
-    found: np.ndarray = np.nanmedian(both, axis=1) / 0.6745 / FOURTH
-    return found
+    deviation: np.ndarray = np.nanmedian(both, axis=1) / 0.6745 / FOURTH
+    return deviation

@@ -90,9 +90,9 @@ class StaticProblem:
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """u with its interior replaced by the harmonic extension of the collar."""
-        found = u.copy()
-        found[self.op.interior] = self._laplace.solve(-(self._to_collar @ u))
-        return found
+        lifted = u.copy()
+        lifted[self.op.interior] = self._laplace.solve(-(self._to_collar @ u))
+        return lifted
 
     def solve(
         self,
@@ -113,19 +113,19 @@ class StaticProblem:
         Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for
         arrays of other shapes or with values that are not finite on the collar.
         """
-        found = self.find(c, b, u, start=start)
-        if found is None:
+        equilibrium = self.find(c, b, u, start=start)
+        if equilibrium is None:
             raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
-        if not found.followed:
+        if not equilibrium.followed:
             warnings.warn(
                 "the branch of stable equilibria that begins at rest ended before all of load and "
                 "collar; what is returned is another minimum, perhaps one of many",
                 stacklevel=2,
             )
-        smallest = self.smallest_eigenvalue(c, found.u)
+        smallest = self.smallest_eigenvalue(c, equilibrium.u)
         if not smallest > 0:
             raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")
-        return replace(found, smallest_eigenvalue=smallest / self.softest)
+        return replace(equilibrium, smallest_eigenvalue=smallest / self.softest)
 
     def find(
         self,
@@ -152,25 +152,25 @@ class StaticProblem:
             else np.where(self.op.points.interior[:, None], start, collar)
         )
         steps, followed = 1, True
-        found, count = self._newton(c, load, first)
-        if found is None:
-            found, used = self._soften(c, load, first)
+        field, count = self._newton(c, load, first)
+        if field is None:
+            field, used = self._soften(c, load, first)
             count += used
-        if found is None:
+        if field is None:
             branch, done, steps, used = self._continue(c, load, collar)
             count, followed = count + used, done == 1.0
-            found = branch if followed else None
+            field = branch if followed else None
             for guess in (branch * (1.0 / done if done else 1.0), first):
-                if found is None:
+                if field is None:
                     guess = np.where(self.op.points.interior[:, None], guess, collar)
-                    found, used = self._newton(c, load, guess, shifts=True)
+                    field, used = self._newton(c, load, guess, shifts=True)
                     count += used
-        if found is None:
+        if field is None:
             return None
-        f = self.op.everywhere(found, c)
+        f = self.op.everywhere(field, c)
         left = load - f[self.op.interior]
         residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
-        return Equilibrium(found, residual, np.nan, count, steps, followed)
+        return Equilibrium(field, residual, np.nan, count, steps, followed)
 
     def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
         """The same lattice with other strain energies; what is built once is shared."""
@@ -187,28 +187,28 @@ class StaticProblem:
         deviations = slice(self.op.dictionary.first_deviation, self.op.dictionary.first_term)
         if not np.any(c[deviations] > 0):
             return None, 0
-        count, found = 0, first
+        count, last = 0, first
         for factor in STIFFER:
             stiff = c.copy()
             stiff[deviations] *= factor
-            field, used = self._newton(stiff, load, found)
+            following, used = self._newton(stiff, load, last)
             count += used
-            if field is None:
+            if following is None:
                 return None, count
-            found = field
-        return found, count
+            last = following
+        return last, count
 
     def _continue(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
     ) -> tuple[np.ndarray, float, int, int]:
         """Follow load and collar from rest: the last field, how far, load and Newton steps."""
         done, step, steps, count = 0.0, 0.25, 0, 0
-        found = before = np.zeros_like(collar)
+        now = before = np.zeros_like(collar)
         last = 0.0
         while done < 1 and step >= SMALLEST_STEP:
             target = min(1.0, done + step)
             if done > last:
-                guess = found + (target - done) / (done - last) * (found - before)
+                guess = now + (target - done) / (done - last) * (now - before)
             else:
                 guess = self.lift(target * collar)
             field, used = self._newton(c, target * load, guess)
@@ -216,8 +216,8 @@ class StaticProblem:
             if field is None:
                 step /= 2
             else:
-                before, last, found, done, steps = found, done, field, target, steps + 1
-        return found, done, steps, count
+                before, last, now, done, steps = now, done, field, target, steps + 1
+        return now, done, steps, count
 
     def _newton(
         self, c: np.ndarray, load: np.ndarray, u: np.ndarray, *, shifts: bool = False
@@ -334,8 +334,8 @@ class StaticProblem:
 
         def product(p: np.ndarray) -> np.ndarray:
             v[inner] = p.reshape(-1, 2)
-            found: np.ndarray = self.op.product(u, c, v)[inner].ravel()
-            return found
+            Kp: np.ndarray = self.op.product(u, c, v)[inner].ravel()
+            return Kp
 
         size = 2 * len(inner)
         K = LinearOperator((size, size), product, dtype=float)
