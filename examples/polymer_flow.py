@@ -85,8 +85,8 @@ def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, Chan
         "learned law": Closure(law.tabulated(), DE, n),
         "coupled, 1000 dumbbells": Coupled(Dumbbells(n, 1000, seed=seed, common=True), DE),
     }
-    found = {name: channel(fluid, flow) for name, fluid in fluids.items()}
-    runs = {name: record for name, (record, _) in found.items()}
+    outcomes = {name: channel(fluid, flow) for name, fluid in fluids.items()}
+    runs = {name: record for name, (record, _) in outcomes.items()}
     exact = runs["exact law"]
     y = np.linspace(0, 1, 401)
     profile = series.poiseuille(y, exact.t, DE, flow.Re, flow.force)
@@ -94,15 +94,15 @@ def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, Chan
     numbers = {
         name: {
             "against the exact law in the same scheme": relative(run.v, exact.v),
-            "seconds a step": found[name][1],
+            "seconds a step": outcomes[name][1],
             "density": float(np.abs(run.rho - 1).max()),
         }
         for name, run in runs.items()
     }
     numbers["exact law"]["against the exact flow"] = relative(exact.v[..., 0], np.array(truth))
 
-    def centre(one: RateLaw) -> np.ndarray:
-        return channel(Closure(one.tabulated(), DE, n), flow)[0].centre()
+    def centre(drawn: RateLaw) -> np.ndarray:
+        return channel(Closure(drawn.tabulated(), DE, n), flow)[0].centre()
 
     spread = band(law, centre, count=6, seed=seed)
     numbers["learned law"]["2 sd of the band at the centre"] = float(2 * spread.deviation.max())

@@ -68,7 +68,7 @@ def printed_shear(record: Record, seed: int) -> ShearLaw:
 
 def couette() -> dict[str, Any]:
     """Largest error of u against the exact law in the same scheme."""
-    found: dict[str, Any] = {}
+    numbers: dict[str, Any] = {}
     for De, until in ((1.0, 20.0), (10.0, 60.0)):
         flow = PlaneFlow(De, 10.0, 128, top=lambda t: 1.0)
         dt = 0.01 * De**0.5
@@ -91,11 +91,11 @@ def couette() -> dict[str, Any]:
                 errors.setdefault(name, []).append(error)
         coupled = run(Coupled(Dumbbells(128, 1000, seed=5), De))
         errors["coupled"] = [float(np.abs(coupled - exact).max())]
-        found[f"De {De:g}"] = {
+        numbers[f"De {De:g}"] = {
             name: {"errors": values, "median": float(np.median(values))}
             for name, values in errors.items()
         }
-    return found
+    return numbers
 
 
 def exact_channel(flow: ChannelFlow, until: float, fraction: float = 0.5) -> dict[str, float]:
@@ -120,7 +120,7 @@ def at_particles(flow: ChannelFlow, run: ChannelRecord) -> np.ndarray:
 
 def channel() -> dict[str, Any]:
     """Errors in %, the fitted order at De 1e-2, and what is left at t = 0.3."""
-    found: dict[str, Any] = {"De 0.001": exact_channel(ChannelFlow(1e-3), 0.05)}
+    numbers: dict[str, Any] = {"De 0.001": exact_channel(ChannelFlow(1e-3), 0.05)}
     sizes = (20, 30, 40)
     for smoothing in (1.5, 1.2):
         rows = {
@@ -129,10 +129,10 @@ def channel() -> dict[str, Any]:
         }
         errors = np.array([row["error"] for row in rows.values()])
         order = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-        found[f"De 0.01, smoothing {smoothing}"] = {"across": rows, "order": float(order)}
+        numbers[f"De 0.01, smoothing {smoothing}"] = {"across": rows, "order": float(order)}
     for De in (1e-3, 1e-2):
-        found[f"to t = 0.3, De {De:g}"] = exact_channel(ChannelFlow(De), 0.3, 0.9)
-    return found
+        numbers[f"to t = 0.3, De {De:g}"] = exact_channel(ChannelFlow(De), 0.3, 0.9)
+    return numbers
 
 
 def printed_data(count: int, seed: int) -> Record:
@@ -151,7 +151,7 @@ def recipes(counts: tuple[int, ...] = (10_000, 100_000)) -> dict[str, Any]:
         fluid = Closure(law, flow.De, n, check_every=10**9)
         return run_channel(flow, fluid, 0.03, 6e-5, every=10).v
 
-    exact, found = run(MAXWELL), {}
+    exact, numbers = run(MAXWELL), {}
     for count in counts:
         errors: dict[str, list[float]] = {}
         for seed in SEEDS if count < 50_000 else range(3):
@@ -170,11 +170,11 @@ def recipes(counts: tuple[int, ...] = (10_000, 100_000)) -> dict[str, Any]:
                 except InputError:
                     error = 1e4  # the run blew up
                 errors.setdefault(name, []).append(min(error, 1e4))
-        found[f"{count} dumbbells"] = {
+        numbers[f"{count} dumbbells"] = {
             name: {"errors": values, "median": float(np.median(values))}
             for name, values in errors.items()
         }
-    return found
+    return numbers
 
 
 def speed() -> dict[str, Any]:
@@ -208,7 +208,7 @@ def speed() -> dict[str, Any]:
 
 def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
     """Held-out flows; start-up of a plane channel, De = Re = 1, F = 12, 64 cells, to t = 8."""
-    found: dict[str, Any] = {"held-out flows": fene_study(count, 0)}
+    numbers: dict[str, Any] = {"held-out flows": fene_study(count, 0)}
     flow, b = PlaneFlow(1.0, 1.0, 64, force=lambda t: 12.0), 50.0
 
     def run(fluid: Any) -> Profiles:
@@ -220,18 +220,20 @@ def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
     twisted = fene_law(count, 0)
     law = twisted.spring_law
     rows: dict[str, Any] = {}
-    for one in (MAXWELL, FENEP(b), law, law.tabulated(), twisted):
+    for rival in (MAXWELL, FENEP(b), law, law.tabulated(), twisted):
         start = time.perf_counter()
-        name = "learned spring, table" if one is not law and hasattr(one, "shape") else one.name
+        name = (
+            "learned spring, table" if rival is not law and hasattr(rival, "shape") else rival.name
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                rows[name] = relative(run(Closure(one, 1.0, 64)).u, truth)
+                rows[name] = relative(run(Closure(rival, 1.0, 64)).u, truth)
             except InputError as error:
                 rows[name] = str(error)
         seconds[name] = time.perf_counter() - start
-    found["plane channel"], found["seconds"] = rows, seconds
-    found["over FENE-P"] = rows["learned spring"] / rows["FENE-P"]
+    numbers["plane channel"], numbers["seconds"] = rows, seconds
+    numbers["over FENE-P"] = rows["learned spring"] / rows["FENE-P"]
     profiles = run(Closure(law, 1.0, 64))
 
     def replay(K: np.ndarray, interval: float) -> np.ndarray:
@@ -242,11 +244,11 @@ def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
     for cells in (12,):
         missing = missing_stress(flow, profiles, law, replay, cells)
         better = corrected_run(flow, law, missing, 8.0, 0.004, 25)
-        found[f"replay of {cells} cells"] = {
+        numbers[f"replay of {cells} cells"] = {
             "closure error estimated": relative(profiles.u, better.u),
             "error after": relative(better.u, truth),
         }
-    return found
+    return numbers
 
 
 STUDIES = {f.__name__: f for f in (couette, channel, recipes, speed, fene)}

@@ -50,13 +50,13 @@ def test_the_band_holds_the_exact_velocity():
 def test_the_error_of_a_closure_is_estimated_from_replayed_cells():
     flow = PlaneFlow(1.0, 1.0, 24, force=lambda t: 2.0)
     truth, law = Giesekus(0.1), UpperConvectedMaxwell()
-    run = lambda one: run_plane(flow, Closure(one, 1.0, 24), 4.0, 0.02, every=5)
+    run = lambda fluid: run_plane(flow, Closure(fluid, 1.0, 24), 4.0, 0.02, every=5)
     replay = lambda K, interval: truth.stress(homogeneous(truth, K, interval))
-    found, exact = run(law), run(truth)
-    missing = missing_stress(flow, found, law, replay, 12)
+    first, exact = run(law), run(truth)
+    missing = missing_stress(flow, first, law, replay, 12)
     better = corrected_run(flow, law, missing, 4.0, 0.02, 5)
-    error = np.linalg.norm(exact.u - found.u)
+    error = np.linalg.norm(exact.u - first.u)
     assert np.linalg.norm(exact.u - better.u) < 0.4 * error
-    assert 0.7 < np.linalg.norm(better.u - found.u) / error < 1.3
+    assert 0.7 < np.linalg.norm(better.u - first.u) / error < 1.3
     with pytest.raises(InputError, match="2 cells"):
-        missing_stress(flow, found, law, replay, 1)
+        missing_stress(flow, first, law, replay, 1)

@@ -81,8 +81,8 @@ def test_dumbbells_in_every_particle():
     exact = run(flow, 5e-3)
     dt = 5e-3 / np.ceil(5e-3 / (0.9 * flow.longest_step))
     coupled = Coupled(Dumbbells(n, 2000, seed=1, common=True), 1e-2)
-    found = run_channel(flow, coupled, 5e-3, dt)
-    difference = np.linalg.norm(found.v - exact.v) / np.linalg.norm(exact.v)
+    record = run_channel(flow, coupled, 5e-3, dt)
+    difference = np.linalg.norm(record.v - exact.v) / np.linalg.norm(exact.v)
     assert difference < 4 * np.sqrt(2 / 2000)
 
 

@@ -41,9 +41,9 @@ def test_fene_ensembles_reach_the_exact_steady_state(K):
     b, m = 20.0, 10
     dumbbells = Dumbbells(m, 2000, b=b, seed=4)
     dumbbells.advance(K, 0.02, 400)
-    found, exact = dumbbells.moments(), stretched_rest(K, b)
-    for one, truth in ((found.C, exact.C), (found.S, exact.S)):
-        assert np.all(np.abs(one.mean(0) - truth[0]) < 4 * one.std(0) / np.sqrt(m) + 2e-3)
+    moments, exact = dumbbells.moments(), stretched_rest(K, b)
+    for sampled, truth in ((moments.C, exact.C), (moments.S, exact.S)):
+        assert np.all(np.abs(sampled.mean(0) - truth[0]) < 4 * sampled.std(0) / np.sqrt(m) + 2e-3)
     if not K.any():
         assert np.allclose(exact.S[0], IDENTITY)
         assert np.allclose(exact.C[0], rest_moment(b) * IDENTITY)

@@ -32,18 +32,18 @@ def test_the_likelihood_differentiates(kernel, known):
 
 def test_it_agrees_with_scikit_learn():
     X, y = data()
-    found = fit_process(X, y, noise=np.full(len(y), 0.05**2))
-    Z, f = (X - found.centre) / found.scale, (y - found.mean) / found.size
+    process = fit_process(X, y, noise=np.full(len(y), 0.05**2))
+    Z, f = (X - process.centre) / process.scale, (y - process.mean) / process.size
     kernel = ConstantKernel(1.0, (1e-4, 1e5)) * RBF(np.ones(3), (0.1, 60))
-    theirs = GaussianProcessRegressor(kernel, alpha=(0.05 / found.size) ** 2).fit(Z, f)
-    again = np.exp([2 * found.log_amplitude, *found.log_lengths])
+    theirs = GaussianProcessRegressor(kernel, alpha=(0.05 / process.size) ** 2).fit(Z, f)
+    again = np.exp([2 * process.log_amplitude, *process.log_lengths])
     assert np.allclose(again, np.exp(theirs.kernel_.theta), rtol=0.02)
     new = np.random.default_rng(2).uniform(-1, 1, (40, 3)) * [1, 10, 0.1]
     kernel.theta = np.log(again)
-    theirs = GaussianProcessRegressor(kernel, alpha=(0.05 / found.size) ** 2, optimizer=None)
-    mean, sd = theirs.fit(Z, f).predict((new - found.centre) / found.scale, return_std=True)
-    assert np.allclose(found(new), found.mean + found.size * mean, atol=1e-7)
-    assert np.allclose(found.deviation(new), found.size * sd, atol=1e-6)
+    theirs = GaussianProcessRegressor(kernel, alpha=(0.05 / process.size) ** 2, optimizer=None)
+    mean, sd = theirs.fit(Z, f).predict((new - process.centre) / process.scale, return_std=True)
+    assert np.allclose(process(new), process.mean + process.size * mean, atol=1e-7)
+    assert np.allclose(process.deviation(new), process.size * sd, atol=1e-6)
 
 
 def test_noise_is_learned_or_known():
@@ -70,10 +70,10 @@ def test_constant_data_and_bad_input():
 
 def test_greedy_points_spread():
     Z = np.random.default_rng(0).uniform(0, 1, (500, 2)) * 4
-    at = greedy(Z, 20)
-    assert len(set(at)) == 20
+    chosen = greedy(Z, 20)
+    assert len(set(chosen)) == 20
     gap = lambda Y: np.min(np.linalg.norm(Y[:, None] - Y, axis=2) + 9 * np.eye(20))
-    assert gap(Z[at]) > 5 * gap(Z[:20])
+    assert gap(Z[chosen]) > 5 * gap(Z[:20])
     assert len(greedy(np.zeros((5, 2)), 4)) == 1
 
 

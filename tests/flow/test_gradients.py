@@ -53,15 +53,15 @@ def test_every_gradient_against_central_differences(name):
 @pytest.mark.parametrize("law", [Giesekus(0.2), FENEP(30.0)])
 def test_torch_and_numpy_run_the_same_flow(law):
     same = run_plane(FLOW, Closure(law, 1.0, 6), 0.4, 0.01, every=5)
-    found = velocities(law, FLOW, 0.4, 0.01, every=5)
-    assert np.abs(found.numpy() - same.u[1:]).max() < 1e-3  # steps of a law are divided there
+    u = velocities(law, FLOW, 0.4, 0.01, every=5)
+    assert np.abs(u.numpy() - same.u[1:]).max() < 1e-3  # steps of a law are divided there
 
 
 def test_a_number_is_found_from_velocities():
     truth = RUN(Giesekus(0.35)).numpy()
     noisy = truth + 1e-3 * np.random.default_rng(0).standard_normal(truth.shape)
-    found, left = fit_velocities(lambda p: Giesekus(p[0]), [0.1], [(0.0, 1.0)], noisy, RUN)
-    assert found[0] == pytest.approx(0.35, abs=0.01)
+    alpha, left = fit_velocities(lambda p: Giesekus(p[0]), [0.1], [(0.0, 1.0)], noisy, RUN)
+    assert alpha[0] == pytest.approx(0.35, abs=0.01)
     assert left < 2e-3
     with pytest.raises(InputError, match="finite"):
         fit_velocities(lambda p: Giesekus(p[0]), [0.1], [(0.0, 1.0)], noisy * np.nan, RUN)

@@ -23,8 +23,8 @@ MAXWELL = UpperConvectedMaxwell()
 
 
 def errors(law, test):
-    found = law.rate(test.K, test.s + IDENTITY)
-    difference = np.linalg.norm(found - test.rate, axis=0)[:3]
+    rate = law.rate(test.K, test.s + IDENTITY)
+    difference = np.linalg.norm(rate - test.rate, axis=0)[:3]
     return 100 * difference / np.linalg.norm(test.rate, axis=0)[:3]
 
 
@@ -95,8 +95,8 @@ def test_a_learned_spring_beats_fenep_on_flows_it_never_saw(spring):
     K[:15, 1], K[15:, 1] = shear(3.0), [0.5, 1.0, 0.2, -0.5]
     truth = simulate(Dumbbells(2, 4000, b=50.0, seed=9), K, 0.1, steps=5)
 
-    def error(one):
-        s = one.stress(homogeneous(one, K, 0.1).reshape(-1, 4)).reshape(truth.S.shape)
+    def error(fluid):
+        s = fluid.stress(homogeneous(fluid, K, 0.1).reshape(-1, 4)).reshape(truth.S.shape)
         return np.linalg.norm((s - truth.stress)[..., :3]) / np.linalg.norm(truth.stress[..., :3])
 
     assert error(law) < 0.1
@@ -179,8 +179,8 @@ def test_a_second_memory_turns_the_spring(tmp_path):
     K = held(shear(np.array([4.5])), 40)
     truth = simulate(Dumbbells(1, 12_000, b=50.0, seed=9), K, 0.1, steps=5)
 
-    def error(one):
-        state = homogeneous(one, K, 0.1)
+    def error(fluid):
+        state = homogeneous(fluid, K, 0.1)
         C = state[..., :4]
         return np.linalg.norm(C - truth.C) / np.linalg.norm(truth.C)
 

@@ -23,9 +23,9 @@ def channel(De, cells, until, force, every=1):
 
 
 def test_start_up_of_a_channel_against_the_exact_series():
-    flow, found = channel(1e-3, 128, 0.05, lambda t: 12.0, every=16)
-    exact = series.poiseuille(flow.faces, found.t, 1e-3, 1e-2, 12.0)
-    assert np.linalg.norm(found.u - exact) < 5e-4 * np.linalg.norm(exact)
+    flow, profiles = channel(1e-3, 128, 0.05, lambda t: 12.0, every=16)
+    exact = series.poiseuille(flow.faces, profiles.t, 1e-3, 1e-2, 12.0)
+    assert np.linalg.norm(profiles.u - exact) < 5e-4 * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize("De", [1e-3, 1e-2])
@@ -33,10 +33,10 @@ def test_second_order_under_a_force_that_starts_smoothly(De):
     omega, errors, sizes = 60.0, [], [16, 32, 64]
     for cells in sizes:
         force = lambda t: 12 * (1 - np.cos(omega * t))
-        flow, found = channel(De, cells, 0.05, force, every=cells // 8)
-        exact = series.poiseuille(flow.faces, found.t, De, 1e-2, 12.0)
-        exact -= series.oscillation(flow.faces, found.t, De, 1e-2, 12.0, omega)
-        errors.append(np.linalg.norm(found.u - exact) / np.linalg.norm(exact))
+        flow, profiles = channel(De, cells, 0.05, force, every=cells // 8)
+        exact = series.poiseuille(flow.faces, profiles.t, De, 1e-2, 12.0)
+        exact -= series.oscillation(flow.faces, profiles.t, De, 1e-2, 12.0, omega)
+        errors.append(np.linalg.norm(profiles.u - exact) / np.linalg.norm(exact))
     assert 1.85 < fitted_order(1 / np.array(sizes), errors) < 2.15
 
 
@@ -49,18 +49,18 @@ def test_the_exact_overshoot_of_the_channel():
 
 def test_a_moving_wall_against_the_exact_series():
     flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
-    found = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 64), 20.0, 0.02, every=50)
-    exact = series.couette(flow.faces, found.t, 1.0, 10.0)
-    late = found.t > 8  # the front has faded
-    assert np.abs(found.u - exact)[late].max() < 0.01
+    profiles = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 64), 20.0, 0.02, every=50)
+    exact = series.couette(flow.faces, profiles.t, 1.0, 10.0)
+    late = profiles.t > 8  # the front has faded
+    assert np.abs(profiles.u - exact)[late].max() < 0.01
 
 
 def test_a_solvent_adds_its_viscosity():
     flow = PlaneFlow(0.1, 1.0, 16, force=lambda t: 1.0, solvent=1.0)
     closure = Closure(UpperConvectedMaxwell(), 0.1, 16)
-    found = run_plane(flow, closure, 3.0, flow.longest_step / 2, every=100)
+    profiles = run_plane(flow, closure, 3.0, flow.longest_step / 2, every=100)
     y = flow.faces
-    assert np.abs(found.u[-1] - y * (1 - y) / 4).max() < 1e-4
+    assert np.abs(profiles.u[-1] - y * (1 - y) / 4).max() < 1e-4
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
@@ -103,8 +103,8 @@ def test_a_coupled_flow_nears_the_exact_law():
     exact = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 16), 2.0, 0.02, every=10)
     for count in (500, 8000):
         dumbbells = Dumbbells(16, count, seed=3, common=True)
-        found = run_plane(flow, Coupled(dumbbells, 1.0), 2.0, 0.02, every=10)
-        error = np.linalg.norm(found.u - exact.u) / np.linalg.norm(exact.u)
+        profiles = run_plane(flow, Coupled(dumbbells, 1.0), 2.0, 0.02, every=10)
+        error = np.linalg.norm(profiles.u - exact.u) / np.linalg.norm(exact.u)
         assert error < 4 * np.sqrt(2 / count)  # the elastic modulus is ⟨q_y²⟩, noisy by √(2/N)
 
 

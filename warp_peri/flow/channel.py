@@ -144,8 +144,8 @@ class Particles:
     def state(self) -> dict[str, np.ndarray]:
         """What a checkpoint keeps."""
         kept = {"x": self._x, "v": self._v, "sigma": self._sigma, "near": self._near}
-        found = {name: np.array(array.numpy()) for name, array in kept.items()}
-        return found | {"t": np.array(self.t), "moved": np.array(self._moved)}
+        state = {name: np.array(array.numpy()) for name, array in kept.items()}
+        return state | {"t": np.array(self.t), "moved": np.array(self._moved)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on from it, with the same bits."""

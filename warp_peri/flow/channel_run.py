@@ -122,10 +122,10 @@ def _resume(
 ) -> tuple[int, dict[str, list[Any]]]:
     try:
         content = read_arrays(path)
-        found, done = str(content["key"]), int(content["done"])
+        kept_key, done = str(content["key"]), int(content["done"])
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a channel ({error})") from None
-    if found != key:
+    if kept_key != key:
         raise InputError(f"{path}: the checkpoint of another channel or time step")
     head = "particles_"
     particles.restore({k[len(head) :]: v for k, v in content.items() if k.startswith(head)})

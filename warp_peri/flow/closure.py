@@ -123,11 +123,11 @@ def homogeneous(
     InputError when the law's check does.
     """
     C = np.tile(law.rest, (K.shape[1], 1)) if start is None else np.array(start, dtype=float)
-    found = [C]
+    states = [C]
     for now in K:
         count = max(parts, math.ceil(float(np.abs(now).max()) * interval / LARGEST_STRAIN))
         for _ in range(count):
             C = heun(law, now, C, interval / count)
         law.check(now, C)
-        found.append(C)
-    return np.array(found)
+        states.append(C)
+    return np.array(states)

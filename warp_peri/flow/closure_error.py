@@ -55,7 +55,7 @@ class Corrected:
 
 def missing_stress(
     flow: PlaneFlow,
-    found: Profiles,
+    profiles: Profiles,
     law: Any,
     replay: Callable[[np.ndarray, float], np.ndarray],
     cells: int,
@@ -64,7 +64,7 @@ def missing_stress(
 
     Args:
         flow: the flow that was run.
-        found: what it gave, recorded at equal times from 0 on.
+        profiles: what it gave, recorded at equal times from 0 on.
         law: its law.
         replay: stress s [T + 1, m, 4] under gradients K [T, m, 4], each held for an interval of
             relaxation times: dumbbells, through `simulate`.
@@ -72,18 +72,18 @@ def missing_stress(
 
     Raises InputError for fewer than 2 cells, or records that are not equally spaced.
     """
-    gaps = np.diff(found.t)
+    gaps = np.diff(profiles.t)
     if cells < 2 or not np.allclose(gaps, gaps[0]):
         raise InputError("replay: expected 2 cells or more and equally spaced records")
-    at = np.unique(np.linspace(0, flow.cells - 1, cells).round().astype(int))
-    rate = np.diff(found.u, axis=1) * flow.cells
-    K = flow.De * shear((rate[:-1] + rate[1:])[:, at] / 2)
+    places = np.unique(np.linspace(0, flow.cells - 1, cells).round().astype(int))
+    rate = np.diff(profiles.u, axis=1) * flow.cells
+    K = flow.De * shear((rate[:-1] + rate[1:])[:, places] / 2)
     interval = float(gaps[0]) / flow.De
     C = homogeneous(law, K, interval)
     known = np.asarray(law.stress(C.reshape(-1, C.shape[-1]))).reshape(*C.shape[:2], 4)
     lacking = (replay(K, interval) - known) / flow.De
     middle = (np.arange(flow.cells) + 0.5) / flow.cells
-    spread = [[np.interp(middle, middle[at], now[:, i]) for i in range(4)] for now in lacking]
+    spread = [[np.interp(middle, middle[places], now[:, i]) for i in range(4)] for now in lacking]
     return np.moveaxis(np.array(spread), 1, 2)
 
 

@@ -68,14 +68,14 @@ class GaussianProcess:
         if self.kernel == "product":
             square = (A**2).sum(1)[:, None] + (B**2).sum(1) - 2 * A @ B.T
             return np.asarray(amplitude * np.exp(-0.5 * np.maximum(square, 0)))
-        one, squares = np.zeros((len(A), len(B))), np.zeros((len(A), len(B)))
+        total, squares = np.zeros((len(A), len(B))), np.zeros((len(A), len(B)))
         for a, b in zip(A.T, B.T):
             e = np.exp(-0.5 * (a[:, None] - b) ** 2)
-            one += e
+            total += e
             squares += e * e if self.kernel == "second" else 0
         if self.kernel == "second":
-            one += np.exp(2 * self.log_pairs) * 0.5 * (one * one - squares)
-        return np.asarray(amplitude * one)
+            total += np.exp(2 * self.log_pairs) * 0.5 * (total * total - squares)
+        return np.asarray(amplitude * total)
 
     @property
     def prior(self) -> float:
@@ -149,11 +149,11 @@ def fit_process(
     d = X.shape[1]
     start = np.concatenate([[0.0], np.full(d, 0.7), [0.0, np.log(0.1)]])
     bounds = [(-5, 6), *[LENGTHS] * d, (-6, 4), (-12, 1)]
-    found = minimize(
+    optimum = minimize(
         _unlikelihood, start, (Z, f, kernel, given), jac=True, bounds=bounds,
         method="L-BFGS-B", options={"maxiter": iterations},
     )  # fmt: skip
-    theta = found.x
+    theta = optimum.x
     variance = np.full(len(y), np.exp(2 * theta[-1]) * size**2) if known is None else known
     return GaussianProcess(
         kernel, X, y, variance, float(theta[0]), theta[1 : 1 + d], float(theta[-2]),
@@ -174,9 +174,9 @@ def _unlikelihood(
         second = 0.0 * K
     else:
         ones = [np.exp(-0.5 * s) for s in squares]
-        one = np.sum(ones, axis=0)
-        second = 0.5 * (one * one - np.sum([e * e for e in ones], axis=0))
-        K = amplitude * (one + pairs * second)
+        summed = np.sum(ones, axis=0)
+        second = 0.5 * (summed * summed - np.sum([e * e for e in ones], axis=0))
+        K = amplitude * (summed + pairs * second)
     added = _matrix(noise) if noise is not None else np.exp(2 * theta[-1]) * np.eye(n)
     total = K + added + JITTER * K[0, 0] * np.eye(n)
     try:
@@ -189,7 +189,7 @@ def _unlikelihood(
     gradient = np.zeros_like(theta)
     gradient[0] = 2 * np.sum(G * K) + 2 * JITTER * K[0, 0] * np.trace(G)
     for i, s in enumerate(squares):
-        part = K if kernel == "product" else amplitude * (1 + pairs * (one - ones[i])) * ones[i]
+        part = K if kernel == "product" else amplitude * (1 + pairs * (summed - ones[i])) * ones[i]
         gradient[1 + i] = np.sum(G * part * s)
     gradient[-2] = 2 * amplitude * pairs * np.sum(G * second)
     gradient[-2] += 2 * JITTER * amplitude * pairs * d * (d - 1) / 2 * np.trace(G)

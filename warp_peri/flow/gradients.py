@@ -81,7 +81,7 @@ def velocities(law: Any, flow: PlaneFlow, until: float, dt: float, every: int = 
     u = torch.zeros(flow.cells + 1, dtype=torch.float64)
     sigma = torch.zeros(flow.cells, dtype=torch.float64)
     C = torch.as_tensor(law.rest).expand(flow.cells, 4)
-    zero, found = torch.zeros(flow.cells, dtype=torch.float64), []
+    zero, records = torch.zeros(flow.cells, dtype=torch.float64), []
 
     def slope(u: torch.Tensor, t: float) -> torch.Tensor:
         total = sigma + flow.solvent * torch.diff(u) / dy
@@ -96,8 +96,8 @@ def velocities(law: Any, flow: PlaneFlow, until: float, dt: float, every: int = 
         sigma = law.stress(C)[:, 1] / flow.De
         if (n + 1) % every == 0:
             now = u[1:-1] + dt / 2 * slope(u, (n + 1) * dt)
-            found.append(torch.cat([zero[:1], now, top]))
-    return torch.stack(found)
+            records.append(torch.cat([zero[:1], now, top]))
+    return torch.stack(records)
 
 
 def fit_velocities(
@@ -132,8 +132,8 @@ def fit_velocities(
         (gradient,) = torch.autograd.grad(value, numbers)
         return float(value.detach()), gradient.numpy()
 
-    found = minimize(
+    optimum = minimize(
         loss, np.array(start, dtype=float), jac=True, bounds=bounds, method="L-BFGS-B",
         options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-12},
     )  # fmt: skip
-    return found.x, float(np.sqrt(found.fun * np.mean(observed**2)))
+    return optimum.x, float(np.sqrt(optimum.fun * np.mean(observed**2)))

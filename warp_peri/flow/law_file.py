@@ -72,7 +72,7 @@ def load_law(
     if head["kind"] not in KINDS:
         raise InputError(f"{path}: expected a kind of {', '.join(KINDS)}, got {head['kind']!r}")
     try:
-        processes = [process_of(one) for one in content["processes"]]
+        processes = [process_of(saved) for saved in content["processes"]]
         outside, kinematics = str(content["outside"]), bool(content["kinematics"])
         if head["kind"] == "rate":
             first, second, third = processes
@@ -97,16 +97,16 @@ def vars_of(process: GaussianProcess) -> dict[str, Any]:
 def process_of(content: dict[str, Any]) -> GaussianProcess:
     """The process again. Raises ValueError for shapes that do not fit or numbers not finite."""
     arrays = ("X", "y", "noise", "log_lengths", "centre", "scale")
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         name: np.array(value, dtype=float) if name in arrays else value
         for name, value in content.items()
     }
-    process = GaussianProcess(**found)
+    process = GaussianProcess(**values)
     n, d = process.X.shape
     shapes = [process.y.shape, process.noise.shape[:1], process.log_lengths.shape]
     shapes += [process.centre.shape, process.scale.shape]
     if shapes != [(n,), (n,), (d,), (d,), (d,)]:
         raise ValueError(f"shapes {shapes}")
-    if not all(np.isfinite(found[name]).all() for name in arrays):
+    if not all(np.isfinite(values[name]).all() for name in arrays):
         raise ValueError("numbers that are not finite")
     return process

@@ -43,8 +43,10 @@ class Pairs:
         """n of them at random. Raises InputError when there are fewer."""
         if n > len(self):
             raise InputError(f"pairs: expected at most {len(self)}, got {n}")
-        at = random.choice(len(self), n, replace=False)
-        return Pairs(self.K[at], self.s[at], self.rate[at], self.noise[at], self.window)
+        chosen = random.choice(len(self), n, replace=False)
+        return Pairs(
+            self.K[chosen], self.s[chosen], self.rate[chosen], self.noise[chosen], self.window
+        )
 
     def joined(self, other: Pairs) -> Pairs:
         """These and the others. Raises InputError for pairs of another window."""

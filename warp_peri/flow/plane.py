@@ -157,9 +157,9 @@ def run_plane(
 def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
     try:
         kept: dict[str, Any] = dict(read_arrays(path))
-        found = str(kept["key"])
+        kept_key = str(kept["key"])
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None
-    if found != key:
+    if kept_key != key:
         raise InputError(f"{path}: the checkpoint of another flow or time step")
     return kept

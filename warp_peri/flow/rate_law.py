@@ -111,13 +111,13 @@ class TabulatedRateLaw(RateLaw):
     def _splines(self) -> list[CubicSpline]:
         """For each input a spline with three values: what it adds to those at the middle."""
         low, high = self._ends
-        found = []
+        splines = []
         for i, (a, b) in enumerate(zip(low, high)):
             X = np.tile((low + high) / 2, (KNOTS, 1))
             X[:, i] = np.linspace(a, b, KNOTS)
             values = np.array([process(X) for process in self.processes]) - self._middle[:, None]
-            found.append(CubicSpline(X[:, i], values.T))
-        return found
+            splines.append(CubicSpline(X[:, i], values.T))
+        return splines
 
     @cached_property
     def _middle(self) -> np.ndarray:

@@ -131,11 +131,11 @@ class TabulatedSpringLaw(SpringLaw):
     def stiffness(self, X: np.ndarray) -> np.ndarray:
         """log(S_i/c_i) by the table."""
         low, high = self._ends
-        at = np.stack([X[:, 0], X[:, 1], _spread(X[:, 1], X[:, 2])])
+        places = np.stack([X[:, 0], X[:, 1], _spread(X[:, 1], X[:, 2])])
         steps = (np.array(self.shape) - 1) / (high - low)
-        at = (np.clip(at, low[:, None], high[:, None]) - low[:, None]) * steps[:, None]
+        places = (np.clip(places, low[:, None], high[:, None]) - low[:, None]) * steps[:, None]
         table = self._coefficients
-        return np.asarray(map_coordinates(table, at, order=3, mode="mirror", prefilter=False))
+        return np.asarray(map_coordinates(table, places, order=3, mode="mirror", prefilter=False))
 
 
 def _spread(product: np.ndarray, total: np.ndarray) -> np.ndarray:
@@ -182,13 +182,13 @@ def learn_spring(
     records = [records] if isinstance(records, Record) else records
     if points < 2:
         raise InputError(f"points: expected 2 or more, got {points}")
-    found = [spring_data(record.C, record.S) for record in records]
-    X, y = np.concatenate([x for x, _ in found]), np.concatenate([v for _, v in found])
+    samples = [spring_data(record.C, record.S) for record in records]
+    X, y = np.concatenate([x for x, _ in samples]), np.concatenate([v for _, v in samples])
     even = np.unique(np.linspace(0, len(y) - 1, min(points, SUBSET, len(y))).astype(int))
     process = fit_process(X[even], y[even], **options)
     for _ in range(rounds):
-        at = greedy(process.standard(X), points)
-        if len(at) < 2:
+        chosen = greedy(process.standard(X), points)
+        if len(chosen) < 2:
             break
-        process = fit_process(X[at], y[at], **options)
+        process = fit_process(X[chosen], y[chosen], **options)
     return SpringLaw(process, outside)

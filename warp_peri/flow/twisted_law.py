@@ -146,9 +146,9 @@ def learn_twisted(
         raise InputError("twist: expected samples of shear or mixed flow, got none")
     inputs, turned, by = inputs[keep], turned[keep], by[keep]
     noise = (ABSOLUTE**2 + (RELATIVE * turned) ** 2) / by**2
-    at = np.unique(np.linspace(0, len(by) - 1, min(SUBSET, len(by))).astype(int))
-    process = fit_process(inputs[at], (turned / by)[at], noise=noise[at])
+    chosen = np.unique(np.linspace(0, len(by) - 1, min(SUBSET, len(by))).astype(int))
+    process = fit_process(inputs[chosen], (turned / by)[chosen], noise=noise[chosen])
     for _ in range(2):
-        at = greedy(process.standard(inputs), turns)
-        process = fit_process(inputs[at], (turned / by)[at], noise=noise[at])
+        chosen = greedy(process.standard(inputs), turns)
+        process = fit_process(inputs[chosen], (turned / by)[chosen], noise=noise[chosen])
     return TwistedSpringLaw(law, process, b)
