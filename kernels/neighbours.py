@@ -37,7 +37,7 @@ def near_points(
     if periodic:
         around = wp.vec2i(wp.min(3, cells[0]), wp.min(3, cells[1]))
     e = row[i]
-    found = wp.int32(0)
+    count = wp.int32(0)
     for a in range(around[0]):
         for b in range(around[1]):
             p = cell[i, 0] + a - 1
@@ -51,11 +51,11 @@ def near_points(
                     length = wp.length(separation(x[i], x[j], box))
                     if j != i and length <= reach:
                         if fill == 1:
-                            neighbour[e + found] = j
-                            r[e + found] = length
-                        found += 1
+                            neighbour[e + count] = j
+                            r[e + count] = length
+                        count += 1
     if fill == 0:
-        row[i + 1] = found
+        row[i + 1] = count
 
 
 @wp.kernel(enable_backward=False)
@@ -79,14 +79,14 @@ def any_neighbour(
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
     flag: wp.array(dtype=wp.int32),
-    found: wp.array(dtype=wp.int32),
+    touched: wp.array(dtype=wp.int32),
 ):
     """Nodes with an unbroken bond to a flagged node."""
     i = first + wp.tid()
     for e in range(row[i], row[i + 1]):
         j = neighbour[e]
         if j >= 0 and flag[wp.max(j, 0)] == 1:
-            found[i] = 1
+            touched[i] = 1
 
 
 @wp.kernel(enable_backward=False)

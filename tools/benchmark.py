@@ -74,7 +74,7 @@ def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable
         bonds.forget()
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
         Lu = lps_force(bonds, leaves[0], Solid(lam, mu, leaves[2], leaves[1]))
-        return [found.numpy() for found in torch.autograd.grad(Lu, leaves, g)]
+        return [gradient.numpy() for gradient in torch.autograd.grad(Lu, leaves, g)]
 
     return forward, both
 
@@ -102,11 +102,11 @@ def interleaved(candidates: Candidates, rounds: int, tolerance: float) -> dict[s
     """Least seconds of each candidate over the rounds, after a round that checks the results."""
     reference = None
     for name, function in candidates.items():
-        found = function()
-        found = found if isinstance(found, (list, tuple)) else [found]
-        reference = found if reference is None else reference
-        for one, other in zip(found, reference):
-            error = np.abs(one - other).max() / np.abs(other).max()
+        results = function()
+        results = results if isinstance(results, (list, tuple)) else [results]
+        reference = results if reference is None else reference
+        for result, other in zip(results, reference):
+            error = np.abs(result - other).max() / np.abs(other).max()
             if not error <= tolerance:
                 raise RuntimeError(f"{name} is wrong by {error:.1e}")
     times: dict[str, list[float]] = {name: [] for name in candidates}

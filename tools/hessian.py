@@ -28,8 +28,8 @@ class ColouredHessian:
         """
         i, j = np.concatenate([bonds, bonds[:, ::-1]]).T
         bonded = sp.csr_array((np.ones(len(i)), (i, j)), shape=(atoms, atoms))
-        one = bonded + sp.eye_array(atoms, format="csr")
-        reach = sp.csr_array(one @ one)
+        step = bonded + sp.eye_array(atoms, format="csr")
+        reach = sp.csr_array(step @ step)
         reach.sort_indices()
         self._colour = _greedy_colours(sp.csr_array(reach @ reach))
         self._row = np.repeat(np.arange(atoms), np.diff(reach.indptr))

@@ -53,15 +53,15 @@ def reduced(
     """Every load of a group by one reduction, for one factor on the loads."""
     loads = list(plan.groups[group])
     seeds = [plan.seed(number) for number in range(len(loads))]
-    found = [runs[Task(plan.body, load, factor, seed)] for load, seed in zip(loads, seeds)]
+    loaded = [runs[Task(plan.body, load, factor, seed)] for load, seed in zip(loads, seeds)]
     fields = []
-    for run, seed, load in zip(found, seeds, loads):
+    for run, seed, load in zip(loaded, seeds, loads):
         if reduction == "shared":
             field = run.average - runs[plan.unloaded(seed)].average
         else:
             field = _unpaired(plan, runs, run, seed, reduction)
         fields.append(settled(plan.body, at_rest[load].reference, field))
-    snr = np.array([run.snr for run in found])
+    snr = np.array([run.snr for run in loaded])
     return Fields(loads, np.stack(fields), snr, np.array(seeds))
 
 

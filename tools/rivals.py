@@ -62,8 +62,8 @@ def tables(
     families = bonds.families
     row, neighbour = families.row, families.neighbour
     if families.lattice is None:
-        at = np.repeat(np.arange(len(x)), np.diff(row))
-        xi = x[neighbour] - x[at]
+        owner = np.repeat(np.arange(len(x)), np.diff(row))
+        xi = x[neighbour] - x[owner]
         xi -= np.round(xi / box) * box
         bond_class, reverse = np.arange(len(neighbour), dtype=np.int32), families.reverse
     else:
@@ -92,7 +92,7 @@ def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
         return torch.as_tensor(values, dtype=dtype)
 
     size = len(t.u)
-    at = torch.from_numpy(np.repeat(np.arange(size), np.diff(t.row)))
+    owner = torch.from_numpy(np.repeat(np.arange(size), np.diff(t.row)))
     to, c = torch.from_numpy(t.neighbour.astype(np.int64)), torch.from_numpy(t.bond_class)
     c = c.to(torch.int64)
     xi, r, weight, basis = map(number, (t.xi, t.r, t.weight, t.basis))
@@ -103,11 +103,11 @@ def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
 
     def force(u, D, alpha):
         kw = (weight * r**-alpha * (basis @ D))[c]
-        m = zero.index_add(0, at, kw * square)
-        stretch = (xi * (u[to] - u[at])).sum(dim=1)
-        theta = 2 / m * zero.index_add(0, at, kw * stretch)
-        bulk = zeros.index_add(0, at, (kw * (theta[at] + theta[to]))[:, None] * xi)
-        shear = zeros.index_add(0, at, (kw * stretch)[:, None] * direction)
+        m = zero.index_add(0, owner, kw * square)
+        stretch = (xi * (u[to] - u[owner])).sum(dim=1)
+        theta = 2 / m * zero.index_add(0, owner, kw * stretch)
+        bulk = zeros.index_add(0, owner, (kw * (theta[owner] + theta[to]))[:, None] * xi)
+        shear = zeros.index_add(0, owner, (kw * stretch)[:, None] * direction)
         return -(2 * (t.lam - t.mu) * bulk + 16 * t.mu * shear) / m[:, None]
 
     start = [number(value) for value in (t.u, t.D, t.alpha)]
@@ -118,7 +118,7 @@ def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
 
     def both():
         leaves = [value.detach().requires_grad_() for value in start]
-        return [found.numpy() for found in torch.autograd.grad(force(*leaves), leaves, g)]
+        return [gradient.numpy() for gradient in torch.autograd.grad(force(*leaves), leaves, g)]
 
     return forward, both
 
@@ -127,22 +127,22 @@ def scipy_csr(t: Tables) -> Callable:
     """Forward as three products with matrices built beforehand, for one fixed K."""
     size = len(t.u)
     kw = t.kw()[t.bond_class]
-    at = np.repeat(np.arange(size), np.diff(t.row))
+    owner = np.repeat(np.arange(size), np.diff(t.row))
     square = (t.xi**2).sum(axis=1)
-    m = np.bincount(at, kw * square)
+    m = np.bincount(owner, kw * square)
     links = (t.neighbour, t.row)
-    a = 2 / m[at] * kw
+    a = 2 / m[owner] * kw
     phi = [sp.csr_array((a * t.xi[:, n], *links), shape=(size, size)) for n in range(2)]
-    own = [sp.diags_array(np.asarray(one.sum(axis=1)).ravel()) for one in phi]
-    Phi = sp.hstack([one - diagonal for one, diagonal in zip(phi, own)], format="csr")
-    Psi = sp.vstack([one + diagonal for one, diagonal in zip(phi, own)], format="csr")
+    own = [sp.diags_array(np.asarray(part.sum(axis=1)).ravel()) for part in phi]
+    Phi = sp.hstack([part - diagonal for part, diagonal in zip(phi, own)], format="csr")
+    Psi = sp.vstack([part + diagonal for part, diagonal in zip(phi, own)], format="csr")
     rows = []
     for p in range(2):
         blocks = []
         for q in range(2):
-            value = -16 / m[at] * kw * t.xi[:, p] * t.xi[:, q] / square
-            one = sp.csr_array((value, *links), shape=(size, size))
-            blocks.append(one - sp.diags_array(np.asarray(one.sum(axis=1)).ravel()))
+            value = -16 / m[owner] * kw * t.xi[:, p] * t.xi[:, q] / square
+            block = sp.csr_array((value, *links), shape=(size, size))
+            blocks.append(block - sp.diags_array(np.asarray(block.sum(axis=1)).ravel()))
         rows.append(sp.hstack(blocks))
     Gamma = sp.vstack(rows, format="csr")
     u = np.ascontiguousarray(t.u.T).ravel()

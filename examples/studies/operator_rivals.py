@@ -73,10 +73,10 @@ def by_numba(model: Model, points: Samples) -> Solver:
 
 
 def _descend(stiffness: sp.csr_array | LinearOperator, right: np.ndarray) -> np.ndarray:
-    found, failed = cg(stiffness, right, rtol=TOLERANCE)
+    u, failed = cg(stiffness, right, rtol=TOLERANCE)
     if failed:
         raise RuntimeError("conjugate gradients did not converge")
-    return found.reshape(-1, 2)
+    return u.reshape(-1, 2)
 
 
 def positive_model(train: Samples, *, horizon: float, degree: int, starts: int = 3) -> Model:
@@ -86,12 +86,12 @@ def positive_model(train: Samples, *, horizon: float, degree: int, starts: int =
     """
     reduced = reduce(train, horizon, sample_weights([train], normalise=False)[0])
     i, j = (torch.from_numpy(pair) for pair in reduced.pairs)
-    R, one = torch.from_numpy(reduced.R), torch.ones(1, dtype=torch.float64)
+    R, load = torch.from_numpy(reduced.R), torch.ones(1, dtype=torch.float64)
 
     def residual(y: torch.Tensor) -> torch.Tensor:
         sum_of_both, mu, alpha, D = y[0], y[1], y[2], y[3:]
         w = class_weights(reduced.classes, alpha, D)
-        return R @ torch.cat([mu * w, (sum_of_both - 2 * mu) * w[i] * w[j], one])
+        return R @ torch.cat([mu * w, (sum_of_both - 2 * mu) * w[i] * w[j], load])
 
     def slope(y: np.ndarray) -> np.ndarray:
         return torch.autograd.functional.jacobian(residual, torch.from_numpy(y)).numpy()
@@ -101,15 +101,15 @@ def positive_model(train: Samples, *, horizon: float, degree: int, starts: int =
     best = None
     for seed in range(starts):
         D = np.random.default_rng(seed).uniform(0.1, 1, degree + 1)
-        found = least_squares(
+        fitted = least_squares(
             lambda y: residual(torch.from_numpy(y)).numpy(),
             np.concatenate([[0.5, 0.7, 1.0], D]),
             slope,
             bounds=(low, high),
             max_nfev=500,
         )
-        if found.success and (best is None or found.cost < best.cost):
-            best = found
+        if fitted.success and (best is None or fitted.cost < best.cost):
+            best = fitted
     if best is None:
         raise InputError("positive kernel: no start converged")
     y = best.x

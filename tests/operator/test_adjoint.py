@@ -63,8 +63,8 @@ class Problem:
 
     def gathered(self):
         given = [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
-        found = torch.autograd.grad(self.scalar(*given), given)
-        return {part: one.numpy() for part, one in zip(self.leaves, found)}
+        gradients = torch.autograd.grad(self.scalar(*given), given)
+        return {part: by.numpy() for part, by in zip(self.leaves, gradients)}
 
     def taped(self):
         types = [wp.vec2d] + (len(self.leaves) - 1) * [wp.float64]
@@ -84,8 +84,8 @@ class Problem:
             return self.scalar(*map(torch.from_numpy, leaves.values())).item()
 
 
-def error(found, expected):
-    return np.abs(found - expected).max() / np.abs(expected).max()
+def error(value, expected):
+    return np.abs(value - expected).max() / np.abs(expected).max()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -93,8 +93,8 @@ def error(found, expected):
 def test_is_the_tape(name, kind):
     problem = Problem(name, kind)
     expected = problem.taped()
-    for part, found in problem.gathered().items():
-        assert error(found, expected[part]) <= TAPE, part
+    for part, by in problem.gathered().items():
+        assert error(by, expected[part]) <= TAPE, part
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -102,7 +102,7 @@ def test_is_the_tape(name, kind):
 def test_is_the_difference_quotient(name, kind):
     problem = Problem(name, kind, samples=1)
     random = np.random.default_rng(0)
-    for part, found in problem.gathered().items():
+    for part, by in problem.gathered().items():
         leaf = problem.leaves[part]
         if part == "u":  # along 20 directions, the components being many
             ways = random.normal(size=(20, leaf.size))
@@ -111,10 +111,10 @@ def test_is_the_difference_quotient(name, kind):
                 return problem.value("u", leaf.ravel() + t @ ways)
 
             expected = difference(along, np.zeros(20), *STEPS["u"])
-            assert error(ways @ found.ravel(), expected) <= DIFFERENCES
+            assert error(ways @ by.ravel(), expected) <= DIFFERENCES
             continue
         expected = difference(partial(problem.value, part), leaf, *STEPS[part])
-        assert error(found, expected) <= DIFFERENCES, part
+        assert error(by, expected) <= DIFFERENCES, part
 
 
 @pytest.mark.parametrize("kind", ["lattice", "cloud"])
@@ -127,12 +127,12 @@ def test_of_bond_based_forces(kind):
     Lu = lps_force(bonds, given[0], Solid(*given[1:]))
     whole = lps_force(Bonds(points, HORIZON), given[0], Solid(*given[1:]))
     torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
-    found = torch.autograd.grad((Lu**3).sum(), given)
+    gradients = torch.autograd.grad((Lu**3).sum(), given)
     expected = torch.autograd.grad((whole**3).sum(), given)
     for n in (0, 3, 4):
-        assert error(found[n].numpy(), expected[n].numpy()) < 1e-11
-    assert found[1] == 0
-    assert error(found[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
+        assert error(gradients[n].numpy(), expected[n].numpy()) < 1e-11
+    assert gradients[1] == 0
+    assert error(gradients[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
     with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
         lps_force(bonds, given[0], Solid(0.1, 0.7, 1.3, [1.0]))
 
@@ -170,16 +170,16 @@ def test_a_number_of_threads_that_is_none_is_refused(count):
 
 def test_single_precision_is_double_precision_rounded():
     points, _ = periodic_cloud(7)
-    found = {}
+    results = {}
     for precision in ("float64", "float32"):
         bonds = Bonds(points, HORIZON, precision=precision)
         dtype = getattr(torch, precision)
         values = (noise(points), LAM, MU, 1.6, [1.0, 0.4, -0.3])
         given = [torch.tensor(v, dtype=dtype, requires_grad=True) for v in values]
         Lu = lps_force(bonds, given[0], Solid(*given[1:]))
-        found[precision] = [Lu.detach(), *torch.autograd.grad(Lu.sum() + (Lu**2).sum(), given)]
-    for one, other in zip(*found.values()):
-        assert error(other.double().numpy(), one.numpy()) < 2e-4
+        results[precision] = [Lu.detach(), *torch.autograd.grad(Lu.sum() + (Lu**2).sum(), given)]
+    for double, single in zip(*results.values()):
+        assert error(single.double().numpy(), double.numpy()) < 2e-4
     with pytest.raises(InputError, match="u: expected float32 of shape"):
         lps_force(bonds, torch.from_numpy(noise(points)), Solid(LAM, MU, 1.6, [1.0]))
     with pytest.raises(InputError, match="precision: expected one of"):

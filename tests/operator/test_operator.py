@@ -17,8 +17,8 @@ every_kernel = pytest.mark.parametrize("name", KERNELS)
 HORIZON = 2.5
 
 
-def relative(found, expected):
-    return np.abs(found - expected).max() / np.abs(expected).max()
+def relative(value, expected):
+    return np.abs(value - expected).max() / np.abs(expected).max()
 
 
 @every_kernel
@@ -86,8 +86,8 @@ def test_a_rotated_lattice_gives_the_rotated_force(name):
     for angle in (0.3, 1.2, 2.9, np.pi / 4):
         rotated = lattice(3, HORIZON, angle=angle, origin=(-7.0, 11.0))
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        found = LPSOperator(model, rotated)(u @ turn.T)
-        assert relative(found, expected @ turn.T) < 1e-11  # positions far from the origin
+        Lu = LPSOperator(model, rotated)(u @ turn.T)
+        assert relative(Lu, expected @ turn.T) < 1e-11  # positions far from the origin
 
 
 @every_kernel
@@ -113,15 +113,15 @@ def test_quadratic_fields_feel_the_long_wave_moduli(name):
         ((y**2 / 2, zero), (-C["C44"], 0)),
         ((x * y, zero), (0, -C["C12"] - C["C44"])),
     ):
-        found = operator(np.stack(field, axis=1))
-        np.testing.assert_allclose(found, np.tile(expected, (4, 1)), rtol=0, atol=1e-11)
+        Lu = operator(np.stack(field, axis=1))
+        np.testing.assert_allclose(Lu, np.tile(expected, (4, 1)), rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("horizon", [2.0, 2.5, 3.0, 4.0, 5.0])
 def test_moduli_of_the_plain_kernel_are_the_continuum_constants(horizon):
-    found = moduli(kernel("1/r", horizon), bond_classes(1.0, horizon))
+    constants = moduli(kernel("1/r", horizon), bond_classes(1.0, horizon))
     expected = {"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}
-    assert found == pytest.approx(expected, rel=1e-9)
+    assert constants == pytest.approx(expected, rel=1e-9)
 
 
 def test_scale_and_sign_of_the_influence_function_have_no_effect():
@@ -146,7 +146,7 @@ def test_samples_are_independent_and_arrays_of_any_layout_serve():
     points = lattice(3, HORIZON)
     operator = LPSOperator(kernel("steep", HORIZON), points)
     u = noise(points, 3)
-    expected = np.stack([operator(one) for one in u])
+    expected = np.stack([operator(field) for field in u])
     frozen = u.copy()
     frozen.flags.writeable = False
     layouts = (u, np.asfortranarray(u), frozen, torch.from_numpy(u).numpy())

@@ -19,13 +19,13 @@ GRADIENT = np.array([[0.3, -0.2], [0.5, 0.1]])
 def test_an_affine_field_has_the_stress_of_hooke():
     model = kernel("1/r", HORIZON)  # isotropic on every lattice
     points = lattice(4, HORIZON)
-    found = node_fields(model, points, points.x @ GRADIENT.T)
+    fields = node_fields(model, points, points.x @ GRADIENT.T)
     strain = (GRADIENT + GRADIENT.T) / 2
     expected = model.lam * np.trace(strain) * np.eye(2) + 2 * model.mu * strain
-    np.testing.assert_allclose(found.stress, np.broadcast_to(expected, (1, 16, 2, 2)), atol=1e-12)
-    np.testing.assert_allclose(found.strain, np.broadcast_to(strain, (1, 16, 2, 2)), atol=1e-12)
-    np.testing.assert_allclose(found.dilatation, np.trace(strain), atol=1e-12)
-    np.testing.assert_allclose(found.energy, (expected * strain).sum() / 2, atol=1e-12)
+    np.testing.assert_allclose(fields.stress, np.broadcast_to(expected, (1, 16, 2, 2)), atol=1e-12)
+    np.testing.assert_allclose(fields.strain, np.broadcast_to(strain, (1, 16, 2, 2)), atol=1e-12)
+    np.testing.assert_allclose(fields.dilatation, np.trace(strain), atol=1e-12)
+    np.testing.assert_allclose(fields.energy, (expected * strain).sum() / 2, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", KERNELS)
@@ -39,18 +39,18 @@ def test_other_kernels_have_the_moduli_of_their_symbol(name):
         ([[1, 0], [0, 0]], [[C11, 0], [0, C12]]),
         ([[0, 1], [0, 0]], [[0, C44], [C44, 0]]),
     ):
-        found = node_fields(model, points, points.x @ np.array(gradient, float).T)
-        np.testing.assert_allclose(found.stress[0, 4], expected, atol=1e-11)
+        fields = node_fields(model, points, points.x @ np.array(gradient, float).T)
+        np.testing.assert_allclose(fields.stress[0, 4], expected, atol=1e-11)
 
 
 def test_rigid_motion_and_symmetry():
     model = kernel("two functions", HORIZON)
     points = lattice(4, HORIZON)
     rigid = points.x @ np.array([[0, 0.1], [-0.1, 0]]) + [3.0, -2.0]
-    found = node_fields(model, points, rigid)
-    assert max(np.abs(part).max() for part in vars(found).values()) < 1e-12
-    found = node_fields(model, points, noise(points, 2))
-    np.testing.assert_array_equal(found.stress, found.stress.transpose(0, 1, 3, 2))
+    fields = node_fields(model, points, rigid)
+    assert max(np.abs(part).max() for part in vars(fields).values()) < 1e-12
+    fields = node_fields(model, points, noise(points, 2))
+    np.testing.assert_array_equal(fields.stress, fields.stress.transpose(0, 1, 3, 2))
 
 
 @pytest.mark.parametrize("name", KERNELS)
@@ -58,9 +58,9 @@ def test_energies_add_up_to_half_the_work(name):
     points, _ = periodic((12, 13))
     model = kernel(name, HORIZON, lam=-0.2)
     u = noise(points)
-    found = node_fields(model, points, u)
+    fields = node_fields(model, points, u)
     work = (u * LPSOperator(model, points)(u)).sum()
-    assert found.energy.sum() == pytest.approx(work / 2, rel=1e-12)
+    assert fields.energy.sum() == pytest.approx(work / 2, rel=1e-12)
 
 
 def test_its_divergence_balances_the_force_to_second_order():
@@ -87,8 +87,8 @@ def test_scattered_points_are_exact_on_affine_fields():
     model = plain(HORIZON)
     strain = (GRADIENT + GRADIENT.T) / 2
     expected = model.lam * np.trace(strain) * np.eye(2) + 2 * model.mu * strain
-    found = node_fields(model, points, points.x @ GRADIENT.T)
-    np.testing.assert_allclose(found.stress - expected, 0, atol=1e-9)
+    fields = node_fields(model, points, points.x @ GRADIENT.T)
+    np.testing.assert_allclose(fields.stress - expected, 0, atol=1e-9)
 
 
 def test_another_shape_is_refused():

@@ -136,5 +136,5 @@ class GradientSweeps:
         curved = zeros(4, len(self.full), dtype=self.kernels.mat)
         inputs = (self._full, self.numbers(numbers), H)
         launch_slices(self.kernels.tangents, len(self.full), inputs, (curved,), samples=4)
-        found: np.ndarray = curved.numpy().reshape(4, -1, 4).transpose(2, 0, 1)
-        return found
+        curvatures: np.ndarray = curved.numpy().reshape(4, -1, 4).transpose(2, 0, 1)
+        return curvatures
