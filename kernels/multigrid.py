@@ -21,8 +21,8 @@ def residual(
         out[0, i, j] = wp.float32(0.0)
         out[1, i, j] = wp.float32(0.0)
         return
-    one = r[0, i, j]
-    two = r[1, i, j]
+    first_part = r[0, i, j]
+    second_part = r[1, i, j]
     for a in range(3):
         p = i + a - 1
         if p >= 0 and p < mask.shape[0]:
@@ -31,7 +31,7 @@ def residual(
                 if q >= 0 and q < m:
                     x = u[0, p, q]
                     y = u[1, p, q]
-                    one -= stencil[0, 0, a, b] * x + stencil[0, 1, a, b] * y
-                    two -= stencil[1, 0, a, b] * x + stencil[1, 1, a, b] * y
-    out[0, i, j] = one
-    out[1, i, j] = two
+                    first_part -= stencil[0, 0, a, b] * x + stencil[0, 1, a, b] * y
+                    second_part -= stencil[1, 0, a, b] * x + stencil[1, 1, a, b] * y
+    out[0, i, j] = first_part
+    out[1, i, j] = second_part

@@ -29,11 +29,11 @@ NEEDS_TORCH = "No module named 'torch'"
 def interpreters() -> dict[str, Path]:
     """Interpreters by version, the first of each that is found."""
     names = [f"python3.{minor}" for minor in range(OLDEST[1], 30)]
-    found = [Path(there) for name in names if (there := shutil.which(name))]
+    paths = [Path(there) for name in names if (there := shutil.which(name))]
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
-    found += sorted(pyenv.glob("versions/*/bin/python3"))
+    paths += sorted(pyenv.glob("versions/*/bin/python3"))
     versions: dict[str, Path] = {}
-    for path in [*found, Path(sys.executable)]:
+    for path in [*paths, Path(sys.executable)]:
         said = subprocess.run([path, "-V"], capture_output=True, text=True, check=False).stdout
         match = re.fullmatch(r"Python (\d+)\.(\d+)\.(\d+)\s*", said)
         if match and tuple(map(int, match.groups()[:2])) >= OLDEST:
@@ -45,7 +45,11 @@ def requirements(without_torch: bool) -> list[str]:
     """What the package and its tests need."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     needed = [*project["dependencies"], *project["optional-dependencies"]["test"]]
-    return [one for one in needed if not (without_torch and re.match(r"torch\b", one))]
+    return [
+        requirement
+        for requirement in needed
+        if not (without_torch and re.match(r"torch\b", requirement))
+    ]
 
 
 def run(python: Path, folder: Path, tests: list[str], *, without_torch: bool) -> dict[str, int]:
@@ -76,8 +80,10 @@ def counted(report: Path) -> dict[str, int]:
     """Outcomes in a JUnit report."""
     count = {"passed": 0, "failed": 0, "skipped": 0, "without torch": 0}
     for case in ET.parse(report).iter("testcase"):
-        wrong = [one for one in case if one.tag in ("failure", "error")]
-        if any(NEEDS_TORCH in (one.text or "") + one.get("message", "") for one in wrong):
+        wrong = [outcome for outcome in case if outcome.tag in ("failure", "error")]
+        if any(
+            NEEDS_TORCH in (outcome.text or "") + outcome.get("message", "") for outcome in wrong
+        ):
             count["without torch"] += 1
         elif wrong:
             count["failed"] += 1
@@ -100,7 +106,8 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = {
         version: path
         for version, path in interpreters().items()
-        if given.only is None or any(f"{version}.".startswith(f"{one}.") for one in given.only)
+        if given.only is None
+        or any(f"{version}.".startswith(f"{wanted}.") for wanted in given.only)
     }
     if not chosen:
         print("error: no Python 3.11 or newer of these versions here", file=sys.stderr)

@@ -92,11 +92,11 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
     start = time.perf_counter()
     system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
     setup = time.perf_counter() - start
-    found = []
+    solves = []
     for load in loads(nodes).values():
         start = time.perf_counter()
         _, record = system.solve(load, TOLERANCE)
-        found.append((time.perf_counter() - start, record))
+        solves.append((time.perf_counter() - start, record))
     return Row(
         shape,
         side,
@@ -105,9 +105,9 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
         material,
         layout,
         setup,
-        max(seconds for seconds, _ in found),
-        max(record.iterations for _, record in found),
-        max(record.residual for _, record in found),
+        max(seconds for seconds, _ in solves),
+        max(record.iterations for _, record in solves),
+        max(record.residual for _, record in solves),
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )
 
@@ -150,9 +150,9 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     for _ in range(rounds):
         for name, function in candidates.items():
             start = time.perf_counter()
-            found = function()
+            answer = function()
             times[name].append(time.perf_counter() - start)
-            if not np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max():
+            if not np.abs(answer - expected).max() <= 1e-9 * np.abs(expected).max():
                 raise RuntimeError(f"{name} is wrong")
     return {name: min(values) for name, values in times.items()}
 

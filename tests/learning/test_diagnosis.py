@@ -37,26 +37,26 @@ def planted(samples, cause):
         return grid.pairs(EVERY)[..., 0]
     if cause == "nonlinearity":
         return grid.quadratic(EVERY)[..., 3] + grid.quadratic(EVERY)[..., 20]
-    factor = np.random.default_rng(0).normal(size=(grid.at.shape[0], 1))
+    factor = np.random.default_rng(0).normal(size=(grid.place.shape[0], 1))
     return factor * samples.b[:, samples.interior]
 
 
 @pytest.mark.parametrize("cause", ["dispersion", "anisotropy", "nonlinearity", "heterogeneity"])
 def test_the_planted_cause_is_named(samples, cause):
-    found = diagnose(MODEL, with_force(samples, planted(samples, cause)))
-    assert found.residual == pytest.approx(0.1, rel=0.15)
-    assert max(found.shares, key=found.shares.get) == cause
-    assert found.shares[cause] > 0.5
-    assert sum(found.shares.values()) == pytest.approx(1.0)
-    assert found.sentence.startswith("The model leaves ")
-    assert cause in found.sentence or "short waves" in found.sentence
+    diagnosis = diagnose(MODEL, with_force(samples, planted(samples, cause)))
+    assert diagnosis.residual == pytest.approx(0.1, rel=0.15)
+    assert max(diagnosis.shares, key=diagnosis.shares.get) == cause
+    assert diagnosis.shares[cause] > 0.5
+    assert sum(diagnosis.shares.values()) == pytest.approx(1.0)
+    assert diagnosis.sentence.startswith("The model leaves ")
+    assert cause in diagnosis.sentence or "short waves" in diagnosis.sentence
 
 
 def test_noise_is_named_where_its_fields_are_given(samples):
     noisy = replace(samples, u=samples.u + fluctuation(samples, len(EVERY), 0.01, seed=1).u)
-    found = diagnose(MODEL, noisy, fluctuation(samples, 12, 0.01, seed=2))
-    assert max(found.shares, key=found.shares.get) == "noise"
-    assert found.shares["noise"] == pytest.approx(1.0, abs=0.2)
+    diagnosis = diagnose(MODEL, noisy, fluctuation(samples, 12, 0.01, seed=2))
+    assert max(diagnosis.shares, key=diagnosis.shares.get) == "noise"
+    assert diagnosis.shares["noise"] == pytest.approx(1.0, abs=0.2)
 
 
 def test_what_cannot_be_told_is_refused(samples):

@@ -37,34 +37,34 @@ def plain(data):
 
 @pytest.mark.parametrize("stress", [1e-4, 0.01, 3.0, 1e4, 1e11])
 def test_stiffness_of_any_size(data, plain, stress):
-    found = learned(at_scale(data, stress=stress))
+    result = learned(at_scale(data, stress=stress))
     for name in ("lam", "mu"):
         expected = getattr(plain.model, name)
-        assert getattr(found.model, name) / stress == pytest.approx(expected, rel=1e-5)
-        for stage in found.history:
+        assert getattr(result.model, name) / stress == pytest.approx(expected, rel=1e-5)
+        for stage in result.history:
             assert getattr(stage.parameters, name) / stress == pytest.approx(expected, rel=1e-5)
-    assert found.model.mu / stress == pytest.approx(0.7, rel=1e-4)
-    zeta = found.settings.conditions[0].zeta
+    assert result.model.mu / stress == pytest.approx(0.7, rel=1e-4)
+    zeta = result.settings.conditions[0].zeta
     assert zeta / stress == pytest.approx(plain.settings.conditions[0].zeta)
-    bound = found.certificate.symbol_bound
+    bound = result.certificate.symbol_bound
     assert bound / stress == pytest.approx(plain.certificate.symbol_bound, rel=1e-4)
 
 
 @pytest.mark.parametrize("length", [1e-10, 0.1, 3.4, 1e4])
 def test_lengths_in_any_unit(data, plain, length):
     there = at_scale(data, length)
-    found = learned(there, length)
-    assert found.model.horizon == HORIZON * length
-    assert found.model.certified_on == (length,)
-    assert found.model.mu == pytest.approx(plain.model.mu, rel=1e-5)
-    solved = solve(found.model, there, there.b, there.u)
+    result = learned(there, length)
+    assert result.model.horizon == HORIZON * length
+    assert result.model.certified_on == (length,)
+    assert result.model.mu == pytest.approx(plain.model.mu, rel=1e-5)
+    solved = solve(result.model, there, there.b, there.u)
     assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
 
 
 def test_moduli_to_be_held_are_those_of_the_data(data):
-    found = learned(at_scale(data, stress=1e-4), method=Optimum(moduli=(2e-5, 6e-5)))
-    assert (found.model.lam, found.model.mu) == pytest.approx((2e-5, 6e-5), rel=1e-6)
-    assert found.settings.moduli == (2e-5, 6e-5)
+    result = learned(at_scale(data, stress=1e-4), method=Optimum(moduli=(2e-5, 6e-5)))
+    assert (result.model.lam, result.model.mu) == pytest.approx((2e-5, 6e-5), rel=1e-6)
+    assert result.settings.moduli == (2e-5, 6e-5)
 
 
 def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp_path):

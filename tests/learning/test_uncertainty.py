@@ -32,10 +32,10 @@ SIZE = 0.02
 def fitted(data, start, zeta=0.01):
     """The output-error fit alone, without the stages and proofs around it."""
     asked = [LatticeConditions(CLASSES, Conditions("direct", zeta))]
-    found = output_optimum([WaveResponse(data, HORIZON)], start, asked, HORIZON)
+    optimum = output_optimum([WaveResponse(data, HORIZON)], start, asked, HORIZON)
     settings = Settings(asked, normalise=True, two_functions=False, moduli=None)
     return Fit(
-        as_model(found.parameters, HORIZON), [], [], [], {}, LossChoice("output", ""), settings
+        as_model(optimum.parameters, HORIZON), [], [], [], {}, LossChoice("output", ""), settings
     )
 
 
@@ -67,8 +67,10 @@ def test_the_band_holds_the_truth_as_often_as_it_says():
     for replicate in range(REPLICATES):
         data = noisy(clean, SIZE, seed=2 * replicate)
         noise = fluctuation(clean, 12, SIZE, seed=2 * replicate + 1)
-        found = fitted(data, start)
-        lower, upper = fit_uncertainty(found, data, noise).band(found.model, quantities, level=0.9)
+        result = fitted(data, start)
+        lower, upper = fit_uncertainty(result, data, noise).band(
+            result.model, quantities, level=0.9
+        )
         held.append((lower <= expected) & (expected <= upper))
     coverage = np.mean(held, axis=0)
     assert coverage.min() >= 0.80, coverage
@@ -81,7 +83,7 @@ def test_samples_of_one_seed_share_their_noise():
     start = Parameters(true.lam, true.mu, true.alpha, true.D)
     data = noisy(waves(true, cells=4, highest=3), SIZE, seed=1)
     noise = fluctuation(data, 12, SIZE, seed=2)
-    found = fitted(data, start)
+    result = fitted(data, start)
     pairs = np.arange(len(data)) // 2
     twice = dataclasses.replace(
         data,
@@ -92,7 +94,7 @@ def test_samples_of_one_seed_share_their_noise():
     def spread(points, seed=None):
         samples = points.arrays if seed is None else {**points.arrays, "seed": seed}
         points = dataclasses.replace(points, arrays=samples)
-        return fit_uncertainty(found, points, noise).deviation(constants)
+        return fit_uncertainty(result, points, noise).deviation(constants)
 
     once = spread(data)
     seeds = np.tile(np.arange(len(data)), 2)
@@ -128,12 +130,12 @@ def test_deviations_add_in_squares():
         (*(dataclasses.replace(true, mu=true.mu + sign * off * step) for sign in (1, -1)), off)
         for step, off in ((0.03, 1.0), (0.04, 0.25))
     ]
-    found = Uncertainty(pairs)
-    assert found.deviation(lambda model: model.mu) == pytest.approx(0.05)
-    lower, upper = found.band(true, lambda model: model.mu, level=0.6826894921)
+    uncertainty = Uncertainty(pairs)
+    assert uncertainty.deviation(lambda model: model.mu) == pytest.approx(0.05)
+    lower, upper = uncertainty.band(true, lambda model: model.mu, level=0.6826894921)
     assert (upper - lower) / 2 == pytest.approx(0.05)
     with pytest.raises(InputError, match="between 0 and 1"):
-        found.band(true, lambda model: model.mu, level=90)
+        uncertainty.band(true, lambda model: model.mu, level=90)
 
 
 def test_a_deviation_beyond_every_solid_is_still_told():
@@ -141,9 +143,9 @@ def test_a_deviation_beyond_every_solid_is_still_told():
     true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
     start = Parameters(true.lam, true.mu, true.alpha, true.D)
     data = waves(true, cells=4, highest=3)
-    found = fitted(data, start)
+    result = fitted(data, start)
     small, large = (
-        fit_uncertainty(found, data, fluctuation(data, 12, size, seed=2)) for size in (1e-4, 10.0)
+        fit_uncertainty(result, data, fluctuation(data, 12, size, seed=2)) for size in (1e-4, 10.0)
     )
     assert {off for *_, off in small.pairs} == {1.0}
     assert min(off for *_, off in large.pairs) < 1
@@ -155,14 +157,14 @@ def test_what_it_cannot_do_is_refused():
     true = kernel("1/r", HORIZON, lam=-0.1, mu=0.7)
     data = waves(true, cells=3, highest=2)
     noise = fluctuation(data, 3, SIZE, seed=2)
-    found = fit(data, horizon=HORIZON, kernel=Bernstein(0), normalise=True)
+    result = fit(data, horizon=HORIZON, kernel=Bernstein(0), normalise=True)
     with pytest.raises(InputError, match="two fields"):
-        fit_uncertainty(found, data, fluctuation(data, 1, SIZE, seed=2))
+        fit_uncertainty(result, data, fluctuation(data, 1, SIZE, seed=2))
     with pytest.raises(InputError, match="expected 1 sets"):
-        fit_uncertainty(found, [data, data], noise)
+        fit_uncertainty(result, [data, data], noise)
     with pytest.raises(InputError, match="wave_vector"):
         fit_uncertainty(
-            dataclasses.replace(found, loss=LossChoice("output", "")),
+            dataclasses.replace(result, loss=LossChoice("output", "")),
             dataclasses.replace(data, arrays={}),
             noise,
         )
@@ -174,9 +176,9 @@ def by_residual(data, zeta=0.01):
     asked = [LatticeConditions(CLASSES, Conditions(zeta=zeta))]
     true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
     start = Parameters(true.lam, true.mu, true.alpha, true.D)
-    found = constrained_optimum([reduce(data, HORIZON, weight)], start, asked)
+    optimum = constrained_optimum([reduce(data, HORIZON, weight)], start, asked)
     settings = Settings(asked, normalise=True, two_functions=False, moduli=None)
-    model = as_model(found.parameters, HORIZON)
+    model = as_model(optimum.parameters, HORIZON)
     return Fit(model, [], [], [], {}, LossChoice("residual", ""), settings)
 
 
@@ -185,11 +187,11 @@ def test_bands_that_noise_pulls_off_the_truth_are_warned_about():
     true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
     clean = waves(true, cells=4, highest=3)
     data = noisy(clean, 5e-4, seed=0)
-    found = by_residual(data)
+    result = by_residual(data)
     with pytest.warns(UserWarning, match="noise pulls a fit by 'residual'") as caught:
-        bands = fit_uncertainty(found, data, fluctuation(clean, 12, 5e-4, seed=1))
+        bands = fit_uncertainty(result, data, fluctuation(clean, 12, 5e-4, seed=1))
     said = float(re.search("by ([0-9.e+]+) standard", str(caught[0].message))[1])
-    off = np.abs(constants(found.model) - constants(true)) / bands.deviation(constants)
+    off = np.abs(constants(result.model) - constants(true)) / bands.deviation(constants)
     assert off[:3].min() > 2  # λ, μ, E: no band of 90 % holds them
     assert off.max() / 3 < said
     quiet = noisy(clean, 1e-7, seed=0)

@@ -68,10 +68,10 @@ def test_the_corrected_form_is_the_difference_where_that_is_positive(clean):
     loss = reduce(noisy(clean, 0.001, seed=1), HORIZON, weight)
     R = noise_loss(fluctuation(clean, 50, 0.0003, seed=2), clean, HORIZON, weight)
     difference = loss.R.T @ loss.R - R.T @ R
-    found = corrected(loss, R)
+    less = corrected(loss, R)
     assert np.linalg.eigvalsh(difference).min() > 0
     size = np.abs(difference).max()
-    np.testing.assert_allclose(found.R.T @ found.R, difference, atol=1e-12 * size)
+    np.testing.assert_allclose(less.R.T @ less.R, difference, atol=1e-12 * size)
 
 
 def test_the_corrected_form_never_turns_negative(model, clean):
@@ -79,11 +79,11 @@ def test_the_corrected_form_never_turns_negative(model, clean):
     loss = reduce(noisy(clean, SIZE, seed=1), HORIZON, weight)
     R = noise_loss(fluctuation(clean, 3, 2 * SIZE, seed=2), clean, HORIZON, weight)
     assert np.linalg.eigvalsh(loss.R.T @ loss.R - R.T @ R).min() < 0
-    found = corrected(loss, R)
+    less = corrected(loss, R)
     # Never more than before, either.
-    before = np.linalg.eigvalsh(loss.R.T @ loss.R - found.R.T @ found.R)
+    before = np.linalg.eigvalsh(loss.R.T @ loss.R - less.R.T @ less.R)
     assert before.min() > -1e-10 * before.max()
-    assert 0 <= square(found, model) <= square(loss, model)
+    assert 0 <= square(less, model) <= square(loss, model)
 
 
 def misfit(model, points):
@@ -101,7 +101,7 @@ def test_the_collar_response_is_the_solve_and_its_tangent(model):
     response = CollarResponse(points, HORIZON, reduce(points, HORIZON, weight))
     grid = response.about(other)
     assert square(grid, other) == pytest.approx(misfit(other, points), rel=1e-9)
-    assert_tangent(lambda at: square(response.about(at), at), grid, other)
+    assert_tangent(lambda model: square(response.about(model), model), grid, other)
 
 
 def test_the_wave_response_is_exact_and_its_tangent_is(model, clean):
@@ -111,23 +111,23 @@ def test_the_wave_response_is_exact_and_its_tangent_is(model, clean):
     other = near(model)
     grid = response.about(other)
     assert square(grid, other) > 1e-5
-    assert_tangent(lambda at: square(response.about(at), at), grid, other)
+    assert_tangent(lambda model: square(response.about(model), model), grid, other)
 
 
-def assert_tangent(loss, grid, at, step=1e-5):
+def assert_tangent(loss, grid, model, step=1e-5):
     """The linearised loss has the gradient of the loss, by central differences."""
-    for change in ("lam", "mu", "alpha", *range(len(at.D))):
+    for change in ("lam", "mu", "alpha", *range(len(model.D))):
 
         def moved(by, change=change):
             if isinstance(change, int):
-                D = at.D.copy()
+                D = model.D.copy()
                 D[change] += by
-                return dataclasses.replace(at, D=D, D_dilatation=D)
-            return dataclasses.replace(at, **{change: getattr(at, change) + by})
+                return dataclasses.replace(model, D=D, D_dilatation=D)
+            return dataclasses.replace(model, **{change: getattr(model, change) + by})
 
         exact = (loss(moved(step)) - loss(moved(-step))) / (2 * step)
-        found = (square(grid, moved(step)) - square(grid, moved(-step))) / (2 * step)
-        assert found == pytest.approx(exact, rel=1e-5, abs=1e-8)
+        by_step = (square(grid, moved(step)) - square(grid, moved(-step))) / (2 * step)
+        assert by_step == pytest.approx(exact, rel=1e-5, abs=1e-8)
 
 
 def test_every_parity_of_waves_is_known(model, clean):
@@ -155,10 +155,10 @@ def test_bias_of_the_raw_loss_is_gone(model, clean):
     options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
     wrong = {}
     for loss in ("residual", "corrected", "output"):
-        found = fit(data, noise=noise, loss=loss, **options)
-        assert found.loss.name == loss
-        assert found.model.certified_on == (1.0,)
-        wrong[loss] = abs(found.model.mu / model.mu - 1)
+        result = fit(data, noise=noise, loss=loss, **options)
+        assert result.loss.name == loss
+        assert result.model.certified_on == (1.0,)
+        wrong[loss] = abs(result.model.mu / model.mu - 1)
     assert wrong["residual"] > 0.1
     assert wrong["corrected"] < wrong["residual"] / 3
     assert wrong["output"] < wrong["residual"] / 5

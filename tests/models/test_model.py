@@ -52,12 +52,12 @@ def test_the_file_says_what_it_is(path):
 def test_influence_is_the_bernstein_sum(name):
     model = kernel(name, 3.0)
     r = np.array([0.1, 1.0, np.sqrt(2), 2.9, 3.0])
-    for found, D in (
+    for values, D in (
         (model.influence(r), KERNELS[name]["D"]),
         (model.influence_dilatation(r), KERNELS[name].get("D_dilatation", KERNELS[name]["D"])),
     ):
         expected = [reference.influence(value, 3.0, model.alpha, D) for value in r]
-        np.testing.assert_allclose(found, expected, rtol=1e-13)
+        np.testing.assert_allclose(values, expected, rtol=1e-13)
 
 
 def test_continuum_constants_are_those_of_the_plane():

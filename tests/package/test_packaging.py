@@ -25,9 +25,9 @@ def run(command, folder, **options):
     """Standard output of a command outside the checkout, which is not on its path."""
     clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     options = {"capture_output": True, "text": True, "check": False} | options
-    found = subprocess.run([*map(str, command)], cwd=folder, env=clean, **options)
-    assert found.returncode == 0, found.stderr
-    return found.stdout
+    finished = subprocess.run([*map(str, command)], cwd=folder, env=clean, **options)
+    assert finished.returncode == 0, finished.stderr
+    return finished.stdout
 
 
 def built(what, source, out):
@@ -68,7 +68,9 @@ def wheel(sdist, tmp_path_factory):
 def package_files():
     """Every file of the package as a user sees it, below warp_peri/."""
     walked = os.walk(ROOT / "warp_peri", followlinks=True)  # kernels/ is a link
-    files = [Path(at) / name for at, _, names in walked for name in names if name.endswith(".py")]
+    files = [
+        Path(place) / name for place, _, names in walked for name in names if name.endswith(".py")
+    ]
     files += [ROOT / "warp_peri/py.typed", ROOT / "warp_peri/speed_accuracy.json"]
     return {str(file.relative_to(ROOT)) for file in files}
 

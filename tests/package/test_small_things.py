@@ -38,24 +38,24 @@ def samples():
 
 
 @pytest.fixture(scope="module")
-def found(samples):
+def result(samples):
     return fit(Dataset({"only": samples}, 3.35, 2200.0), HORIZON, Bernstein(2))
 
 
-def test_a_data_set_with_one_obvious_set_is_taken(samples, found):
+def test_a_data_set_with_one_obvious_set_is_taken(samples, result):
     data = Dataset({"train": samples, "val": samples}, 3.35, 2200.0)
-    assert fit(data, HORIZON, Bernstein(2)).model.mu == found.model.mu
-    one = evaluate(found.model, Dataset({"val": samples}, 3.35, 2200.0))
-    assert one == evaluate(found.model, samples)
+    assert fit(data, HORIZON, Bernstein(2)).model.mu == result.model.mu
+    numbers = evaluate(result.model, Dataset({"val": samples}, 3.35, 2200.0))
+    assert numbers == evaluate(result.model, samples)
     with pytest.raises(InputError, match=r"a data set with train, val; name one, as data\['train'"):
-        evaluate(found.model, data)
+        evaluate(result.model, data)
 
 
-def test_a_fit_is_shown_in_a_few_lines(found):
-    assert len(repr(found)) < 900
-    assert len(str(found).splitlines()) < 12
-    assert "certified on   1 Å" in repr(found)
-    html = found._repr_html_()
+def test_a_fit_is_shown_in_a_few_lines(result):
+    assert len(repr(result)) < 900
+    assert len(str(result).splitlines()) < 12
+    assert "certified on   1 Å" in repr(result)
+    html = result._repr_html_()
     assert html.startswith("<table>")
     assert "<polyline" in html
 
@@ -123,8 +123,8 @@ def command(*words):
     return subprocess.Popen([sys.executable, "-m", "warp_peri", *words], **pipes)
 
 
-def test_warp_says_nothing_of_a_driver_that_is_not_there(found, tmp_path):
-    found.model.save(tmp_path / "model.json")
+def test_warp_says_nothing_of_a_driver_that_is_not_there(result, tmp_path):
+    result.model.save(tmp_path / "model.json")
     process = command("certify", str(tmp_path / "model.json"), "--json")
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0

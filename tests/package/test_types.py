@@ -21,7 +21,7 @@ def complaints(tmp_path_factory):
     pytest.importorskip("mypy")
     folder = tmp_path_factory.mktemp("user")
 
-    def found(script):
+    def messages(script):
         (folder / "script.py").write_text(script)
         options = ("--strict", "--config-file=", "--follow-imports=silent", "--no-error-summary")
         answer = subprocess.run(
@@ -35,7 +35,7 @@ def complaints(tmp_path_factory):
         assert answer.returncode in (0, 1), answer.stderr
         return answer.stdout
 
-    return found
+    return messages
 
 
 def test_the_script_uses_every_public_name():

@@ -53,8 +53,8 @@ def test_the_operator_converges_with_the_square_of_the_spacing(ratio):
     errors = []
     for spacing in SPACINGS:
         points, model = problem(spacing, ratio)
-        found = LPSOperator(model, points)(field(points.x))
-        errors.append(np.abs(found - load(points.x[points.interior], LAM, MU)).max())
+        force = LPSOperator(model, points)(field(points.x))
+        errors.append(np.abs(force - load(points.x[points.interior], LAM, MU)).max())
     assert fitted_order(SPACINGS, errors) >= ORDER
 
 
@@ -75,6 +75,6 @@ def test_other_kernels_converge_to_other_constants():
     for spacing in SPACINGS:
         points, _ = problem(spacing, 3.0)
         steep = kernel("steep", 3.0 * spacing, spacing)
-        found = LPSOperator(steep, points)(field(points.x))
-        errors.append(np.abs(found - load(points.x[points.interior], LAM, MU)).max())
+        force = LPSOperator(steep, points)(field(points.x))
+        errors.append(np.abs(force - load(points.x[points.interior], LAM, MU)).max())
     assert fitted_order(SPACINGS, errors) < 0.5

@@ -51,9 +51,9 @@ def test_iterative_solves_recover_a_manufactured_solution(name, method):
     collar = np.where(points.interior[:, None], np.nan, points.u)
     load = np.where(points.interior[:, None], points.b, np.nan)
     iteration = Iteration(1e-11, records=records)
-    found = solve(model, points, load, collar, method=method, iteration=iteration)
-    np.testing.assert_allclose(found, points.u, rtol=0, atol=2e-8)
-    left = (LPSOperator(model, points)(found) - points.b[:, points.interior]).reshape(2, -1)
+    solved = solve(model, points, load, collar, method=method, iteration=iteration)
+    np.testing.assert_allclose(solved, points.u, rtol=0, atol=2e-8)
+    left = (LPSOperator(model, points)(solved) - points.b[:, points.interior]).reshape(2, -1)
     assert len(records) == 2
     assert all(record.residual <= 1e-11 and record.iterations > 1 for record in records)
     size = np.linalg.norm(points.b[:, points.interior].reshape(2, -1), axis=1)
@@ -173,7 +173,7 @@ def test_the_implicit_gradient_is_that_of_differences(method, bond_based):
     flat = np.concatenate([[0.8, 0.3, 1.3], D, Dd])
 
     def value(mu, lam, alpha, D, Dd, b, u):
-        found = equilibrium(
+        solved = equilibrium(
             points,
             b,
             u,
@@ -182,7 +182,7 @@ def test_the_implicit_gradient_is_that_of_differences(method, bond_based):
             method=name,
             tolerance=1e-12,
         )
-        return (weight * found).sum()
+        return (weight * solved).sum()
 
     def of(vector):
         mu, lam, alpha = torch.as_tensor(vector[:3])
@@ -203,7 +203,7 @@ def test_the_implicit_gradient_is_that_of_differences(method, bond_based):
 
             def along(t, field=field, direction=direction):
                 moved = [
-                    torch.from_numpy(one + t[0] * direction * (one is field)) for one in (b, u)
+                    torch.from_numpy(own + t[0] * direction * (own is field)) for own in (b, u)
                 ]
                 return float(value(mu, lam, alpha, D_, Dd_, *moved))
 

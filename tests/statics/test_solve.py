@@ -23,9 +23,9 @@ def test_a_manufactured_solution_is_recovered_whatever_the_collar(name, angle):
     assert np.abs(points.u[:, ~points.interior]).min() > 0
     collar = np.where(points.interior[:, None], np.nan, points.u)
     load = np.where(points.interior[:, None], points.b, np.nan)
-    found = solve(model, points, load, collar)
-    np.testing.assert_allclose(found, points.u, rtol=0, atol=1e-11)
-    assert np.array_equal(found[:, ~points.interior], points.u[:, ~points.interior])
+    solved = solve(model, points, load, collar)
+    np.testing.assert_allclose(solved, points.u, rtol=0, atol=1e-11)
+    assert np.array_equal(solved[:, ~points.interior], points.u[:, ~points.interior])
     assert np.isnan(collar[:, points.interior]).all()  # what was given stays as it was
     np.testing.assert_allclose(solve(model, points, load[1], collar[1]), points.u[1], atol=1e-11)
 
@@ -43,9 +43,9 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name):
     u = noise(points, 2)
     u -= u.mean(axis=1, keepdims=True)
     b = LPSOperator(model, points)(u).reshape(2, 9, 12, 2)
-    found = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
-    np.testing.assert_allclose(found.reshape(u.shape), u, rtol=0, atol=1e-11)
-    assert np.abs(found.mean(axis=(1, 2))).max() < 1e-14
+    solved = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
+    np.testing.assert_allclose(solved.reshape(u.shape), u, rtol=0, atol=1e-11)
+    assert np.abs(solved.mean(axis=(1, 2))).max() < 1e-14
 
 
 def test_uncertified_spacings_are_refused_or_warned_about():

@@ -82,18 +82,18 @@ def diagnose(model: Model, samples: Samples, noise: Samples | None = None) -> Di
     left = (b - operator(samples.u)) @ grid.axes
     size = float((b**2).sum())
     total = float((left**2).sum())
-    found: dict[str, float] = {}
+    shares: dict[str, float] = {}
     if noise is not None:
         c = products(model, bond_classes(samples.spacing, model.horizon))
         R = noise_loss(noise, samples, model.horizon, weight)
-        found["noise"] = min(1.0, float(np.sum((R @ c) ** 2)) * size / max(total, TINY))
+        shares["noise"] = min(1.0, float(np.sum((R @ c) ** 2)) * size / max(total, TINY))
     level = total
     for name, below in _levels(grid, left).items():
-        found[name], level = max(0.0, level - below) / max(total, TINY), below
-    rest = 1.0 - found.get("noise", 0.0)  # what noise makes, the others would take again
-    found = {name: value if name == "noise" else rest * value for name, value in found.items()}
-    found["unexplained"] = max(0.0, 1.0 - sum(found.values()))
-    return Diagnosis(float(np.sqrt(total / size)), found)
+        shares[name], level = max(0.0, level - below) / max(total, TINY), below
+    rest = 1.0 - shares.get("noise", 0.0)  # what noise makes, the others would take again
+    shares = {name: value if name == "noise" else rest * value for name, value in shares.items()}
+    shares["unexplained"] = max(0.0, 1.0 - sum(shares.values()))
+    return Diagnosis(float(np.sqrt(total / size)), shares)
 
 
 def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
@@ -103,9 +103,9 @@ def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
     the halves exchanged.
     """
     order = np.random.default_rng(0).permutation(len(left))
-    one, two = np.sort(order[::2]), np.sort(order[1::2])
+    first, second = np.sort(order[::2]), np.sort(order[1::2])
     levels: dict[str, float] = {}
-    for fitted, judged in ((one, two), (two, one)):
+    for fitted, judged in ((first, second), (second, first)):
         best = left[fitted], left[judged]
         base: tuple[Feature, ...] = ()
         for name, features in (
@@ -115,7 +115,8 @@ def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
         ):
             asked = features if name != "nonlinearity" else (*base, *features)
             rows, others = (
-                np.concatenate([one(some) for one in asked], axis=-1) for some in (fitted, judged)
+                np.concatenate([features(some) for features in asked], axis=-1)
+                for some in (fitted, judged)
             )
             c = _coefficients(rows, left[fitted])
             tried = left[fitted] - rows @ c, left[judged] - others @ c
@@ -123,7 +124,7 @@ def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
                 best, base = tried, asked
             levels[name] = levels.get(name, 0.0) + float((best[1] ** 2).sum())
         local = best[1] - grid.predicted(best[0], fitted, judged)
-        lowest = min(float((one**2).sum()) for one in (local, best[1]))
+        lowest = min(float((fit**2).sum()) for fit in (local, best[1]))
         levels["heterogeneity"] = levels.get("heterogeneity", 0.0) + lowest
     return levels
 
@@ -133,8 +134,8 @@ def _coefficients(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
     scale = np.sqrt((rows**2).sum(axis=(0, 1, 2)))
     scale = np.where(scale > 0, scale, np.inf)
     flat = (rows / scale).reshape(-1, rows.shape[-1])
-    found: np.ndarray = np.linalg.lstsq(flat, left.ravel(), rcond=1e-9)[0] / scale
-    return found
+    coefficients: np.ndarray = np.linalg.lstsq(flat, left.ravel(), rcond=1e-9)[0] / scale
+    return coefficients
 
 
 class _Grid:
@@ -146,28 +147,28 @@ class _Grid:
         pad = int(np.abs(classes.steps).max()) + 2
         shape = (*(steps.max(axis=0) + 1 + 2 * pad), 2)
         u = np.zeros((len(samples), *shape))
-        at = steps + pad
-        u[:, at[:, 0], at[:, 1]] = samples.u @ self.axes
+        place = steps + pad
+        u[:, place[:, 0], place[:, 1]] = samples.u @ self.axes
         self.u, self.h = u, samples.spacing
-        self.at = at[samples.interior]
+        self.place = place[samples.interior]
         half = (classes.steps[:, 0] > 0) | ((classes.steps[:, 0] == 0) & (classes.steps[:, 1] > 0))
         self.steps, self.kind = classes.steps[half], classes.bond_class[half]
 
     def shifted(self, some: np.ndarray, step: tuple[int, int] | np.ndarray) -> np.ndarray:
         """u of some samples at the nodes a step away, shape [S, I, 2]."""
-        row, column = (self.at + step).T
-        found: np.ndarray = self.u[some][:, row, column]
-        return found
+        row, column = (self.place + step).T
+        values: np.ndarray = self.u[some][:, row, column]
+        return values
 
     def second(self, some: np.ndarray, step: np.ndarray) -> np.ndarray:
         """u(x + ξ) + u(x − ξ) − 2 u(x), shape [S, I, 2]."""
         middle = self.shifted(some, (0, 0))
-        found: np.ndarray = self.shifted(some, step) + self.shifted(some, -step) - 2 * middle
-        return found
+        bent: np.ndarray = self.shifted(some, step) + self.shifted(some, -step) - 2 * middle
+        return bent
 
     def orbits(self, some: np.ndarray) -> np.ndarray:
         """Forces of unit bonds of each class, along the bonds and whole: [S, I, 2, F]."""
-        out = np.zeros((len(some), len(self.at), 2, 2 * (self.kind.max() + 1)))
+        out = np.zeros((len(some), len(self.place), 2, 2 * (self.kind.max() + 1)))
         for step, kind in zip(self.steps, self.kind):
             d, n = self.second(some, step), step / np.linalg.norm(step)
             out[..., 2 * kind] += (d @ n)[..., None] * n
@@ -200,7 +201,7 @@ class _Grid:
         stress = gradient[..., i] * gradient[..., j]
         slopes = [
             ((np.roll(stress, -1, axis) - np.roll(stress, 1, axis)) / (2 * self.h))[
-                :, self.at[:, 0], self.at[:, 1]
+                :, self.place[:, 0], self.place[:, 1]
             ]
             for axis in (1, 2)
         ]
@@ -214,7 +215,7 @@ class _Grid:
 
     def local(self, some: np.ndarray) -> np.ndarray:
         """Strains and second differences around each node, shape [S, I, 11]."""
-        gradient = self.gradient(some)[:, self.at[:, 0], self.at[:, 1]]
+        gradient = self.gradient(some)[:, self.place[:, 0], self.place[:, 1]]
         strain = np.stack(
             [gradient[..., 0], gradient[..., 3], gradient[..., 1] + gradient[..., 2]], axis=-1
         )
@@ -231,5 +232,5 @@ class _Grid:
         gram = np.einsum("snf,sng->nfg", rows, rows)
         gram += RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(rows.shape[-1])
         c = np.linalg.solve(gram, np.einsum("snf,sna->nfa", rows, left))
-        found: np.ndarray = np.einsum("snf,nfa->sna", asked, c)
-        return found
+        force: np.ndarray = np.einsum("snf,nfa->sna", asked, c)
+        return force

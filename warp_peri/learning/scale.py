@@ -62,9 +62,9 @@ class Scale:
 
     def inner_conditions(self, asked: Conditions) -> Conditions:
         """The conditions in these units."""
-        found = self.conditions(asked)
-        assert found.zeta is not None
-        return dataclasses.replace(found, zeta=found.zeta / self.stress)
+        conditions = self.conditions(asked)
+        assert conditions.zeta is not None
+        return dataclasses.replace(conditions, zeta=conditions.zeta / self.stress)
 
     def method(self, given: Method) -> Method:
         """The method with its lengths and moduli in these units."""
@@ -88,15 +88,17 @@ class Scale:
         """The conditions of training data in these units, in those of the data."""
         return [
             LatticeConditions(
-                bond_classes(one.classes.spacing * self.length, horizon),
-                dataclasses.replace(one.asked, zeta=one.zeta * self.stress),
+                bond_classes(lattice.classes.spacing * self.length, horizon),
+                dataclasses.replace(lattice.asked, zeta=lattice.zeta * self.stress),
             )
-            for one in data.conditions
+            for lattice in data.conditions
         ]
 
-    def parameters(self, found: Parameters) -> Parameters:
+    def parameters(self, parameters: Parameters) -> Parameters:
         """What was found in these units, in those of the data."""
-        return dataclasses.replace(found, lam=found.lam * self.stress, mu=found.mu * self.stress)
+        return dataclasses.replace(
+            parameters, lam=parameters.lam * self.stress, mu=parameters.mu * self.stress
+        )
 
 
 def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale:
@@ -129,15 +131,19 @@ def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
     """
     if not sets:
         raise InputError("points: expected at least one training set, got none")
-    large_b = max(float(np.abs(one.loads[:, one.interior]).max(initial=0.0)) for one in sets)
-    large_u = max(float(np.abs(one.u).max(initial=0.0)) for one in sets)
+    large_b = max(
+        float(np.abs(samples.loads[:, samples.interior]).max(initial=0.0)) for samples in sets
+    )
+    large_u = max(float(np.abs(samples.u).max(initial=0.0)) for samples in sets)
     loads = work = 0.0
     if large_b > 0 and large_u > 0:
-        for one in sets:
-            reach = min(PROBED_HORIZON * one.spacing, horizon) if one.spacing > 0 else horizon
-            bonds = Bonds(one.points, reach, bond_based=True)
-            force = lps_force(bonds, torch.from_numpy(one.u / large_u), UNIT).numpy()
-            b = one.loads[:, one.interior] / large_b
+        for samples in sets:
+            reach = (
+                min(PROBED_HORIZON * samples.spacing, horizon) if samples.spacing > 0 else horizon
+            )
+            bonds = Bonds(samples.points, reach, bond_based=True)
+            force = lps_force(bonds, torch.from_numpy(samples.u / large_u), UNIT).numpy()
+            b = samples.loads[:, samples.interior] / large_b
             loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
     if not work > 0:
         raise InputError(
@@ -162,10 +168,10 @@ def scaled_data(
     def made(scale: Scale | None) -> TrainingData:
         length = 1.0 if scale is None else scale.length
         return training_data(
-            [one if scale is None else scale.samples(one) for one in sets],
+            [samples if scale is None else scale.samples(samples) for samples in sets],
             horizon / length,
             conditions if scale is None else scale.inner_conditions(conditions),
-            noise=[one if scale is None else scale.samples(one) for one in noise],
+            noise=[samples if scale is None else scale.samples(samples) for samples in noise],
             normalise=normalise,
             lattice_spacing=None if lattice_spacing is None else lattice_spacing / length,
         )

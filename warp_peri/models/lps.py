@@ -200,8 +200,8 @@ class Model:
     def transferred_from(self) -> float | None:
         """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
         record = self.provenance.get("transfer")
-        found = record.get("from_spacing") if isinstance(record, dict) else None
-        return float(found) if isinstance(found, (int, float)) else None
+        spacing = record.get("from_spacing") if isinstance(record, dict) else None
+        return float(spacing) if isinstance(spacing, (int, float)) else None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""

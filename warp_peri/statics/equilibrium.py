@@ -42,22 +42,22 @@ class _OnLattice(torch.autograd.Function):
         ctx: Any, system: Dirichlet, tolerance: float, records: list[Record], *tensors: torch.Tensor
     ) -> torch.Tensor:
         A, b, u = tensors
-        found, domain = u.clone(), system.domain
+        solved, domain = u.clone(), system.domain
         for s in range(len(b)):
             right = domain.gather_free(b[s][domain.interior])
             right -= system.pull(domain.gather_near(u[s]) * domain.collar)
             inner, record = system.solve(right, tolerance)
             records.append(record)
-            found[s, domain.interior] = domain.scatter_free(inner)
+            solved[s, domain.interior] = domain.scatter_free(inner)
         ctx.system, ctx.tolerance = system, tolerance
-        ctx.save_for_backward(found)
+        ctx.save_for_backward(solved)
         ctx.reach = A.shape[-1] // 2
-        return found
+        return solved
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        (g,), (found,), system = upstream, ctx.saved_tensors, ctx.system
+        (g,), (solved,), system = upstream, ctx.saved_tensors, ctx.system
         domain, wanted = system.domain, ctx.needs_input_grad[3:]
         by_b, by_u, by_A = torch.zeros_like(g), g.clone(), None
         for s in range(len(g)):
@@ -68,7 +68,7 @@ class _OnLattice(torch.autograd.Function):
                 pulled = domain.torus.product(system.symbol, wide)
                 by_u[s] -= domain.scatter_near(pulled, len(g[s]))
             if wanted[0]:
-                part = domain.torus.correlation(wide, domain.gather_near(found[s]), ctx.reach)
+                part = domain.torus.correlation(wide, domain.gather_near(solved[s]), ctx.reach)
                 by_A = -part if by_A is None else by_A - part
         by_u[:, domain.interior] = 0
         return None, None, None, by_A, by_b, by_u
@@ -91,29 +91,29 @@ class _ByLU(torch.autograd.Function):
         tables = [*influence(bonds, alpha, D), *influence(bonds, alpha, own)]
         L = assemble(bonds, tables).operator(float(solid.lam[0]), float(solid.mu[0]))
         problem = MatrixProblem(L, points.interior)
-        found = problem.solve(b.detach().numpy(), u.detach().numpy())
+        solved = problem.solve(b.detach().numpy(), u.detach().numpy())
         refuse_indefinite(nodes_of(points), bonds.horizon, solid, problem.stiffness)
         ctx.bonds, ctx.problem = bonds, problem
-        result = torch.from_numpy(found)
+        result = torch.from_numpy(solved)
         ctx.save_for_backward(result, *parameters)
         return result
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        found, *parameters = ctx.saved_tensors
-        flat = upstream[0].numpy().reshape(len(found), -1)
+        solved, *parameters = ctx.saved_tensors
+        flat = upstream[0].numpy().reshape(len(solved), -1)
         problem, unknown = ctx.problem, ctx.problem.unknown
         w = problem.factors.solve(np.ascontiguousarray(flat[:, unknown].T), "T").T
         by_b, by_u = np.zeros_like(flat), np.zeros_like(flat)
         by_b[:, unknown] = w
         by_u[:, ~unknown] = flat[:, ~unknown] - (problem.collar.T @ w.T).T
-        shape = found.shape
+        shape = solved.shape
         found_by: Sequence[torch.Tensor | None] = [None] * len(parameters)
         if any(ctx.needs_input_grad[4:]):
             with torch.enable_grad():
                 leaves = [value.detach().requires_grad_() for value in parameters]
-                force = lps_force(ctx.bonds, found, Solid(*leaves))
+                force = lps_force(ctx.bonds, solved, Solid(*leaves))
                 pull = torch.from_numpy(-w.reshape(shape[0], -1, 2).copy())
                 found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
         fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
@@ -163,8 +163,8 @@ def equilibrium(
     b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
     if method == "lu":
         bonds = Bonds(points, horizon, bond_based=solid.bond_based)
-        found = _by_lu(bonds, points, b.cpu(), u.cpu(), *solid.values())
-        return found.reshape(shape).to(b.device)
+        solved = _by_lu(bonds, points, b.cpu(), u.cpu(), *solid.values())
+        return solved.reshape(shape).to(b.device)
     if method not in PRECONDITIONERS:
         raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")
     if points.spacing == 0:

@@ -32,11 +32,11 @@ def sine(domain: Domain, A: torch.Tensor) -> Preconditioner:
     """
     reach = A.shape[-1] // 2
     n = torch.arange(-reach, reach + 1, dtype=A.dtype)
-    one, two = (
+    along, across = (
         torch.cos(torch.pi / (size + 1) * torch.outer(torch.arange(1, size + 1), n))
         for size in domain.mask.shape
     )
-    D = torch.stack([one @ A[a, a] @ two.T for a in (0, 1)])
+    D = torch.stack([along @ A[a, a] @ across.T for a in (0, 1)])
     shift = SINE_SHIFT * long_wave(A, 1.0)[1]
     gain = (shift / (D * (D + shift))).to(domain.mask.device, torch.float32)
     filtered = torus_inverse(domain, A, shift=shift)
@@ -52,8 +52,8 @@ def dst(field: torch.Tensor, *, inverse: bool = False) -> torch.Tensor:
     """DST-I over the last two axes."""
     if field.device.type == "cpu":
         transform = scipy.fft.idstn if inverse else scipy.fft.dstn
-        found = transform(field.numpy(), type=1, axes=(1, 2), workers=threads())
-        return torch.from_numpy(found)
+        result = transform(field.numpy(), type=1, axes=(1, 2), workers=threads())
+        return torch.from_numpy(result)
     return odd_dst(field, inverse=inverse)
 
 
@@ -87,8 +87,8 @@ def torus_inverse(
 
     def apply(r: torch.Tensor) -> torch.Tensor:
         n, m = r.shape[1:]
-        found = torus.product(blocks, r.float())  # type: ignore[arg-type]
-        return (found[:, :n, :m] * domain.mask).double()
+        field = torus.product(blocks, r.float())  # type: ignore[arg-type]
+        return (field[:, :n, :m] * domain.mask).double()
 
     return apply
 
@@ -102,11 +102,11 @@ def additive(domain: Domain, A: torch.Tensor) -> Preconditioner:
     nearly constant modes jump at its boundary.
     """
     C11, C44, mixed = long_wave(A, 1.0)
-    one, two = (
+    along, across = (
         (1 + torch.cos(2 * torch.pi * torch.arange(size, dtype=A.dtype) / size)) / 2
         for size in domain.torus.shape
     )
-    seen = torch.outer(one, two[: len(two) // 2 + 1]).to(domain.mask.device)
+    seen = torch.outer(along, across[: len(across) // 2 + 1]).to(domain.mask.device)
     filtered = torus_inverse(domain, A, shift=SHIFT * C44 * seen)
     mask = domain.mask
     coarse = coarser(mask)

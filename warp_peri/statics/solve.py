@@ -142,7 +142,7 @@ def _iterated(
     """The solution by conjugate gradients, where they are asked to run."""
     there = known_device(iteration.device)
     with torch.no_grad():
-        found = equilibrium(
+        answer = equilibrium(
             nodes,
             torch.from_numpy(load).to(there),
             torch.from_numpy(u).to(there),
@@ -152,7 +152,7 @@ def _iterated(
             tolerance=iteration.tolerance,
             records=iteration.records,
         )
-    return found.cpu().numpy()
+    return answer.cpu().numpy()
 
 
 def _through_lattice(
@@ -165,9 +165,9 @@ def _through_lattice(
             "model's own numbers there (allow_uncertified)"
         )
     flat = u.reshape(-1, len(points.x), 2)
-    found = ThroughLattice(model, points).solve(load.reshape(flat.shape), flat)
-    warn_beyond(model, nodes_of(points), found)
-    return found.reshape(u.shape)
+    answer = ThroughLattice(model, points).solve(load.reshape(flat.shape), flat)
+    warn_beyond(model, nodes_of(points), answer)
+    return answer.reshape(u.shape)
 
 
 def checked_fields(
@@ -207,12 +207,12 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
     preconditioner = LinearOperator(problem.stiffness.shape, rough.solve)
     right, columns = problem.right(b, u), []
     for column in right.T:
-        found, failed = gmres(
+        solved, failed = gmres(
             problem.stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
         )
         if failed:
             raise InputError("GMRES did not converge on these nodes; try the method lu")
-        columns.append(found)
+        columns.append(solved)
     solution = np.stack(columns, axis=1)
     problem.check(solution, right)
     return problem.filled(u, solution)
