@@ -57,8 +57,8 @@ class Continuum:
     def release(self, longest: int):
         """G at unit strain as a function of a central crack's half length in hexagons [TPa Å]."""
         halves = np.arange(0, longest + 4, 2)
-        found = [self.energy([(-a, a)] if a else []) for a in tqdm(halves, desc="energies")]
-        curve = CubicSpline(halves, found, bc_type=((1, 0.0), "not-a-knot"))
+        energies = [self.energy([(-a, a)] if a else []) for a in tqdm(halves, desc="energies")]
+        curve = CubicSpline(halves, energies, bc_type=((1, 0.0), "not-a-knot"))
         return lambda half: -float(curve(half, 1)) / (2 * self.step)
 
     def release_of_two(self, zone: float) -> float:
@@ -85,13 +85,13 @@ def fitted(release, strain: float, E: float, strength: float, step: float) -> tu
 
 def atoms(names: dict[str, tuple[list, float]], step: float, kept: Path) -> dict[str, float]:
     """Critical strains by LAMMPS; each is written down when it is found, and not found again."""
-    found = json.loads(kept.read_text()) if kept.exists() else {}
+    measured = json.loads(kept.read_text()) if kept.exists() else {}
     for name, (cracks, expected) in tqdm(names.items(), desc="sheets", unit="sheet"):
-        if name not in found:
+        if name not in measured:
             lines = [np.array([(a * step, 0), (b * step, 0)]) for a, b in cracks]
-            found[name] = critical_strain(lines, expected, half=HALF * step)
-            write_json(kept, found)
-    return {name: found[name]["strain"] for name in names}
+            measured[name] = critical_strain(lines, expected, half=HALF * step)
+            write_json(kept, measured)
+    return {name: measured[name]["strain"] for name in names}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -112,12 +112,12 @@ def main(argv: list[str] | None = None) -> int:
     names = {f"{n} bonds": ([(-n / 2, n / 2)], guess[n]) for n in lengths}
     if args.all:
         names["collinear"] = ([(INNER, OUTER), (-OUTER, -INNER)], 0.038)
-    found = atoms(names, step, args.out / "atoms.json")
+    measured = atoms(names, step, args.out / "atoms.json")
     strength, _ = ideal_strength()
-    base = found[f"{FITTED} bonds"]
+    base = measured[f"{FITTED} bonds"]
     toughness, zone = fitted(release, base, constants["E"], strength, step)
     table = {}
-    for name, strain in found.items():
+    for name, strain in measured.items():
         n = lengths[list(names).index(name)] if name != "collinear" else 0
         found_release = release(n / 2 + zone) if n else sheet.release_of_two(zone)
         predicted = float(np.sqrt(toughness / found_release))
@@ -133,7 +133,7 @@ def main(argv: list[str] | None = None) -> int:
     halves = np.linspace(min(lengths) / 2, max(lengths) / 2, 60)
     curve = [100 * np.sqrt(toughness / release(half + zone)) for half in halves]
     ax.plot(2 * halves * step, curve, "k", linewidth=0.8, label="one G_c")
-    ax.plot([n * step for n in lengths], [100 * found[f"{n} bonds"] for n in lengths], "o")
+    ax.plot([n * step for n in lengths], [100 * measured[f"{n} bonds"] for n in lengths], "o")
     ax.set(xlabel="length of the crack [Å]", ylabel="critical strain [%]")
     ax.legend(frameon=False)
     figure.savefig(args.out / "critical_strain.png", dpi=120)

@@ -44,8 +44,8 @@ def error(points: Points, ratio: float, cells: int, kappa: Any, exact: np.ndarra
     """Relative l2 error of a steady solution with the source g [N]."""
     operator = DiffusionOperator(Conductor(ratio / cells), points, kappa=kappa)
     rows = operator.rows
-    found = steady(operator, exact, np.broadcast_to(g, exact.shape)[rows])
-    return float(np.linalg.norm((found - exact)[rows]) / np.linalg.norm(exact[rows]))
+    solved = steady(operator, exact, np.broadcast_to(g, exact.shape)[rows])
+    return float(np.linalg.norm((solved - exact)[rows]) / np.linalg.norm(exact[rows]))
 
 
 def smooth(cells: int, shift: float) -> float:
@@ -123,10 +123,10 @@ def microstructure(cells: int, grains: int = 12, seed: int = 0) -> tuple[float, 
     points = square(cells, RATIO)
     exact = basis.probes(points.x.T) @ phi
     operator = DiffusionOperator(Conductor(RATIO / cells), points, kappa=kappa)
-    found = steady(operator, exact)
+    solved = steady(operator, exact)
     free = points.interior
-    off = np.linalg.norm((found - exact)[free]) / np.linalg.norm(exact[free])
-    return float(off), (points.x, kappa(points.x), found, free)
+    off = np.linalg.norm((solved - exact)[free]) / np.linalg.norm(exact[free])
+    return float(off), (points.x, kappa(points.x), solved, free)
 
 
 def order(cells: list[int], errors: list[float]) -> float:
@@ -163,9 +163,9 @@ def main(argv: list[str] | None = None) -> int:
             "order": order(cells, errors),
         }
     if args.microstructure:
-        numbers["microstructure"], (x, kappa, found, free) = microstructure(args.microstructure)
+        numbers["microstructure"], (x, kappa, solved, free) = microstructure(args.microstructure)
         figure = Figure(figsize=(9, 4), layout="constrained")
-        for ax, values, title in zip(figure.subplots(1, 2), (kappa, found), ("κ", "φ")):
+        for ax, values, title in zip(figure.subplots(1, 2), (kappa, solved), ("κ", "φ")):
             shown = ax.scatter(*x[free].T, c=values[free], s=3, cmap="viridis")
             ax.set(aspect="equal", title=title)
             figure.colorbar(shown, ax=ax)

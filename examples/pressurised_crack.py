@@ -66,8 +66,8 @@ def main(argv: list[str] | None = None) -> int:
     figure = Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     for cells in args.cells:
-        numbers["over Sneddon"][f"L/{cells}"], (place, found, expected) = opening(cells)
-        left.plot(place, found, ".", label=f"L/{cells}")
+        numbers["over Sneddon"][f"L/{cells}"], (place, opened, expected) = opening(cells)
+        left.plot(place, opened, ".", label=f"L/{cells}")
     left.plot(place, expected, "k", linewidth=0.8, label="Sneddon")
     left.set(xlabel="x₁", ylabel="u₂ above the crack, p = 1")
     left.legend(frameon=False)

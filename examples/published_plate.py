@@ -90,12 +90,12 @@ def fit_whole() -> tuple[float, float, float]:
 
 def critical_stretch(softness: float, stiffness: float) -> float:
     """The stretch at which the small cracked plate's peak is the published one."""
-    low, high, found = 0.05, 0.07, {}
+    low, high, peaks = 0.05, 0.07, {}
     for _ in range(7):
         middle = (low + high) / 2
-        found[middle] = stiffness * pulled(50, SMALL_TIMES, softness, middle).peak[1]
-        low, high = (low, middle) if found[middle] > SMALL_PEAK[1] else (middle, high)
-    return min(found, key=lambda stretch: abs(found[stretch] - SMALL_PEAK[1]))
+        peaks[middle] = stiffness * pulled(50, SMALL_TIMES, softness, middle).peak[1]
+        low, high = (low, middle) if peaks[middle] > SMALL_PEAK[1] else (middle, high)
+    return min(peaks, key=lambda stretch: abs(peaks[stretch] - SMALL_PEAK[1]))
 
 
 def same_toughness(stretch: float, softness: float, times: float) -> float:

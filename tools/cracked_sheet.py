@@ -252,8 +252,8 @@ class Pulled:
             to = strain + step
             trial = rest + (x - rest) * (to / strain) if strain else rest * (1, 1 + to)
             trial[rim] = rest[rim] * (1, 1 + to)
-            trial, found = self.rest(trial)
-            if found and self.longest(trial) < OPEN:
+            trial, at_rest = self.rest(trial)
+            if at_rest and self.longest(trial) < OPEN:
                 x, strain, step = trial, to, min(step, 0.08 * expected)
             else:
                 step, self._factors = step / 2, None

@@ -77,17 +77,17 @@ def critical_step(model: Model) -> Entry:
     growth: dict[str, list[float]] = {}
     sharpness, shapes = {}, {}
     refused = ""
-    for number, (name, one) in enumerate(models.items()):
-        points, stiffest = box_of_the_stiffest(one, spacing)
-        critical = critical_time_step(one, spacing=spacing, density=DENSITY)
+    for number, (name, model) in enumerate(models.items()):
+        points, stiffest = box_of_the_stiffest(model, spacing)
+        critical = critical_time_step(model, spacing=spacing, density=DENSITY)
         sharpness[name] = 2 * np.sqrt(DENSITY) / stiffest / critical - 1
         shapes[name] = "×".join(f"{side / spacing:.0f}" for side in points.box or ())
         u = np.random.default_rng(number).normal(size=points.x.shape)
         growth[name] = [
-            largest_growth(one, points, u, part * critical)
+            largest_growth(model, points, u, part * critical)
             for part in tqdm(PARTS, desc=f"time step, {name}")
         ]
-        refused = words(functools.partial(one_step, one, points, 1.01 * critical))
+        refused = words(functools.partial(one_step, model, points, 1.01 * critical))
     above = min(values[PARTS.index(1.01)] for values in growth.values())
     return Entry(
         *written(
@@ -142,20 +142,20 @@ def energy_drift(model: Model, steps: int) -> Entry:
     points = Points(spacing * nodes, np.ones(len(nodes), bool), spacing, box=box)
     u = np.random.default_rng(0).normal(size=points.x.shape)
     step = 0.9 * critical_time_step(model, spacing=spacing, density=DENSITY)
-    found = velocity_verlet(
+    motion = velocity_verlet(
         model, points, u, 0 * u, density=DENSITY, step=step, steps=steps,
         every=max(1, steps // 1000),
     )  # fmt: skip
     figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    ax.plot(found.time / step, found.energy / found.energy[0] - 1, linewidth=0.8)
+    ax.plot(motion.time / step, motion.energy / motion.energy[0] - 1, linewidth=0.8)
     ax.set_xlabel("step")
     ax.set_ylabel("E(n + ½)/E(½) − 1")
     cloud = Points(points.x + 0.1 * u, points.interior, 0.0)
     return Entry(
-        *written("energy", drift=found.drift, steps=steps, side=side),
+        *written("energy", drift=motion.drift, steps=steps, side=side),
         [words(lambda: velocity_verlet(model, cloud, u, u, density=DENSITY, step=step, steps=1))],
         figure,
-        {"steps": steps, "drift": found.drift},
+        {"steps": steps, "drift": motion.drift},
     )
 
 

@@ -62,9 +62,9 @@ def elastic_solver(
     def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
         load, given = b[node, component], u[node, component]
         solution = factors.solve((M @ load)[free] - collar @ given[~free])
-        found = np.empty((np.count_nonzero(points.interior), 2))
-        found[place, component[free]] = solution
-        return found
+        inner = np.empty((np.count_nonzero(points.interior), 2))
+        inner[place, component[free]] = solution
+        return inner
 
     return solve
 

@@ -18,11 +18,11 @@ def test_a_short_run_prints_and_draws(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_glass_plate_branches_and_its_ledger_closes_better_with_shorter_steps(tmp_path, capsys):
-    found = []
+    runs = []
     for share in ("0.4", "0.2"):
         assert main(["--share", share, "--json", "--out", str(tmp_path)]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert 0.013 < found[0]["branch"] < 0.022  # 63 to 72 mm from the left
-    assert 0.5 < found[0]["speed_over_rayleigh"] < 0.62
-    assert found[0]["ledger"] < 1e-3
-    assert found[1]["ledger"] < found[0]["ledger"] / 3
+        runs.append(json.loads(capsys.readouterr().out))
+    assert 0.013 < runs[0]["branch"] < 0.022  # 63 to 72 mm from the left
+    assert 0.5 < runs[0]["speed_over_rayleigh"] < 0.62
+    assert runs[0]["ledger"] < 1e-3
+    assert runs[1]["ledger"] < runs[0]["ledger"] / 3

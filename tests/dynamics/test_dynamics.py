@@ -32,8 +32,8 @@ def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
     model = kernel(name, horizon, lam=-0.2)
     classes = bond_classes(1.0, horizon)
     bound = largest_bound(classes, *stiffnesses(model, classes))
-    found = largest(model, ZONE).max()
-    assert found <= bound <= 1.002 * found
+    sampled = largest(model, ZONE).max()
+    assert sampled <= bound <= 1.002 * sampled
 
 
 @pytest.mark.parametrize("lam", [-0.2, 3.0])
@@ -43,13 +43,13 @@ def test_no_cell_holds_more_than_its_bound(name, lam, monkeypatch):
     random, half = np.random.default_rng(0), np.pi / 32
     middle = random.uniform(0, np.pi, (100, 2))
     inside = middle[:, None] + half * random.uniform(-1, 1, (100, 100, 2))
-    found = largest(model, inside.reshape(-1, 2)).reshape(100, 100).max(axis=1)
+    sampled = largest(model, inside.reshape(-1, 2)).reshape(100, 100).max(axis=1)
     point = stiffnesses(model, classes)
     bound = proof._cells_above(classes, *point, middle, half)[1]
-    assert (found <= bound).all()
+    assert (sampled <= bound).all()
     monkeypatch.setattr(proof, "second_derivative", lambda *_: 0.0)
     straight = proof._cells_above(classes, *point, middle, half)[1]
-    assert (found > straight).any()  # without the curvature it is no bound
+    assert (sampled > straight).any()  # without the curvature it is no bound
 
 
 def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
@@ -115,9 +115,9 @@ def test_a_wave_turns_with_its_frequency_to_second_order():
     errors = []
     for n in numbers:
         options = {"density": DENSITY, "step": time / n, "steps": int(n)}
-        found = velocity_verlet(model, points, u, 0 * u, **options)
-        errors.append(np.abs(found.u - np.cos(omega * time) * u).max())
-        assert found.time[-1] == pytest.approx(time - time / n / 2)
+        motion = velocity_verlet(model, points, u, 0 * u, **options)
+        errors.append(np.abs(motion.u - np.cos(omega * time) * u).max())
+        assert motion.time[-1] == pytest.approx(time - time / n / 2)
     assert fitted_order(1 / numbers, errors) > 1.9
     assert errors[-1] < 1e-2
 
@@ -128,13 +128,13 @@ def test_energy_is_kept_with_a_collar_and_a_load(name):
     points = lattice(ell(), 2.5)
     step = 0.9 * critical_time_step(model, spacing=1.0, density=DENSITY)
     u, v, b = (noise(points, seed=seed) for seed in range(3))
-    found = velocity_verlet(
+    motion = velocity_verlet(
         model, points, u, v, b=b, density=DENSITY, step=step, steps=300, every=3
     )
-    assert len(found.time) == len(found.energy) == 100
-    assert found.drift < 1e-11
-    np.testing.assert_array_equal(found.u[~points.interior], u[~points.interior])
-    np.testing.assert_array_equal(found.v[~points.interior], 0)
+    assert len(motion.time) == len(motion.energy) == 100
+    assert motion.drift < 1e-11
+    np.testing.assert_array_equal(motion.u[~points.interior], u[~points.interior])
+    np.testing.assert_array_equal(motion.v[~points.interior], 0)
 
 
 def test_energy_is_that_of_the_definition():
@@ -144,13 +144,13 @@ def test_energy_is_that_of_the_definition():
     A, C = L[:, np.repeat(inside, 2)], L[:, np.repeat(~inside, 2)]
     u, v, b = (noise(points, seed=seed) for seed in range(3))
     step = 0.002
-    found = velocity_verlet(model, points, u, v, b=b, density=DENSITY, step=step, steps=1)
+    motion = velocity_verlet(model, points, u, v, b=b, density=DENSITY, step=step, steps=1)
     start, load = u[inside].ravel(), b[inside].ravel() - C @ u[~inside].ravel()
     half = v[inside].ravel() + step / (2 * INERTIA * DENSITY) * (load - A @ start)
     end = start + step * half
     energy = INERTIA * DENSITY / 2 * half @ half + start @ (A @ end) / 2 - load @ (start + end) / 2
-    assert found.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
-    np.testing.assert_allclose(found.u[inside].ravel(), end, rtol=1e-12)
+    assert motion.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
+    np.testing.assert_allclose(motion.u[inside].ravel(), end, rtol=1e-12)
 
 
 @pytest.mark.slow

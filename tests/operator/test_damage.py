@@ -72,8 +72,8 @@ def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
     errors = []
     for ratio in (4.0, 8.0, 16.0):
         model = solid(lam, horizon=ratio).model
-        found = unit_toughness(model, bond_classes(1.0, ratio)) / ratio
-        errors.append(abs(found / limit - 1))
+        toughness = unit_toughness(model, bond_classes(1.0, ratio)) / ratio
+        errors.append(abs(toughness / limit - 1))
     assert errors[2] < 0.03
     assert errors[2] < 0.5 * errors[0]
     if lam == 1:  # no dilatation: the formula of the continuum

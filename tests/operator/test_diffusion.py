@@ -50,8 +50,8 @@ def test_gradients_are_those_of_differences(lattice):
         moved = lambda t, unit=unit: value(law=replace(LAW, D=LAW.D + t * unit))
         checks.append((gradient.D[k], moved))
     checks.append((gradient.alpha, lambda t: value(law=replace(LAW, alpha=LAW.alpha + t))))
-    for found, function in checks:
-        assert found == pytest.approx(difference(function), rel=1e-8, abs=1e-8)
+    for derivative, function in checks:
+        assert derivative == pytest.approx(difference(function), rel=1e-8, abs=1e-8)
     operator.kappa = kept
     np.testing.assert_allclose(operator.matrix() @ phi, operator(phi), atol=1e-12)
 
@@ -98,11 +98,11 @@ def test_a_hole_is_insulated():
     points = square(8, 4.0)
     hole = np.hypot(*points.x.T) < 0.3
     points = Points(points.x, points.interior & ~hole, points.spacing, outside=hole)
-    found = steady(DiffusionOperator(Conductor(3 / 8), points), points.x[:, 0].copy())
+    phi = steady(DiffusionOperator(Conductor(3 / 8), points), points.x[:, 0].copy())
     body = points.interior
-    assert np.abs(found[body]).max() < 1
+    assert np.abs(phi[body]).max() < 1
     right = (points.x[:, 0] > 0.3) & (points.x[:, 0] < 0.5) & (np.abs(points.x[:, 1]) < 0.2)
-    assert (found[right] > points.x[right, 0]).all()  # it piles up before the hole
+    assert (phi[right] > points.x[right, 0]).all()  # it piles up before the hole
 
 
 @pytest.mark.parametrize("kappa", [-1.0, lambda x: x[..., 0]])

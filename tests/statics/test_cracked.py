@@ -34,8 +34,8 @@ def test_an_affine_field_stays_affine_in_a_whole_body():
     body = plate(20, 20)
     u = body.x @ [[0.01, 0.002], [0.004, -0.003]]
     held = (np.abs(body.x) > 3).any(axis=1)
-    found = CutSolid(solid(0.4).model, body, held).solve(u)
-    np.testing.assert_allclose(found, u, atol=1e-14)
+    solved = CutSolid(solid(0.4).model, body, held).solve(u)
+    np.testing.assert_allclose(solved, u, atol=1e-14)
     assert contour_integral(solid(0.4).model, body, u, (0.0, 0.0), (3.0, 6.0)) == pytest.approx(0)
 
 
@@ -73,8 +73,8 @@ def test_growth_breaks_the_most_stretched_bonds_and_loses_energy():
 
 
 def test_a_growing_crack_spends_more_than_a_straight_cut():
-    found = apparent_toughness(solid().model, 1.0, cells=10, length=2)
-    assert 1.1 < found < 1.9
+    ratio = apparent_toughness(solid().model, 1.0, cells=10, length=2)
+    assert 1.1 < ratio < 1.9
 
 
 def test_the_example_prints_and_draws(tmp_path, capsys):

@@ -49,8 +49,8 @@ class Series:
         self.times[path.name] = time
         root = Element("VTKFile", type="Collection", version="0.1")
         collection = SubElement(root, "Collection")
-        for name, at in self.times.items():
-            SubElement(collection, "DataSet", timestep=repr(at), part="0", file=name)
+        for name, moment in self.times.items():
+            SubElement(collection, "DataSet", timestep=repr(moment), part="0", file=name)
         write_text(self.folder / COLLECTION, tostring(root, encoding="unicode") + "\n")
         return path
 
@@ -62,5 +62,5 @@ def quadrilaterals(body: Body) -> np.ndarray:
     number[tuple(place.T)] = np.arange(len(place))
     corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
     quads = np.stack([corner.ravel() for corner in corners], axis=1)
-    found: np.ndarray = quads[(quads >= 0).all(axis=1)]
-    return found
+    whole: np.ndarray = quads[(quads >= 0).all(axis=1)]
+    return whole

@@ -198,14 +198,14 @@ def _march(body: Inert, state: State, dt: float, steps: int, every: int) -> Moti
 
 def _checked(points: PointsLike, fields: dict[str, ArrayLike]) -> dict[str, np.ndarray]:
     """The fields as arrays of their own; InputError naming one that does not fit."""
-    found = {name: np.array(field, dtype=float) for name, field in fields.items()}
+    arrays = {name: np.array(field, dtype=float) for name, field in fields.items()}
     shape = (len(points.x), 2)
-    for name, field in found.items():
+    for name, field in arrays.items():
         if field.shape != shape or not np.isfinite(field).all():
             raise InputError(
                 f"{name}: expected finite values of shape {list(shape)}, got {list(field.shape)}"
             )
-    return found
+    return arrays
 
 
 def _check_step(

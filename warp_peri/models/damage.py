@@ -46,8 +46,8 @@ class BrittleSolid:
     def __post_init__(self) -> None:
         given = [name for name in CRITERIA if getattr(self, name) is not None]
         if len(given) != 1:
-            found = ", ".join(given) or "none"
-            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {found}")
+            names = ", ".join(given) or "none"
+            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
         for name in ("density", *given):
             value = getattr(self, name)
             if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):

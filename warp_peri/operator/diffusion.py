@@ -164,8 +164,8 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
         return SAMPLES / resistance
     values = np.broadcast_to(np.asarray(kappa, dtype=float), len(points.x))
     _check(values)
-    found: np.ndarray = 2 / (1 / values[near] + 1 / values[far])
-    return found
+    harmonic: np.ndarray = 2 / (1 / values[near] + 1 / values[far])
+    return harmonic
 
 
 def _check(values: np.ndarray) -> None:

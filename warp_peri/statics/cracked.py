@@ -70,16 +70,16 @@ class CutSolid:
             u: holds the given components; the others are not looked at, shape [N, 2].
             b: body force density [stress / length], shape [N, 2]; none by default.
         """
-        found = np.array(u, dtype=float).ravel()
-        found[self.free] = 0
-        load = np.zeros_like(found) if b is None else np.asarray(b, dtype=float).ravel()
-        right = (load - self.matrix @ found)[self.free]
+        solved = np.array(u, dtype=float).ravel()
+        solved[self.free] = 0
+        load = np.zeros_like(solved) if b is None else np.asarray(b, dtype=float).ravel()
+        right = (load - self.matrix @ solved)[self.free]
         x = self._factors.solve(right)
         size = np.linalg.norm(right)
         if np.linalg.norm(self._inner @ x - right) > RESIDUAL * size:
             raise InputError("operator: the solve lost its digits; parts of the body hang loose")
-        found[self.free] = x
-        return found.reshape(-1, 2)
+        solved[self.free] = x
+        return solved.reshape(-1, 2)
 
     def energy(self, u: np.ndarray) -> float:
         """Elastic energy per thickness, bonds among held nodes included [stress · area]."""

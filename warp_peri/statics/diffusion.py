@@ -28,17 +28,17 @@ def steady(
     """
     matrix = operator.matrix()
     inner = sp.csc_matrix(matrix[:, operator.rows])
-    found = np.array(phi, dtype=float)
-    found[operator.rows] = 0
-    right = np.broadcast_to(source, len(operator.rows)) - matrix @ found
+    solved = np.array(phi, dtype=float)
+    solved[operator.rows] = 0
+    right = np.broadcast_to(source, len(operator.rows)) - matrix @ solved
     try:
         x = splu(inner).solve(right)
     except RuntimeError as error:
         raise InputError(f"diffusion: the problem has no one solution ({error})") from None
     if np.linalg.norm(inner @ x - right) > RESIDUAL * np.linalg.norm(right):
         raise InputError("diffusion: the solve lost its digits")
-    found[operator.rows] = x
-    return found
+    solved[operator.rows] = x
+    return solved
 
 
 def transient(

@@ -45,8 +45,8 @@ class Growth:
     @property
     def stretch(self) -> np.ndarray:
         """Largest stretch at unit load before each event."""
-        found: np.ndarray = 1 / self.load
-        return found
+        largest: np.ndarray = 1 / self.load
+        return largest
 
 
 def grow(
@@ -120,12 +120,12 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     u = westergaard(body.x, half, 1.0, model.lam, model.mu)
     up = body.classes.steps[:, 1]
     each = int(up[up > 0].sum())
-    found = grow(model, body, held, u, length * each + 1, cracks=[[(-half, 0), (half, 0)]])
-    grown = found.broken / (4 * each)  # spacings of each tip; an event is 4 directed bonds
+    growth = grow(model, body, held, u, length * each + 1, cracks=[[(-half, 0), (half, 0)]])
+    grown = growth.broken / (4 * each)  # spacings of each tip; an event is 4 directed bonds
     peaks = []
     for k in range(int(grown[-1])):
         cycle = (grown >= k) & (grown < k + 1)
-        ends = np.interp([k, k + 1], grown, found.energy)
+        ends = np.interp([k, k + 1], grown, growth.energy)
         released = (ends[0] - ends[1]) / (2 * h)  # at unit load
-        peaks.append(found.load[cycle].max() ** 2 * released)
+        peaks.append(growth.load[cycle].max() ** 2 * released)
     return float(np.mean(peaks) / unit_toughness(model, body.classes))

@@ -66,8 +66,8 @@ def ball_excess(
             "excess: expected λ − μ of one sign everywhere; its values at the nodes are the way "
             "where it changes"
         )
-    found: np.ndarray = 1 / (_compliance(body, excess) @ (weights * body.r**2))
-    return found
+    excess_of_balls: np.ndarray = 1 / (_compliance(body, excess) @ (weights * body.r**2))
+    return excess_of_balls
 
 
 def mixed_matrix(
@@ -87,8 +87,8 @@ def mixed_matrix(
 def solve_mixed(matrix: sp.csr_array, held: np.ndarray, u: np.ndarray) -> np.ndarray:
     """u at rest without load, given at held nodes [N] bool; both of shape [N, 2]."""
     free = np.repeat(~held, 2)
-    found = np.array(u, dtype=float).ravel()
-    found[free] = 0
-    right = -(matrix @ found)[free]
-    found[free] = symmetric_factors(sp.csc_array(matrix[free][:, free])).solve(right)
-    return found.reshape(-1, 2)
+    solved = np.array(u, dtype=float).ravel()
+    solved[free] = 0
+    right = -(matrix @ solved)[free]
+    solved[free] = symmetric_factors(sp.csc_array(matrix[free][:, free])).solve(right)
+    return solved.reshape(-1, 2)

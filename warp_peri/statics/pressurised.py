@@ -115,5 +115,5 @@ def sneddon_opening(
 ) -> np.ndarray:
     """Half the opening of a crack |x| < half under pressure in a plane; I. N. Sneddon, 1946."""
     inside = np.sqrt(np.maximum(half**2 - np.square(x), 0.0))
-    found: np.ndarray = pressure * (lam + 2 * mu) / (2 * mu * (lam + mu)) * inside
-    return found
+    opening: np.ndarray = pressure * (lam + 2 * mu) / (2 * mu * (lam + mu)) * inside
+    return opening

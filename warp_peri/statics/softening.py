@@ -37,8 +37,8 @@ class Pull:
     @property
     def peak(self) -> tuple[float, float]:
         """Load and force at the largest force."""
-        at = int(np.argmax(self.force))
-        return float(self.load[at]), float(self.force[at])
+        highest = int(np.argmax(self.force))
+        return float(self.load[highest]), float(self.force[highest])
 
 
 class SoftBody:
