@@ -14,71 +14,59 @@ def between(a: wp.vec2d, b: wp.vec2d, period: wp.float64):
     return wp.vec2d(d[0] - period * wp.rint(d[0] / period), d[1])
 
 
-@wp.func
-def bell(r2: wp.float64, h: wp.float64):
-    """The Gaussian of unit integral (F25)."""
-    return wp.exp(-r2 / (h * h)) / (wp.float64(3.141592653589793) * h * h)
-
-
-@wp.func
-def flat_bell(r2: wp.float64, h: wp.float64, sharp: wp.float64):
-    """Weight of differences; with sharp = 1/3 its third moments cancel (F26)."""
-    return wp.exp(-r2 / (h * h)) * (wp.float64(1.0) - sharp * r2 / (h * h))
-
-
 @wp.kernel(enable_backward=False)
-def velocity_gradient(
+def gather(
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
     x: wp.array(dtype=wp.vec2d),
     v: wp.array(dtype=wp.vec2d),
-    period: wp.float64,
-    h: wp.float64,
-    reach: wp.float64,
-    sharp: wp.float64,
+    shape: wp.vec4d,
+    mass: wp.float64,
+    bond: wp.array(dtype=wp.vec3d),
+    inverse: wp.array(dtype=wp.mat22d),
     kappa: wp.array(dtype=wp.vec4d),
+    rho: wp.array(dtype=wp.float64),
 ):
-    """κ = Σ w (v_j − v_i) d (Σ w d d)⁻¹, exact for linear velocities on any particles (F26)."""
+    """(F26), (F27) in one sweep; shape is period, h, reach, sharp.
+
+    κ = Σ w (v_j − v_i) d B⁻¹, exact for linear velocities on any particles, B = Σ w d d, and ρ by
+    summation. A bond keeps d and its decay e^(−r²/h²), 0 beyond the reach, for `acceleration`.
+    """
     i = wp.tid()
+    h2 = shape[1] * shape[1]
     B = wp.mat22d()
     G = wp.mat22d()
+    total = wp.float64(1.0)
     for e in range(row[i], row[i + 1]):
         j = neighbour[e]
-        d = between(x[j], x[i], period)
+        d = between(x[j], x[i], shape[0])
         r2 = wp.dot(d, d)
-        if r2 < reach * reach:
-            w = flat_bell(r2, h, sharp)
+        decay = wp.float64(0.0)
+        if r2 < shape[2] * shape[2]:
+            decay = wp.exp(-r2 / h2)
+            w = decay * (wp.float64(1.0) - shape[3] * r2 / h2)
             B += wp.outer(d, d) * w
             G += wp.outer(v[j] - v[i], d) * w
-    k = G * wp.inverse(B)
+            total += decay
+        bond[e] = wp.vec3d(d[0], d[1], decay)
+    C = wp.inverse(B)
+    k = G * C
+    inverse[i] = C
     kappa[i] = wp.vec4d(k[0, 0], k[0, 1], k[1, 0], k[1, 1])
+    rho[i] = mass * total / (wp.float64(3.141592653589793) * h2)
 
 
 @wp.kernel(enable_backward=False)
-def density(
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec2d),
+def with_pressure(
     sigma: wp.array(dtype=wp.vec4d),
-    mass: wp.float64,
-    period: wp.float64,
-    h: wp.float64,
-    reach: wp.float64,
-    sound2: wp.float64,
     rho: wp.array(dtype=wp.float64),
+    sound2: wp.float64,
     stress: wp.array(dtype=wp.vec4d),
 ):
-    """ρ by summation, and beside the polymer's stress the pressure Cs² (ρ − 1) (F27)."""
+    """The polymer's stress in the plane, and beside it Cs² (ρ − 1) (F27)."""
     i = wp.tid()
-    total = bell(wp.float64(0.0), h)
-    for e in range(row[i], row[i + 1]):
-        d = between(x[neighbour[e]], x[i], period)
-        r2 = wp.dot(d, d)
-        if r2 < reach * reach:
-            total += bell(r2, h)
-    rho[i] = mass * total
     s = sigma[i]
-    stress[i] = wp.vec4d(s[0], s[1], s[2], sound2 * (mass * total - wp.float64(1.0)))
+    stress[i] = wp.vec4d(s[0], s[1], s[2], sound2 * (rho[i] - wp.float64(1.0)))
 
 
 @wp.kernel(enable_backward=False)
@@ -123,43 +111,37 @@ def image_fields(
 def acceleration(
     row: wp.array(dtype=wp.int32),
     neighbour: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec2d),
+    bond: wp.array(dtype=wp.vec3d),
+    inverse: wp.array(dtype=wp.mat22d),
     stress: wp.array(dtype=wp.vec4d),
+    shape: wp.vec4d,
     mass: wp.float64,
-    period: wp.float64,
-    h: wp.float64,
-    reach: wp.float64,
-    sharp: wp.float64,
     numbers: wp.vec3d,
     a: wp.array(dtype=wp.vec2d),
 ):
     """(F29): the stress by corrected differences, the pressure symmetrised; numbers Cs², F, Re."""
     i = wp.tid()
     push = wp.vec2d()
-    B = wp.mat22d()
     gxx = wp.vec2d()
     gxy = wp.vec2d()
     gyy = wp.vec2d()
     here = stress[i]
     ri = wp.float64(1.0) + here[3] / numbers[0]
     own = here[3] / (ri * ri)
-    inverse = wp.float64(1.0) / (h * h)
-    strength = wp.float64(2.0) * mass * inverse * inverse / wp.float64(3.141592653589793)
+    narrow = wp.float64(1.0) / (shape[1] * shape[1])
+    strength = wp.float64(2.0) * mass * narrow * narrow / wp.float64(3.141592653589793)
     for e in range(row[i], row[i + 1]):
-        j = neighbour[e]
-        d = between(x[j], x[i], period)
-        r2 = wp.dot(d, d)
-        if r2 < reach * reach:
-            there = stress[j]
+        decay = bond[e][2]
+        if decay > wp.float64(0.0):
+            there = stress[neighbour[e]]
+            d = wp.vec2d(bond[e][0], bond[e][1])
             rj = wp.float64(1.0) + there[3] / numbers[0]
-            decay = wp.exp(-r2 * inverse)  # of both weights; the exponential is most of the cost
             push -= d * ((own + there[3] / (rj * rj)) * strength * decay)
-            w = d * (decay * (wp.float64(1.0) - sharp * r2 * inverse))
-            B += wp.outer(d, w)
+            w = d * (decay * (wp.float64(1.0) - shape[3] * wp.dot(d, d) * narrow))
             gxx += w * (there[0] - here[0])
             gxy += w * (there[1] - here[1])
             gyy += w * (there[2] - here[2])
-    C = wp.inverse(B)
+    C = inverse[i]
     fx = wp.dot(wp.vec2d(C[0, 0], C[0, 1]), gxx) + wp.dot(wp.vec2d(C[1, 0], C[1, 1]), gxy)
     fy = wp.dot(wp.vec2d(C[0, 0], C[0, 1]), gxy) + wp.dot(wp.vec2d(C[1, 0], C[1, 1]), gyy)
     a[i] = (push + wp.vec2d(fx / ri + numbers[1], fy / ri)) / numbers[2]

@@ -53,13 +53,7 @@ def test_a_linear_velocity_and_a_quiet_fluid_are_exact():
     assert np.abs(particles.v).max() < 1e-12
     x = particles._x.numpy()
     particles._v.assign(np.column_stack([2 * x[:, 1] + 1, -0.5 * x[:, 1]]))
-    from warp_peri.flow.channel import SHARP
-    from warp_peri.kernels.flow.particles import velocity_gradient
-    from warp_peri.launch import launch
-
-    near = [particles._row, particles._neighbour, particles._x, particles._v]
-    shape = [particles.period, particles.h, particles.reach, SHARP]
-    launch(velocity_gradient, particles.fluid, [*near, *shape], [particles._kappa])
+    particles._sweeps["gather"]()
     assert np.allclose(particles.kappa, [0, 2, 0, -0.5], atol=1e-10)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
-from warp_peri.flow.closure import Closure, homogeneous
+from warp_peri.flow.closure import Closure, heun, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.law_file import load_law, save_law
 from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
@@ -131,6 +131,9 @@ def test_tables_agree_and_do_not_extrapolate(spring, exact):
     tabled = additive.tabulated()
     same = tabled.rate(test.K, test.s + IDENTITY) - additive.rate(test.K, test.s + IDENTITY)
     assert np.abs(same).max() < 1e-6
+    K, C = 3 * test.K, 3 * test.s + IDENTITY  # some beyond the tables' ends
+    marched = tabled.march(len(K))(K, C, 0.1, 2)
+    assert np.abs(marched - heun(tabled, K, heun(tabled, K, C, 0.1), 0.1)).max() < 1e-12
     beyond = tabled.learned(np.full((1, 7), 1e3))
     assert np.allclose(beyond, tabled.learned(np.full((1, 7), 1e6)))
     with pytest.raises(InputError, match="additive"):

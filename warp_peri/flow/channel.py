@@ -6,6 +6,7 @@ Lengths in the channel's width, time in t0, stress in η/t0.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ import warp as wp
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import Stress
 from warp_peri.kernels.flow import particles as kernels
-from warp_peri.launch import ints, launch, zeros
+from warp_peri.launch import DEVICE, empty, ints, launch, zeros
 from warp_peri.points.scattered import neighbours
 
 REACH = 3.0
@@ -90,12 +91,14 @@ class Particles:
         self._v, self._stress = zeros(most, dtype=wp.vec2d), zeros(most, dtype=wp.vec4d)
         self._sigma = zeros(self.fluid, dtype=wp.vec4d)
         self._kappa = zeros(self.fluid, dtype=wp.vec4d)
+        self._inverse = zeros(self.fluid, dtype=wp.mat22d)
         self._rho, self._a = zeros(self.fluid), zeros(self.fluid, dtype=wp.vec2d)
-        self._mass = 1.0
+        self._mass, self._recorded_for = 1.0, 0.0
         self._find()
-        self._weigh()
+        self._gather()
         self._mass = 1 / float(self._rho.numpy().mean())
-        self._weigh()
+        self._record()
+        self._gather()
         self._forces()
 
     @property
@@ -128,18 +131,16 @@ class Particles:
 
         Raises InputError when particles leave the channel or velocities are not finite.
         """
-        fluid, shape = self.fluid, [self.period, self.h, self.reach, SHARP]
-        launch(kernels.kick, fluid, [self._a, dt / 2], [self._v])
-        launch(kernels.drift, fluid, [self._v, dt], [self._x])
+        if dt != self._recorded_for:
+            self._record_moves(dt)
+        self._kick()
+        self._drift()
         self.t += dt
         self._follow(dt)
-        self._images(velocity=True)
-        near = [self._row, self._neighbour, self._x]
-        launch(kernels.velocity_gradient, fluid, [*near, self._v, *shape], [self._kappa])
-        self._sigma.assign(stress.advance(self.kappa, dt))
-        self._weigh()
+        self._gather()
+        self._sigma.numpy()[:] = stress.advance(self.kappa, dt)
         self._forces()
-        launch(kernels.kick, fluid, [self._a, dt / 2], [self._v])
+        self._kick()
 
     def state(self) -> dict[str, np.ndarray]:
         """What a checkpoint keeps."""
@@ -154,28 +155,45 @@ class Particles:
         for array, name in ((self._x, "x"), (self._v, "v"), (self._sigma, "sigma")):
             array.assign(state[name])
         self.t, self._moved = float(state["t"]), float(state["moved"])
-        self._images(velocity=True)
-        self._weigh()
+        self._gather()
         self._forces()
 
-    def _images(self, velocity: bool = False) -> None:
-        images = [self.fluid, self._parent]
-        if velocity:
-            launch(kernels.place_images, len(self._parent), images, [self._x])
-        given = [*images, self._x, self.flow.force]
-        launch(kernels.image_fields, len(self._parent), given, [self._v, self._stress])
-
-    def _weigh(self) -> None:
-        near = [self._row, self._neighbour, self._x, self._sigma, self._mass]
-        shape = [self.period, self.h, self.reach, self.flow.sound**2]
-        launch(kernels.density, self.fluid, [*near, *shape], [self._rho, self._stress])
+    def _gather(self) -> None:
+        """Images of places and velocities; then densities and gradients."""
+        for name in ("places", "images", "gather"):
+            self._sweeps[name]()
 
     def _forces(self) -> None:
-        self._images()
-        numbers = wp.vec3d(self.flow.sound**2, self.flow.force, self.flow.Re)
-        near = [self._row, self._neighbour, self._x, self._stress, self._mass]
-        shape = [self.period, self.h, self.reach, SHARP, numbers]
-        launch(kernels.acceleration, self.fluid, [*near, *shape], [self._a])
+        """Pressure beside the stress, images of both, accelerations."""
+        for name in ("pressure", "images", "push"):
+            self._sweeps[name]()
+
+    def _record(self) -> None:
+        """Pack the sweeps' arguments once: for 540 particles packing costs more than sweeping."""
+        fluid, flow, images = self.fluid, self.flow, [self.fluid, self._parent]
+        shape = wp.vec4d(self.period, self.h, self.reach, SHARP)
+        numbers = wp.vec3d(flow.sound**2, flow.force, flow.Re)
+        near, bonds = [self._row, self._neighbour], [self._bond, self._inverse]
+        fields = [*near, self._x, self._v, shape, self._mass]
+        pushed = [*near, *bonds, self._stress, shape, self._mass, numbers]
+        mirrored, behind = [*images, self._x, flow.force], len(self._parent)
+        self._sweeps = {
+            "places": recorded(kernels.place_images, behind, images, [self._x]),
+            "images": recorded(kernels.image_fields, behind, mirrored, [self._v, self._stress]),
+            "gather": recorded(kernels.gather, fluid, fields, [*bonds, self._kappa, self._rho]),
+            "pressure": recorded(
+                kernels.with_pressure,
+                fluid,
+                [self._sigma, self._rho, flow.sound**2],
+                [self._stress],
+            ),
+            "push": recorded(kernels.acceleration, fluid, pushed, [self._a]),
+        }
+
+    def _record_moves(self, dt: float) -> None:
+        self._kick = recorded(kernels.kick, self.fluid, [self._a, dt / 2], [self._v])
+        self._drift = recorded(kernels.drift, self.fluid, [self._v, dt], [self._x])
+        self._recorded_for = dt
 
     def _follow(self, dt: float) -> None:
         """Look for neighbours again when two particles may have come nearer than the skin."""
@@ -203,6 +221,17 @@ class Particles:
         x[:, 0] %= self.period
         row, neighbour, _ = neighbours(x, reach, (self.period, 8.0))
         self._row, self._neighbour = ints(row[: self.fluid + 1]), ints(neighbour)
+        self._bond = empty(len(neighbour), dtype=wp.vec3d)
         self._near = wp.clone(self._x)
         self._moved = 0.0
         self.rebuilds += 1
+        self._record()
+
+
+def recorded(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> Callable[[], None]:
+    """A launch with its arguments packed once, to be called again and again."""
+    kernel.module.load(outputs[0].device)
+    command = wp.launch(
+        kernel, dim=dim, inputs=inputs, outputs=outputs, device=DEVICE, record_cmd=True
+    )
+    return command.launch  # type: ignore[no-any-return]

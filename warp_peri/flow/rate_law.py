@@ -19,6 +19,7 @@ from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
 from warp_peri.flow.pairs import Pairs
 from warp_peri.flow.planar import IDENTITY, carried
+from warp_peri.flow.rate_march import RateMarch
 
 PLACES = (0, 1, 2)
 """The components of s that are learned; s_zz relaxes by itself, −s_zz."""
@@ -129,6 +130,10 @@ class TabulatedRateLaw(RateLaw):
         X = np.clip(X, *self._ends)
         total = np.sum([table(x) for table, x in zip(self._splines, X.T)], axis=0)
         return list(total.T + self._middle[:, None])
+
+    def march(self, n: int) -> RateMarch:
+        """Heun steps of n states in one launch."""
+        return RateMarch(n, self._splines, self._middle, self.kinematics)
 
 
 def learn_rate(
