@@ -7,9 +7,10 @@ from scipy.linalg import expm
 from warp_peri import InputError
 from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.dumbbells import Dumbbells, propagator, rest_moment, stretched_rest
-from warp_peri.flow.laws import UpperConvectedMaxwell
+from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
 from warp_peri.flow.planar import IDENTITY, elongation, shear
 from warp_peri.flow.protocols import held, mixed, read_trajectory, simulate
+from warp_peri.flow.twins import Twins
 from warp_peri.launch import set_threads, threads
 
 
@@ -110,3 +111,27 @@ def test_a_stress_trajectory_of_another_simulator(tmp_path):
     np.savetxt(tmp_path / "run.csv", table[:, :4], delimiter=",")
     with pytest.raises(InputError, match="9 columns"):
         read_trajectory(tmp_path / "run.csv", tau, modulus, 1000)
+
+
+@pytest.mark.parametrize(("K", "cut"), [(shear(0.5), 40), (elongation(0.3), 30), (shear(8.0), 3)])
+def test_twins_take_noise_off_fene_dumbbells_and_nothing_else(K, cut):
+    m, count = 24, 400
+    twins, plain = Twins(m, count, b=50.0, seed=7), Dumbbells(m, count, b=50.0, seed=7)
+    quiet, noisy = twins.advance(K, 0.02, 25).S, plain.advance(K, 0.02, 25).S
+    assert np.array_equal(twins.q.numpy(), plain.q.numpy())
+    assert np.all(noisy.var(axis=0) > cut * quiet.var(axis=0))
+    assert np.all(np.abs(quiet.mean(0) - noisy.mean(0)) < 4 * noisy.std(0) / np.sqrt(m))
+    with pytest.raises(InputError, match="20 dumbbells"):
+        Twins(1, 10, b=50.0)
+
+
+def test_twins_resume_with_the_same_bits(tmp_path):
+    K, twins = mixed(2, 8, 1.0, hold=2), lambda: Twins(2, 100, b=50.0, seed=7)
+    whole = simulate(twins(), K, 0.1, steps=2)
+    half, file = twins(), tmp_path / "half.npz"
+    simulate(half, K[:4], 0.1, steps=2)
+    half.save(file)
+    again = twins()
+    again.load(file)
+    assert np.array_equal(simulate(again, K[4:], 0.1, steps=2).S[1:], whole.S[5:])
+    assert again.exact == pytest.approx(homogeneous(FENEP(50.0), K, 0.1)[-1], rel=0.02, abs=0.02)

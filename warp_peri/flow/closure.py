@@ -109,13 +109,15 @@ class Coupled:
 
     def state(self) -> np.ndarray:
         """The dumbbells and the number of their steps, in one row."""
-        return np.append(self.dumbbells.q.numpy().ravel(), float(self.dumbbells.steps))
+        return np.concatenate([np.ravel(part) for part in self.dumbbells.state().values()])
 
     def restore(self, state: np.ndarray) -> None:
         """Go on from kept dumbbells with the random numbers that come next."""
-        q = state[:-1].astype(np.float32)
-        self.dumbbells.q.assign(q.reshape(self.dumbbells.q.numpy().shape))
-        self.dumbbells.steps = int(state[-1])
+        parts, first = {}, 0
+        for name, part in self.dumbbells.state().items():
+            parts[name] = state[first : first + part.size].astype(part.dtype).reshape(part.shape)
+            first += part.size
+        self.dumbbells.restore(parts)
 
 
 def heun(law: Law, K: Any, C: Any, h: Any) -> Any:

@@ -95,22 +95,24 @@ class Dumbbells:
                 f"time step: expected at most {dt * LARGEST_STEP / largest:.3g} relaxation times "
                 f"for a velocity gradient of {largest / dt:.3g}, got {dt:g}"
             )
-        common = int(self.common)
-        law: list[Any]
         if self.b is None:
-            kernel, law = advance_hookean, [_single(part) for part in propagator(K, dt)]
+            self._launch(advance_hookean, [_single(part) for part in propagator(K, dt)], steps)
         else:
-            kernel, law = advance_fene, [_single(K), self.b, dt]
-        inputs = [*law, (self._stream + self.steps) % 2**30, steps, common, self._blocks]
-        self._launch(kernel, inputs)
-        self.steps += steps
+            self._launch(advance_fene, [_single(K), self.b, dt], steps)
         return self._mean()
+
+    def follow(self, P: np.ndarray, L: np.ndarray) -> None:
+        """One step q → P q + L ξ of Hookean dumbbells, as `propagator` gives it."""
+        self._launch(advance_hookean, [_single(P), _single(L)], 1)
 
     def moments(self) -> Moments:
         """The moments as they are."""
         return self.advance(np.zeros(4), 0.0, 0)
 
-    def _launch(self, kernel: Any, inputs: list[Any]) -> None:
+    def _launch(self, kernel: Any, law: list[Any], steps: int) -> None:
+        seed = (self._stream + self.steps) % 2**30
+        inputs = [*law, seed, steps, int(self.common), self._blocks]
+        self.steps += steps
         total = self.ensembles * self._blocks
         slices = min(threads(), total) if self._on_cpu else 1
         ends = [total * n // slices for n in range(slices + 1)]
@@ -126,22 +128,30 @@ class Dumbbells:
         mean = sums / self.count
         return Moments(mean[:, :4].copy(), mean[:, -4:].copy())
 
+    def state(self) -> dict[str, np.ndarray]:
+        """What a checkpoint keeps."""
+        return {"q": self.q.numpy(), "steps": np.array(self.steps)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from it with the random numbers that come next."""
+        self.q.assign(state["q"])
+        self.steps = int(state["steps"])
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the state in an .npz file, written whole or not at all."""
         with whole_file(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, q=self.q.numpy(), steps=self.steps, key=np.array(self.key))
+            np.savez(file, **self.state(), key=np.array(self.key))  # type: ignore[arg-type]
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """Go on from a kept state. Raises InputError for a file of other dumbbells."""
         try:
             content = read_arrays(path)
-            q, steps, key = content["q"], int(content["steps"]), str(content["key"])
+            state, key = {name: content[name] for name in self.state()}, str(content["key"])
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(f"{path}: not a state of dumbbells ({error})") from None
         if key != self.key:
             raise InputError(f"{path}: expected the state of {self.key}, got {key}")
-        self.q.assign(q)
-        self.steps = steps
+        self.restore(state)
 
     @property
     def key(self) -> str:
@@ -189,14 +199,18 @@ def exponential(K: np.ndarray, t: float) -> np.ndarray:
     return np.asarray(grown[..., None] * np.stack(parts, axis=-1))
 
 
-def propagator(K: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def propagator(
+    K: np.ndarray, dt: float, stiffness: float | np.ndarray = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """(P, L) of the exact Hookean step (F3): q → P q + L ξ, with P [m, 5] and lower L [m, 4].
 
-    P is (xx, xy, yx, yy, zz). The covariance L Lᵗ = ∫ e^(−t) e^(K t) e^(Kᵗt) dt by Gauss's rule
-    with six nodes, which is exact to rounding where |K| Δt is below one.
+    P is (xx, xy, yx, yy, zz); the stiffness k, a number or [m], multiplies the spring. The
+    covariance L Lᵗ = ∫ e^(−k t) e^(K t) e^(Kᵗt) dt by Gauss's rule with six nodes, which is exact
+    to rounding where |K| Δt is below one.
     """
-    damped = np.exp(-dt / 2)
-    P = damped * exponential(K, dt)
+    k = np.broadcast_to(stiffness, K.shape[:-1])
+    damped = np.exp(-k * dt / 2)
+    P = damped[..., None] * exponential(K, dt)
     Q = np.zeros((*K.shape[:-1], 3))
     for node, weight in zip(NODES, WEIGHTS):
         t = (node + 1) * dt / 2
@@ -207,13 +221,12 @@ def propagator(K: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
              E[..., 2] ** 2 + E[..., 3] ** 2],
             axis=-1,
         )  # fmt: skip
-        Q += weight * dt / 2 * np.exp(-t) * product
+        Q += weight * dt / 2 * np.exp(-k * t)[..., None] * product
     lxx = np.sqrt(Q[..., 0])
     lyx = Q[..., 1] / np.where(lxx > 0, lxx, 1)
     lyy = np.sqrt(np.maximum(Q[..., 2] - lyx**2, 0))
-    lzz = np.full_like(lxx, np.sqrt(-np.expm1(-dt)))
-    zz = np.full_like(lxx, damped)
-    return np.concatenate([P, zz[..., None]], axis=-1), np.stack([lxx, lyx, lyy, lzz], axis=-1)
+    lzz = np.sqrt(-np.expm1(-k * dt) / k)
+    return np.concatenate([P, damped[..., None]], axis=-1), np.stack([lxx, lyx, lyy, lzz], axis=-1)
 
 
 def stretched_rest(K: np.ndarray, b: float) -> Moments:

@@ -74,6 +74,21 @@ def from_eigenvalues(s1: Any, s2: Any, s3: Any, cosine: Any, sine: Any) -> Any:
     return stack([mean + radius * cosine, radius * sine, mean - radius * cosine, s3])
 
 
+def in_frame(A: Any, cosine: Any, sine: Any) -> tuple[Any, Any, Any]:
+    """(A₁₁, A₂₂, A₁₂) in the frame that `eigenvalues` gave."""
+    xx, xy, yy = A[..., 0], A[..., 1], A[..., 2]
+    mean, half = (xx + yy) / 2, (xx - yy) / 2
+    along = half * cosine + xy * sine
+    return mean + along, mean - along, xy * cosine - half * sine
+
+
+def from_frame(a1: Any, a2: Any, a12: Any, a3: Any, cosine: Any, sine: Any) -> Any:
+    """The tensor that has these components in the frame that `eigenvalues` gave."""
+    mean, half = (a1 + a2) / 2, (a1 - a2) / 2
+    along, across = half * cosine - a12 * sine, half * sine + a12 * cosine
+    return stack([mean + along, across, mean - along, a3])
+
+
 def check_conformation(C: np.ndarray) -> None:
     """Raises InputError unless every C is finite and positive definite."""
     low = np.minimum(eigenvalues(C)[1], C[..., 3])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -112,7 +113,7 @@ def simulate(
 def _keep(
     path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, done: int
 ) -> None:
-    content = {"q": dumbbells.q.numpy(), "steps": np.array(dumbbells.steps), "moments": moments}
+    content: dict[str, Any] = {**dumbbells.state(), "moments": moments}
     content |= {"done": np.array(done), "key": np.array(dumbbells.key)}
     with whole_file(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **content)
@@ -124,13 +125,12 @@ def _resume(
     try:
         content = read_arrays(path)
         key, done = str(content["key"]), int(content["done"])
-        kept, q, steps = content["moments"], content["q"], int(content["steps"])
+        kept, state = content["moments"], {name: content[name] for name in dumbbells.state()}
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of dumbbells ({error})") from None
     if key != dumbbells.key or kept.shape != moments.shape:
         raise InputError(f"{path}: the checkpoint of another run ({key})")
-    dumbbells.q.assign(q)
-    dumbbells.steps = steps
+    dumbbells.restore(state)
     return done, kept
 
 

@@ -18,7 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, greedy
 from warp_peri.flow.laws import FENEP
-from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, stack
+from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame
 from warp_peri.flow.protocols import Record
 from warp_peri.flow.spring_law import LEAST, SpringLaw, invariants, learn_spring
 
@@ -28,14 +28,6 @@ SMALLEST = 0.03
 """|P₁₂|/√(P₁ P₂) below which a sample says nothing about ν."""
 ABSOLUTE, RELATIVE = 0.004, 0.05
 """Standard deviation taken for a sample of S₁₂/√(S₁ S₂), and of the part that grows with it."""
-
-
-def in_frame(A: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(A₁₁, A₂₂, A₁₂) in the frame that `eigenvalues` gave."""
-    xx, xy, yy = A[..., 0], A[..., 1], A[..., 2]
-    mean, half = (xx + yy) / 2, (xx - yy) / 2
-    along = half * cosine + xy * sine
-    return mean + along, mean - along, xy * cosine - half * sine
 
 
 @dataclass(frozen=True)
@@ -76,17 +68,7 @@ class TwistedSpringLaw:
         s1, s2, s3 = np.moveaxis(c * np.exp(stiffness), -1, 0)
         turn = twist(P, cosine, sine) * self.process(shapes(c))
         s12 = np.clip(turn, -LARGEST, LARGEST) * np.sqrt(s1 * s2)
-        mean, half = (s1 + s2) / 2, (s1 - s2) / 2
-        return np.asarray(
-            stack(
-                [
-                    mean + half * cosine - s12 * sine,
-                    half * sine + s12 * cosine,
-                    mean - half * cosine + s12 * sine,
-                    s3,
-                ]
-            )
-        )
+        return np.asarray(from_frame(s1, s2, s12, s3, cosine, sine))
 
     def stress(self, state: np.ndarray) -> np.ndarray:
         """S − I."""
