@@ -82,6 +82,10 @@ class RateLaw:
         process = self.processes[0]
         return Cloud(process.X, process.scale)
 
+    def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """Of states [n, 4] from the data, in gaps, shape [n]."""
+        return self.cloud.distance(inputs(K, C - IDENTITY))
+
     def check(self, K: np.ndarray, C: np.ndarray) -> None:
         """Warn or refuse outside the data; InputError for stresses that are not finite."""
         if not np.isfinite(C).all():

@@ -92,6 +92,11 @@ class SpringLaw:
         """Where the data are."""
         return Cloud(self.process.X, self.process.scale)
 
+    def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """Of states [n, 4] from the data, in gaps, shape [n]; the farthest of the eigenvalues."""
+        c = np.maximum(np.stack(eigenvalues(C)[:3], axis=-1), LEAST)
+        return np.asarray(self.cloud.distance(invariants(c).reshape(-1, 3)).reshape(-1, 3).max(1))
+
     def check(self, K: np.ndarray, C: np.ndarray) -> None:
         """Warn or refuse outside the data; InputError for a C that is not positive definite."""
         check_conformation(C)

@@ -79,6 +79,10 @@ class TwistedSpringLaw:
         dC = carried(K, state[..., :4]) + IDENTITY - self.spring(state)
         return np.concatenate([dC, self.twin.rate(K, state[..., 4:])], axis=-1)
 
+    def distance(self, K: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Of states [n, 8] from the data of the spring, in gaps, shape [n]."""
+        return self.spring_law.distance(K, state[..., :4])
+
     def check(self, K: np.ndarray, state: np.ndarray) -> None:
         """As the spring's law does for C, and FENE-P for P."""
         self.spring_law.check(K, state[..., :4])

@@ -1,0 +1,53 @@
+"""A law that learns while it flows: asked where it has no data, better afterwards."""
+
+import numpy as np
+import pytest
+
+from warp_peri import InputError
+from warp_peri.flow.active import LearningClosure, replayed
+from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.planar import elongation, shear
+from warp_peri.flow.plane import PlaneFlow, run_plane
+from warp_peri.flow.protocols import held, simulate
+from warp_peri.flow.spring_law import learn_spring
+
+FLOW, B = PlaneFlow(1.0, 1.0, 12, force=lambda t: 12.0), 50.0
+
+
+def run(fluid):
+    return run_plane(FLOW, fluid, 2.5, 0.0125, every=20).u
+
+
+def learn(records):
+    return learn_spring(records, points=80, outside="allow")
+
+
+@pytest.fixture(scope="module")
+def weak():
+    K = np.concatenate([shear(np.array([0.5, 1.0])), elongation(np.array([0.25, 0.5]))])
+    return simulate(Dumbbells(4, 1000, b=B, seed=1), held(K, 50), 0.1, steps=5)
+
+
+def test_dumbbells_go_along_where_the_flow_leaves_the_data(weak):
+    dumbbells = Dumbbells(12, 1500, b=B, seed=5, common=True, matched=True)
+    truth = run(Coupled(dumbbells, 1.0))
+    fluid = LearningClosure([weak], learn, replayed(1000, B, 100), 1.0, 12, check_every=20)
+    error = lambda u: np.linalg.norm(u - truth) / np.linalg.norm(truth)
+    before, while_learning = error(run(Closure(learn([weak]), 1.0, 12))), error(run(fluid))
+    assert 1 <= len(fluid.asked) <= 8
+    assert len(fluid.records) == 1 + len(fluid.asked)
+    assert fluid.asked[0][2] > 3  # gaps of the data
+    assert while_learning < 0.4 * before
+    assert error(run(Closure(fluid.law, 1.0, 12))) < 0.4 * before
+    with pytest.raises(InputError, match="no checkpoint"):
+        fluid.state()
+
+
+def test_nothing_is_asked_inside_the_data(weak):
+    slow = PlaneFlow(1.0, 1.0, 12, force=lambda t: 0.5)
+    fluid = LearningClosure([weak], learn, replayed(1000, B, 100), 1.0, 12)
+    law = fluid.law
+    run_plane(slow, fluid, 1.0, 0.0125)
+    assert not fluid.asked
+    assert fluid.law is law

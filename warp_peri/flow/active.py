@@ -1,0 +1,123 @@
+"""Learning while it flows: where a flow leaves the data, dumbbells go along and data are added.
+
+The fluid is a law in every cell, as in Closure. At times the states are compared with the law's
+data. When some are outside, the gradients that the farthest cell felt since the start are given to
+dumbbells, the law is learned again from all records, and the flow goes on with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.flow.closure import Closure
+from warp_peri.flow.cloud import WIDER
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.laws import Law
+from warp_peri.flow.protocols import Record, simulate
+
+STRAIN = 0.2
+"""|K| Δt of a step of replayed FENE dumbbells."""
+
+
+class LearnedLaw(Law, Protocol):
+    """A law that knows how far a state is from its data."""
+
+    def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """In gaps of the data, shape [n]."""
+
+
+class LearningClosure(Closure):
+    """A law in n cells that asks for dumbbells where it has no data.
+
+    Args:
+        records: what there is at the start.
+        learn: makes a law of records; the law should allow states outside its data.
+        replay: a record under gradients K [T, 1, 4], each held for an interval of relaxation times,
+            from rest on; `replayed` makes one.
+        De: relaxation time over t0.
+        n: cells.
+        check_every: steps between two looks at the states; the gradient between is averaged.
+        most: replays at most.
+        ahead: relaxation times that the last gradient is held beyond the present, so that the flow
+            does not leave the new data at once.
+        beyond: gaps of the data beyond which a state is outside.
+
+    After a run `law` is the last law, `records` all data, `asked` a row (t/De, cell, distance
+    before) a replay. Laws whose state is C can be exchanged while the fluid flows: SpringLaw,
+    TwistedSpringLaw and RateLaw. Raises InputError as Closure does.
+    """
+
+    law: LearnedLaw
+
+    def __init__(
+        self,
+        records: list[Record],
+        learn: Callable[[list[Record]], Any],
+        replay: Callable[[np.ndarray, float], Record],
+        De: float,
+        n: int,
+        *,
+        check_every: int = 25,
+        most: int = 8,
+        ahead: float = 4.0,
+        beyond: float = WIDER,
+    ) -> None:
+        self.records, self.learn, self.replay = list(records), learn, replay
+        super().__init__(learn(self.records), De, n, check_every=check_every)
+        self.most, self.ahead, self.beyond = most, ahead, beyond
+        self.asked: list[tuple[float, int, float]] = []
+        self._histories: list[np.ndarray] = []
+        self._sum, self._span = np.zeros((n, 4)), 0.0
+
+    def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
+        """σ [n, 4] after dt under κ [n, 4] held."""
+        self._sum += self.De * kappa * (dt / self.De)
+        self._span += dt / self.De
+        sigma = super().advance(kappa, dt)
+        if self.steps % self.check_every == 0:
+            self._histories.append(self._sum / self._span)
+            if len(self.asked) < self.most and self._ask(self._histories[-1], self._span):
+                sigma = np.asarray(self.law.stress(self.C)) / self.De
+            self._sum, self._span = np.zeros_like(self._sum), 0.0
+        return sigma
+
+    def state(self) -> np.ndarray:
+        """Not kept: a run that learns goes through at once."""
+        raise InputError("a closure that learns has no checkpoint; run it again with its law")
+
+    def _ask(self, K: np.ndarray, interval: float) -> bool:
+        distance = self.law.distance(K, self.C)
+        cell = int(np.argmax(distance))
+        if not distance[cell] > self.beyond:
+            return False
+        felt = np.array([row[cell] for row in self._histories])
+        more = np.repeat(felt[-1:], math.ceil(self.ahead / interval), axis=0)
+        self.records.append(self.replay(np.concatenate([felt, more])[:, None], interval))
+        self.law = self.learn(self.records)
+        self._march = None  # tables are those of the law before
+        self.asked.append((len(felt) * interval, cell, float(distance[cell])))
+        return True
+
+
+def replayed(count: int, b: float | None, seed: int) -> Callable[[np.ndarray, float], Record]:
+    """A replay in dumbbells, each with random numbers of its own.
+
+    Args:
+        count: of dumbbells.
+        b: of FENE dumbbells, None for Hookean ones.
+        seed: of the first replay; the next ones count on.
+    """
+    seeds = iter(range(seed, seed + 10**6))
+
+    def replay(K: np.ndarray, interval: float) -> Record:
+        steps = max(5, math.ceil(float(np.abs(K).max()) * interval / STRAIN))
+        return simulate(
+            Dumbbells(K.shape[1], count, b=b, seed=next(seeds)), K, interval, steps=steps
+        )
+
+    return replay
