@@ -7,18 +7,13 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from tools.hyperelastic_energies import Energy
 from warp_peri.errors import InputError
+from warp_peri.stability.inertia import symmetric_factors
 
 SMALLEST_JACOBIAN = 0.02
 """A field with a smaller det F somewhere is folded: the step that led there is shortened."""
-
-# c = (C11, C22, C12) of F = (F11, F12, F21, F22): ∂²c/∂F².
-SECOND = np.zeros((3, 4, 4))
-SECOND[0, 0, 0] = SECOND[0, 2, 2] = SECOND[1, 1, 1] = SECOND[1, 3, 3] = 2
-SECOND[2, 0, 1] = SECOND[2, 1, 0] = SECOND[2, 2, 3] = SECOND[2, 3, 2] = 1
 
 
 class NotSolved(RuntimeError):
@@ -62,9 +57,11 @@ class Elements:
         self.B = np.zeros((*shape, 4, 2 * len(local)))
         for d in range(2):
             self.B[:, :, 2 * d : 2 * d + 2, d::2] = np.swapaxes(G, 2, 3)
-        width = self.dofs.shape[1]
-        self._rows = np.repeat(self.dofs, width, axis=1).ravel()
-        self._columns = np.tile(self.dofs, (1, width)).ravel()
+        width, size = self.dofs.shape[1], 2 * self.nodes
+        keys = np.tile(self.dofs, (1, width)) * size + np.repeat(self.dofs, width, axis=1)
+        entries, self._entry = np.unique(keys.ravel(), return_inverse=True)
+        self._rows = (entries % size).astype(np.int32)
+        self._ends = np.searchsorted(entries // size, np.arange(size + 1)).astype(np.int32)
         self.quadrature = np.einsum("eqa,ead->eqd", self.N, self.x[cells])
 
     @property
@@ -75,7 +72,9 @@ class Elements:
 
     def gradient(self, u: np.ndarray) -> np.ndarray:
         """F at the quadrature points, shape [E, Q, 4]."""
-        F = np.einsum("eqia,ea->eqi", self.B, u[self.dofs], optimize=True)
+        cells, points = self.dx.shape
+        F = np.matmul(self.B.reshape(cells, 4 * points, -1), u[self.dofs][:, :, None])
+        F = F.reshape(cells, points, 4)
         F[..., [0, 3]] += 1
         return F
 
@@ -93,30 +92,51 @@ class Elements:
 
     def internal(self, energy: Energy, u: np.ndarray) -> np.ndarray | None:
         """Internal forces, shape [2 N]; None where the field is folded."""
-        stresses = self._stresses(energy, u)
-        if stresses is None:
-            return None
-        P = stresses[0]
-        local = np.einsum("eqia,eqi,eq->ea", self.B, P, self.dx, optimize=True)
-        f = np.bincount(self.dofs.ravel(), local.ravel(), 2 * self.nodes)
-        return f if self.springs is None else f + self.springs @ u
+        state = self._state(energy, u)
+        return None if state is None else self._forces(state, u)
 
     def tangent(self, energy: Energy, u: np.ndarray) -> sp.csc_matrix:
         """Their derivative, shape [2 N, 2 N]."""
-        stresses = self._stresses(energy, u)
-        if stresses is None:
+        state = self._state(energy, u)
+        if state is None:
             raise NotSolved("tangent of a folded field")
-        _, g, H, B = stresses
-        A = np.einsum("eqki,eqkl,eqlj->eqij", B, H, B, optimize=True)
-        A += np.einsum("eqk,kij->eqij", g, SECOND)
+        return self._stiffness(state)
+
+    def _forces(self, state: tuple[np.ndarray, ...], u: np.ndarray) -> np.ndarray:
+        F, g, _ = state
+        P = np.empty_like(F)
+        for n in (0, 2):  # rows of F
+            P[..., n] = 2 * g[..., 0] * F[..., n] + g[..., 2] * F[..., n + 1]
+            P[..., n + 1] = 2 * g[..., 1] * F[..., n + 1] + g[..., 2] * F[..., n]
+        cells = len(self.dx)
+        carried = (P * self.dx[..., None]).reshape(cells, 1, -1)
+        local = np.matmul(carried, self.B.reshape(cells, carried.shape[2], -1))
+        f = np.bincount(self.dofs.ravel(), local.ravel(), 2 * self.nodes)
+        return f if self.springs is None else f + self.springs @ u
+
+    def _stiffness(self, state: tuple[np.ndarray, ...]) -> sp.csc_matrix:
+        F, g, H = state
+        B = np.zeros((*F.shape[:2], 3, 4))
+        for n in (0, 2):
+            B[..., 0, n], B[..., 1, n + 1] = 2 * F[..., n], 2 * F[..., n + 1]
+            B[..., 2, n], B[..., 2, n + 1] = F[..., n + 1], F[..., n]
+        A = np.matmul(B.swapaxes(2, 3), np.matmul(H, B))
+        for n in (0, 2):
+            A[..., n, n] += 2 * g[..., 0]
+            A[..., n + 1, n + 1] += 2 * g[..., 1]
+            A[..., n, n + 1] += g[..., 2]
+            A[..., n + 1, n] += g[..., 2]
         A *= self.dx[..., None, None]
         cells, points = self.dx.shape
         AB = np.matmul(A, self.B).reshape(cells, 4 * points, -1)
         local = np.matmul(self.B.reshape(cells, 4 * points, -1).transpose(0, 2, 1), AB)
-        K = sp.csc_matrix((local.ravel(), (self._rows, self._columns)), shape=2 * [2 * self.nodes])
+        # symmetric: what stands row by row may be read column by column
+        values = np.bincount(self._entry, local.ravel(), len(self._rows))
+        K = sp.csc_matrix((values, self._rows, self._ends), shape=2 * [2 * self.nodes])
         return K if self.springs is None else (K + self.springs).tocsc()
 
-    def _stresses(self, energy: Energy, u: np.ndarray) -> tuple[np.ndarray, ...] | None:
+    def _state(self, energy: Energy, u: np.ndarray) -> tuple[np.ndarray, ...] | None:
+        """F, and the energy's slopes and curvatures by C11, C22, C12; None where folded."""
         F = self.gradient(u)
         jacobian = F[..., 0] * F[..., 3] - F[..., 1] * F[..., 2]
         if not jacobian.min() > SMALLEST_JACOBIAN:
@@ -130,8 +150,7 @@ class Elements:
             axis=-1,
         )
         _, g, H = energy(c)
-        B = np.einsum("kij,eqj->eqki", SECOND, F, optimize=True)
-        return np.einsum("eqk,eqki->eqi", g, B), g, H, B
+        return F, g, H
 
     def sample(self, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Displacement at points of shape [P, 2], shape [P, 2]."""
@@ -192,37 +211,45 @@ class Elements:
         tolerance: float,
     ) -> np.ndarray | None:
         """One load step; None where Newton's method does not converge."""
-        internal = self.internal(energy, u)
-        if internal is None:
+        state = self._state(energy, u)
+        if state is None:
             return None
-        K = self.tangent(energy, u)
+        K, internal = self._stiffness(state), self._forces(state, u)
         move = given - u[fixed]
-        pushed = K[free][:, fixed] @ move
+        v, w = np.zeros_like(u), u.copy()
+        v[fixed] = move
+        pushed = (K @ v)[free]
         scale = max(np.abs(load).max(), np.abs(internal).max(), np.abs(pushed).max(), 1e-30)
-        v = u.copy()
-        v[fixed] = given
-        v[free] += splu(K[free][:, free]).solve((load - internal)[free] - pushed)
+        w[fixed] = given
+        w[free] += symmetric_factors(between(K, free)).solve((load - internal)[free] - pushed)
+        state = self._state(energy, w)
         for _ in range(30):
-            internal = self.internal(energy, v)
-            if internal is None:
+            if state is None:
                 return None
-            residual = (load - internal)[free]
+            residual = (load - self._forces(state, w))[free]
             size = np.abs(residual).max()
             if size < tolerance * scale:
-                return v
-            dv = splu(self.tangent(energy, v)[free][:, free]).solve(residual)
+                return w
+            step = symmetric_factors(between(self._stiffness(state), free)).solve(residual)
             part = 1.0
             while True:
-                w = v.copy()
-                w[free] += part * dv
-                internal = self.internal(energy, w)
-                if internal is not None and np.abs((load - internal)[free]).max() < 2 * size:
-                    break
+                v = w.copy()
+                v[free] += part * step
+                state = self._state(energy, v)
+                if state is not None:
+                    left = np.abs((load - self._forces(state, v))[free]).max()
+                    if left < 2 * size:
+                        break
                 part /= 2
                 if part < 1e-3:
                     return None
-            v = w
+            w = v
         return None
+
+
+def between(K: sp.csc_matrix, free: np.ndarray) -> sp.csc_matrix:
+    """Rows and columns of the free degrees of freedom."""
+    return K if len(free) == K.shape[0] else K[free][:, free]
 
 
 def finite_elements() -> Any:

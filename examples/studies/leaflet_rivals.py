@@ -36,15 +36,23 @@ class Window:
         fixed = np.flatnonzero(~self.free)
         self.fixed = np.sort(np.concatenate([2 * fixed, 2 * fixed + 1]))
 
-    def solve(self, energy: Energy, u: np.ndarray) -> np.ndarray | None:
-        """Displacement of the interior from that of the ring, [I, 2]; None where not found."""
+    def solve(
+        self, energy: Energy, u: np.ndarray, near: np.ndarray | None = None
+    ) -> np.ndarray | None:
+        """Displacement of the interior from that of the ring, [I, 2]; None where not found.
+
+        The search begins at the displacement `near` of the interior, at that of u where none is.
+        """
         given = u[self.nodes].ravel()
         nothing = np.zeros_like(given)
+        start = u[self.nodes]
+        if near is not None:
+            start[self.free] = near
         for steps in (1, 8):
             try:
                 field = self.mesh.solve(
                     energy, nothing, self.fixed, given[self.fixed],
-                    start=given if steps == 1 else None, steps=steps, tolerance=1e-8,
+                    start=start.ravel() if steps == 1 else None, steps=steps, tolerance=1e-8,
                 )  # fmt: skip
             except NotSolved:
                 continue
@@ -97,37 +105,44 @@ def fit(
 ) -> tuple[np.ndarray, float]:
     """Levenberg and Marquardt with differences: numbers and root mean square of the errors."""
 
-    def gaps(x: np.ndarray) -> np.ndarray | None:
-        parts = []
-        for u in frames.u:
-            solved, target = window.solve(make(x), u), u[window.nodes][window.free]
-            if solved is None:
-                return None
-            parts.append(((solved - target) / np.linalg.norm(target)).ravel())
-        return np.concatenate(parts)
+    truth = [u[window.nodes][window.free] for u in frames.u]
+    size = np.array([np.linalg.norm(u) for u in truth])[:, None, None]
 
-    x, left, damping = start, gaps(start), 1e-3
-    if left is None:
+    def fields(x: np.ndarray, near: np.ndarray | None) -> np.ndarray | None:
+        solved = []
+        for n, u in enumerate(frames.u):
+            field = window.solve(make(x), u, None if near is None else near[n])
+            if field is None:
+                return None
+            solved.append(field)
+        return np.array(solved)
+
+    def gaps(fields: np.ndarray) -> np.ndarray:
+        return ((fields - truth) / size).ravel()
+
+    x, now, damping = start, fields(start, None), 1e-3
+    if now is None:
         return x, np.inf
+    left = gaps(now)
     for _ in range(most_steps if len(x) else 0):
         columns = []
         for n in range(len(x)):
             step = 1e-3 * max(abs(x[n]), 0.1)
-            moved = gaps(x + step * np.eye(len(x))[n])
-            columns.append(np.zeros_like(left) if moved is None else (moved - left) / step)
+            moved = fields(x + step * np.eye(len(x))[n], now)
+            columns.append(np.zeros_like(left) if moved is None else (gaps(moved) - left) / step)
         J = np.stack(columns, axis=1)
         square = J.T @ J
         better = None
         while damping < 1e4:
             move = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-12), -J.T @ left)
-            better = gaps(x + move)
-            if better is not None and better @ better < left @ left:
+            better = fields(x + move, now)
+            if better is not None and gaps(better) @ gaps(better) < left @ left:
                 break
             better, damping = None, 10 * damping
         if better is None:
             break
-        gain = 1 - (better @ better) / (left @ left)
-        x, left, damping = x + move, better, damping / 10
+        gain = 1 - (gaps(better) @ gaps(better)) / (left @ left)
+        x, now, left, damping = x + move, better, gaps(better), damping / 10
         if gain < 1e-3:
             break
     return x, float(np.sqrt(left @ left / len(frames.u)))

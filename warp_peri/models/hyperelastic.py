@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -252,8 +253,9 @@ class HyperelasticSolid:
             raise InputError(f"{path}: {error}") from None
 
 
+@cache
 def half_family(reach: float) -> np.ndarray:
-    """One bond of each pair ±ξ in lattice steps, by length, shape [C, 2]."""
+    """One bond of each pair ±ξ in lattice steps, by length, shape [C, 2]; read only."""
     size = int(np.floor(reach + 1e-9))
     a, b = np.meshgrid(*2 * [np.arange(-size, size + 1)], indexing="ij")
     steps = np.stack([a.ravel(), b.ravel()], axis=1)
@@ -262,6 +264,7 @@ def half_family(reach: float) -> np.ndarray:
     kept = steps[upper & (square <= reach**2 + 1e-9)]
     order = np.lexsort((kept[:, 1], kept[:, 0], (kept**2).sum(axis=1)))
     family: np.ndarray = kept[order]
+    family.flags.writeable = False
     return family
 
 

@@ -124,13 +124,15 @@ class HyperelasticOperator:
         self.bonds = lattice_bonds(self.points, dictionary.reach)
         self.interior = np.flatnonzero(points.interior)
         self.of = types(dtype)
-        self._lattice = self._place()
+        self.lattice = self._place()
+        self._packed: tuple[np.ndarray, Any] | None = None
         self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
 
     def with_terms(self, terms: Sequence[Term]) -> HyperelasticOperator:
         """The same lattice with other strain energies."""
         other = copy(self)
         other.dictionary = self.dictionary.with_terms(terms)
+        other._packed = None
         return other
 
     def _place(self) -> Any:
@@ -162,21 +164,24 @@ class HyperelasticOperator:
         lattice.deviation = ints(np.tile(deviation, 2))
         return lattice
 
-    def _terms(self, c: np.ndarray, terms: Sequence[Any] | None = None) -> Any:
-        """The energies as the kernels read them."""
+    def _terms(self, c: np.ndarray) -> Any:
+        """The energies as the kernels read them; a search asks for the same ones many times."""
+        if self._packed is not None and np.array_equal(self._packed[0], c):
+            return self._packed[1]
         dictionary = self.dictionary
-        terms = dictionary.terms if terms is None else terms
+        terms = dictionary.terms
         real = np.float64 if self.scalar == wp.float64 else np.float32
-        terms_of = self.of.Terms()
-        terms_of.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
-        terms_of.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
-        terms_of.ripple = ints(np.array([term.ripple for term in terms], int))
-        terms_of.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
-        terms_of.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
-        terms_of.c = floats(np.ascontiguousarray(c, real), self.scalar)
-        terms_of.first_deviation = dictionary.first_deviation
-        terms_of.first_term = dictionary.first_term
-        return terms_of
+        packed = self.of.Terms()
+        packed.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
+        packed.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
+        packed.ripple = ints(np.array([term.ripple for term in terms], int))
+        packed.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
+        packed.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
+        packed.c = floats(np.array(c, real), self.scalar)
+        packed.first_deviation = dictionary.first_deviation
+        packed.first_term = dictionary.first_term
+        self._packed = np.array(c, float), packed
+        return packed
 
     def _field(self, u: np.ndarray) -> Any:
         """A displacement as the kernels read it, shape [S, N]."""
@@ -199,15 +204,15 @@ class HyperelasticOperator:
         """Strains and their stresses."""
         kernels = sweeps(self.scalar)
         E, G = (empty(*field.shape, dtype=self.of.six) for _ in range(2))
-        launch(kernels.strain, field.shape, [self._lattice, field], [E])
-        launch(kernels.stress, field.shape, [self._lattice, terms, field, E], [G])
+        launch(kernels.strain, field.shape, [self.lattice, field], [E])
+        launch(kernels.stress, field.shape, [self.lattice, terms, field, E], [G])
         return E, G
 
     def strain(self, u: np.ndarray) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
         field = self._field(u)
         E = empty(*field.shape, dtype=self.of.six)
-        launch(sweeps(self.scalar).strain, field.shape, [self._lattice, field], [E])
+        launch(sweeps(self.scalar).strain, field.shape, [self.lattice, field], [E])
         strains: np.ndarray = E.numpy()[..., :3].reshape(*np.shape(u)[:-1], 3)
         return strains
 
@@ -221,7 +226,7 @@ class HyperelasticOperator:
         field, terms = self._field(u), self._terms(self._coefficients(c))
         E, _ = self._states(field, terms)
         U = empty(*field.shape, dtype=self.scalar)
-        launch(sweeps(self.scalar).energy, field.shape, [self._lattice, terms, field, E], [U])
+        launch(sweeps(self.scalar).energy, field.shape, [self.lattice, terms, field, E], [U])
         total: np.ndarray = U.numpy().sum(axis=1) * self.bonds.spacing**2
         return total.reshape(np.shape(u)[:-2])
 
@@ -239,7 +244,7 @@ class HyperelasticOperator:
         field, terms = self._field(u), self._terms(self._coefficients(c))
         E, G = self._states(field, terms)
         f = empty(*field.shape, dtype=self.of.vec)
-        launch(sweeps(self.scalar).force, field.shape, [self._lattice, terms, field, E, G], [f])
+        launch(sweeps(self.scalar).force, field.shape, [self.lattice, terms, field, E, G], [f])
         forces: np.ndarray = f.numpy().reshape(np.shape(u))
         return forces
 
@@ -251,7 +256,7 @@ class HyperelasticOperator:
         H = empty(*field.shape, dtype=self.of.block)
         dE, dG = (empty(*field.shape, dtype=self.of.six) for _ in range(2))
         df = empty(*field.shape, dtype=self.of.vec)
-        shape, lattice = field.shape, self._lattice
+        shape, lattice = field.shape, self.lattice
         launch(kernels.curvature, shape, [lattice, terms, E], [H])
         launch(kernels.strain_rate, shape, [lattice, field, along], [dE])
         launch(kernels.stress_rate, shape, [lattice, terms, field, along, H, E, dE], [dG])
@@ -284,12 +289,12 @@ class HyperelasticOperator:
         for first in range(0, len(fields), chunk):
             field = self._field(fields[first : first + chunk])
             E = empty(*field.shape, dtype=self.of.six)
-            launch(sweeps(self.scalar).strain, field.shape, [self._lattice, field], [E])
+            launch(sweeps(self.scalar).strain, field.shape, [self.lattice, field], [E])
             G = zeros(*field.shape, states, dtype=self.of.six)
-            inputs = [self._lattice, terms, which, field, E]
+            inputs = [self.lattice, terms, which, field, E]
             launch(kernels.stress_of_each, G.shape, inputs, [G])
             F = zeros(len(field), len(rows), K, dtype=self.of.vec)
-            inputs = [self._lattice, terms, rows, field, E, G]
+            inputs = [self.lattice, terms, rows, field, E, G]
             launch(kernels.force_of_each, F.shape[:2], inputs, [F])
             forces[first : first + chunk] = F.numpy().transpose(0, 1, 3, 2)
         return forces
@@ -317,12 +322,17 @@ class HyperelasticOperator:
             curves += stiffness * curve
         return slopes, curves
 
-    def states(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Strains, their stresses and curvatures of one field, shapes [N, 6], [N, 6], [N, 6, 6]."""
+    def curved_states(self, u: np.ndarray, c: np.ndarray) -> tuple[Any, Any, Any, Any, Any]:
+        """Field, energies, strains, stresses and curvatures as the kernels read them."""
         field, terms = self._field(u), self._terms(self._coefficients(c))
         E, G = self._states(field, terms)
         H = empty(*field.shape, dtype=self.of.block)
-        launch(tangents(self.scalar).curvature, field.shape, [self._lattice, terms, E], [H])
+        launch(tangents(self.scalar).curvature, field.shape, [self.lattice, terms, E], [H])
+        return field, terms, E, G, H
+
+    def states(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Strains, their stresses and curvatures of one field, shapes [N, 6], [N, 6], [N, 6, 6]."""
+        _, _, E, G, H = self.curved_states(u, c)
         return E.numpy()[0], G.numpy()[0], H.numpy()[0]
 
 

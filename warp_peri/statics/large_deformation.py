@@ -20,9 +20,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from warp_peri.errors import InputError
 from warp_peri.models.hyperelastic import HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.operator.hyperelastic_tangent import TangentPattern
+from warp_peri.operator.hyperelastic_tangent import TangentPattern, positive_factors
 from warp_peri.points.samples import PointsLike
-from warp_peri.stability.inertia import definite_factors
 
 DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
@@ -255,7 +254,7 @@ class StaticProblem:
         K = self.pattern.matrix(u, c)
         shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
         for _ in range(12):
-            factor = definite_factors(K + shift * sp.eye(K.shape[0]) if shift else K)
+            factor = positive_factors(K + shift * sp.eye(K.shape[0]) if shift else K)
             if factor is not None:
                 step: np.ndarray = factor.solve(residual.ravel()).reshape(residual.shape)
                 return step, shift
