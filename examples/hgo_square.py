@@ -29,7 +29,7 @@ from warp_peri.files.whole import plain, write_json
 from warp_peri.learning.energy_fit import fit_energy
 from warp_peri.learning.fibres import read_material, rose
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
-from warp_peri.models.hyperelastic import QUADRATICS, Dictionary, HyperelasticSolid, Term
+from warp_peri.models.hyperelastic import ACROSS, QUADRATICS, Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.points.samples import Samples
 from warp_peri.statics.large_deformation import StaticProblem, solve_hyperelastic
@@ -42,9 +42,13 @@ LITTLE = 0.2
 QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)
 AREA = (Term("log_area"), Term("area"), Term("inverse_area"))
 MATRIX = (Term("neo_hookean"), Term("volumetric"))
+STEPS = tuple(Term(kind, across=bond) for kind in ("trace", "shear") for bond in ACROSS)
+"""Energies of steps of the strain, which finite elements have and smooth strains lack."""
 
-FREE = Dictionary(3.0, ("square", "cube", "tension"), NEAREST, (*QUADRATIC, *AREA, *rose(8)))
-SAFE = Dictionary(3.0, ("log", "tension", "tension_cube"), NEAREST, (*MATRIX, *rose(16)))
+FREE = Dictionary(
+    3.0, ("square", "cube", "tension"), NEAREST, (*QUADRATIC, *AREA, *rose(8), *STEPS)
+)
+SAFE = Dictionary(3.0, ("log", "tension", "tension_cube"), NEAREST, (*MATRIX, *rose(16), *STEPS))
 BONDS = Dictionary(3.0, ("square", "cube", "tension", "tension_cube", "log", "compression"))
 ISOTROPIC = Dictionary(3.0, ("square", "cube"), NEAREST, (*QUADRATIC[:1], *AREA, *MATRIX))
 

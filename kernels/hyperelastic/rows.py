@@ -1,8 +1,7 @@
 """The tangent of a hyperelastic solid, node by node: 2 × 2 blocks on a window of the lattice.
 
-A row gathers what its node shares with all nodes within twice the horizon, (H10). `shift` places a
-bond in the window, so that the block of a node that is reached by two bonds stands at the sum of
-their shifts and the centre.
+A row gathers what its node shares with all nodes within twice the horizon, (H10). The block of a
+node that is reached by some bonds stands at the centre of the window and the sum of their shifts.
 """
 
 from functools import cache
@@ -11,6 +10,16 @@ import warp as wp
 
 from warp_peri.kernels.hyperelastic.energies import energies
 from warp_peri.kernels.hyperelastic.sweeps import parts, types
+
+
+@wp.struct
+class Window:
+    """Where the nodes around another stand in its row."""
+
+    shift: wp.array(dtype=wp.int32)  # of every bond
+    near: wp.array(dtype=wp.int32)  # bonds of the short strain
+    linked: wp.array(dtype=wp.int32)  # bonds with a deviation
+    centre: wp.int32
 
 
 @cache
@@ -58,8 +67,7 @@ def _strain_row(scalar):
     @wp.func
     def strain_row(
         lattice: Lattice,
-        shift: wp.array(dtype=wp.int32),
-        centre: wp.int32,
+        window: Window,
         u: wp.array2d(dtype=vec),
         H: wp.array2d(dtype=block),
         a: wp.int32,
@@ -69,17 +77,17 @@ def _strain_row(scalar):
         """Σ_n (∂Ē_n/∂u_a)ᵀ H_n ∂Ē_n/∂u_b."""
         count = lattice.xi.shape[0]
         for p in range(-1, count):
-            n, own = a, centre
+            n, own = a, wp.int32(window.centre)
             if p >= 0:
                 n = lattice.neighbour[a, p]
-                own = centre + shift[p]
+                own = window.centre + window.shift[p]
             T = wp.transpose(gradient(lattice, u, n, p, a)) * H[0, n]
             back = pair()
             for q in range(count):
                 b = lattice.neighbour[n, q]
                 Y = lattice.xi[q] + u[0, b] - u[0, n]
                 f = T * lattice.weight[q]
-                add(K, r, own + shift[q], f, Y)
+                add(K, r, own + window.shift[q], f, Y)
                 back += wp.outer(f, Y)
             K[r, own] = K[r, own] - back
 
@@ -97,8 +105,7 @@ def _mean_row(scalar):
     @wp.func
     def mean_row(
         lattice: Lattice,
-        shift: wp.array(dtype=wp.int32),
-        near: wp.array(dtype=wp.int32),
+        window: Window,
         u: wp.array2d(dtype=vec),
         n: wp.int32,
         p: wp.int32,
@@ -108,17 +115,61 @@ def _mean_row(scalar):
         K: wp.array2d(dtype=pair),
     ):
         """f (∂m/∂u_b)ᵀ for the half of the mean strain along bond p that node n holds."""
-        for t in range(near.shape[0]):
-            q = near[t]
+        for t in range(window.near.shape[0]):
+            q = window.near[t]
             b = lattice.neighbour[n, q]
             Y = lattice.xi[q] + u[0, b] - u[0, n]
             weight = lattice.weight[q]
             unit = lattice.unit[p]
             w = half * (unit[0] * weight[3] + unit[1] * weight[4] + unit[2] * weight[5])
-            add(K, r, place + shift[q], w * f, Y)
+            add(K, r, place + window.shift[q], w * f, Y)
             add(K, r, place, -w * f, Y)
 
     return mean_row
+
+
+@cache
+def _step_row(scalar):
+    of = types(scalar)
+    part = parts(scalar)
+    vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
+    across, short, add, curve = part.across, part.short, _add(scalar), energies(scalar).curve
+    pair, wide = wp.types.matrix((2, 2), scalar), wp.types.matrix((2, 3), scalar)
+
+    @wp.func
+    def step_row(
+        lattice: Lattice,
+        terms: Terms,
+        window: Window,
+        u: wp.array2d(dtype=vec),
+        E: wp.array2d(dtype=six),
+        n: wp.int32,
+        g: wp.types.matrix((2, 6), scalar),
+        r: wp.int32,
+        own: wp.int32,
+        K: wp.array2d(dtype=pair),
+    ):
+        """gᵀ Σ c Φ″ ∂(E_n − E_m)/∂u_b of the terms that act across bonds of node n."""
+        for k in range(terms.kind.shape[0]):
+            for side in range(2):
+                m = across(lattice, terms.seen[k], side, n)
+                if m >= 0:
+                    step = short(E[0, n]) - short(E[0, m])
+                    A = curve(terms.kind[k], terms.angle[k], terms.exponent[k], step)
+                    held = wide(g[0, 3], g[0, 4], g[0, 5], g[1, 3], g[1, 4], g[1, 5])
+                    T = terms.c[terms.first_term + k] * held * A
+                    away = own + window.shift[terms.seen[k] - 2 + side * (lattice.xi.shape[0] / 2)]
+                    for t in range(window.near.shape[0]):
+                        q = window.near[t]
+                        f = T * short(lattice.weight[q])
+                        Y = lattice.xi[q] + u[0, lattice.neighbour[n, q]] - u[0, n]
+                        add(K, r, own + window.shift[q], f, Y)
+                        add(K, r, own, -f, Y)
+                        Z = lattice.xi[q] + u[0, lattice.neighbour[m, q]] - u[0, m]
+                        add(K, r, away + window.shift[q], -f, Z)
+                        add(K, r, away, f, Z)
+
+    return step_row
 
 
 @cache
@@ -146,40 +197,39 @@ def _curved(scalar):
 
 
 @cache
-def _deviation_row(scalar):
+def _short_row(scalar):
     of = types(scalar)
     part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
-    gradient, mean_row, add, curved = (
-        _gradient(scalar), _mean_row(scalar), _add(scalar), _curved(scalar),
+    gradient, mean_row, step_row, add, curved = (
+        _gradient(scalar), _mean_row(scalar), _step_row(scalar), _add(scalar), _curved(scalar),
     )  # fmt: skip
     deviates, on_short = part.deviates, part.on_short
     half = scalar(0.5)
     pair = wp.types.matrix((2, 2), scalar)
 
     @wp.func
-    def deviation_row(
+    def short_row(
         lattice: Lattice,
         terms: Terms,
-        shift: wp.array(dtype=wp.int32),
-        near: wp.array(dtype=wp.int32),
-        centre: wp.int32,
+        window: Window,
         u: wp.array2d(dtype=vec),
         E: wp.array2d(dtype=six),
         a: wp.int32,
         r: wp.int32,
         K: wp.array2d(dtype=pair),
     ):
-        """Each deviating bond by the ends whose short strain a moves, and those of a by s too."""
-        for t in range(-1, near.shape[0]):
-            n, p, own = a, -1, centre
+        """What acts on short strains that a moves; deviating bonds of a move by their own s too."""
+        for t in range(-1, window.near.shape[0]):
+            n, p, own = a, -1, wp.int32(window.centre)
             if t >= 0:
-                p = near[t]
+                p = window.near[t]
                 n = lattice.neighbour[a, p]
-                own = centre + shift[p]
+                own = window.centre + window.shift[p]
             g = wp.transpose(gradient(lattice, u, n, p, a))
-            for k in range(near.shape[0]):
-                q = near[k]
+            step_row(lattice, terms, window, u, E, n, g, r, own, K)
+            for k in range(window.linked.shape[0]):
+                q = window.linked[k]
                 m = lattice.neighbour[n, q]
                 if deviates(lattice, q, n, m):
                     Y = lattice.xi[q] + u[0, m] - u[0, n]
@@ -190,12 +240,12 @@ def _deviation_row(scalar):
                     if t < 0:
                         by_s -= twice[0] * rate
                         by_m -= twice[1] * rate
-                    add(K, r, own + shift[q], by_s, rate)
+                    add(K, r, own + window.shift[q], by_s, rate)
                     add(K, r, own, -by_s, rate)
-                    mean_row(lattice, shift, near, u, n, q, by_m, r, own, K)
-                    mean_row(lattice, shift, near, u, m, q, by_m, r, own + shift[q], K)
+                    mean_row(lattice, window, u, n, q, by_m, r, own, K)
+                    mean_row(lattice, window, u, m, q, by_m, r, own + window.shift[q], K)
 
-    return deviation_row
+    return short_row
 
 
 @cache
@@ -241,8 +291,8 @@ def tangent_rows(scalar):
     """The kernel in one precision."""
     of = types(scalar)
     vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
-    strain_row, deviation_row, bond_row = (
-        _strain_row(scalar), _deviation_row(scalar), _bond_row(scalar),
+    strain_row, short_row, bond_row = (
+        _strain_row(scalar), _short_row(scalar), _bond_row(scalar),
     )  # fmt: skip
     pair = wp.types.matrix((2, 2), scalar)
 
@@ -251,9 +301,7 @@ def tangent_rows(scalar):
         lattice: Lattice,
         terms: Terms,
         rows: wp.array(dtype=wp.int32),
-        shift: wp.array(dtype=wp.int32),
-        near: wp.array(dtype=wp.int32),
-        centre: wp.int32,
+        window: Window,
         u: wp.array2d(dtype=vec),
         E: wp.array2d(dtype=six),
         G: wp.array2d(dtype=six),
@@ -264,14 +312,14 @@ def tangent_rows(scalar):
         r = wp.tid()
         a = rows[r]
         if terms.kind.shape[0] > 0:
-            strain_row(lattice, shift, centre, u, H, a, r, K)
-        if terms.first_term > terms.first_deviation:
-            deviation_row(lattice, terms, shift, near, centre, u, E, a, r, K)
+            strain_row(lattice, window, u, H, a, r, K)
+        if terms.local > 0:
+            short_row(lattice, terms, window, u, E, a, r, K)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[a, p]
             Y = lattice.xi[p] + u[0, j] - u[0, a]
             local = bond_row(lattice, terms, p, a, j, Y, E, G)
-            K[r, centre] = K[r, centre] + local
-            K[r, centre + shift[p]] = K[r, centre + shift[p]] - local
+            K[r, window.centre] = K[r, window.centre] + local
+            K[r, window.centre + window.shift[p]] = K[r, window.centre + window.shift[p]] - local
 
     return rows_of_tangent

@@ -36,12 +36,13 @@ def types(scalar):
     class Terms:
         bond_kind: wp.array(dtype=wp.int32)
         kind: wp.array(dtype=wp.int32)
-        ripple: wp.array(dtype=wp.int32)
+        seen: wp.array(dtype=wp.int32)  # 0 the strain, 1 the ripple, 2 + p its step across bond p
         angle: wp.array(dtype=scalar)
         exponent: wp.array(dtype=scalar)
         c: wp.array(dtype=scalar)  # all coefficients
         first_deviation: wp.int32
         first_term: wp.int32
+        local: wp.int32  # whether anything acts on short strains alone
 
     return SimpleNamespace(vec=vec, six=six, block=block, Lattice=Lattice, Terms=Terms)
 
@@ -160,10 +161,30 @@ def _acts(scalar):
 
     @wp.func
     def acts(ripple: wp.int32, whole: wp.int32):
-        """Whether a node has the strains that a term needs."""
-        return whole == 3 or (ripple == 0 and whole == 1)
+        """Whether a node has the strains that its own term needs."""
+        return ripple < 2 and (whole == 3 or (ripple == 0 and whole == 1))
 
     return acts
+
+
+@cache
+def _across(scalar):
+    of = types(scalar)
+    Lattice = of.Lattice
+
+    @wp.func
+    def across(lattice: Lattice, seen: wp.int32, side: wp.int32, i: wp.int32):
+        """Far end of the bond that a term acts across, on one side of a node; −1 for none."""
+        if seen < 2:
+            return wp.int32(-1)
+        j = lattice.neighbour[i, seen - 2 + side * (lattice.xi.shape[0] / 2)]
+        if j < 0:
+            return wp.int32(-1)
+        if lattice.whole[i] < 2 or lattice.whole[j] < 2:
+            return wp.int32(-1)
+        return j
+
+    return across
 
 
 @cache
@@ -242,6 +263,7 @@ def parts(scalar):
         on_short=_on_short(scalar),
         known=_known(scalar),
         acts=_acts(scalar),
+        across=_across(scalar),
         deviates=_deviates(scalar),
     )
 
@@ -276,7 +298,7 @@ def _stress(scalar):
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
-    acts = part.acts
+    acts, across, short = part.acts, part.across, part.short
     slope = energy.slope
     half = scalar(0.5)
 
@@ -293,11 +315,17 @@ def _stress(scalar):
         state = E[s, i]
         total = six()
         for k in range(terms.kind.shape[0]):
-            if acts(terms.ripple[k], lattice.whole[i]):
+            if acts(terms.seen[k], lattice.whole[i]):
                 local = slope(
-                    terms.kind[k], terms.angle[k], terms.exponent[k], seen(terms.ripple[k], state)
+                    terms.kind[k], terms.angle[k], terms.exponent[k], seen(terms.seen[k], state)
                 )
-                total += terms.c[terms.first_term + k] * placed(terms.ripple[k], local)
+                total += terms.c[terms.first_term + k] * placed(terms.seen[k], local)
+            for side in range(2):
+                j = across(lattice, terms.seen[k], side, i)
+                if j >= 0:
+                    step = short(state) - short(E[s, j])
+                    local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], step)
+                    total += terms.c[terms.first_term + k] * on_short(local)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
             if deviates(lattice, p, i, j):
@@ -385,7 +413,7 @@ def _energy_of_nodes(scalar):
     part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
-    seen, acts = part.seen, part.acts
+    seen, acts, across, short = part.seen, part.acts, part.across, part.short
     value, bond = energy.value, energy.bond
     half = scalar(0.5)
 
@@ -401,14 +429,20 @@ def _energy_of_nodes(scalar):
         s, i = wp.tid()
         total = scalar(0.0)
         for k in range(terms.kind.shape[0]):
-            if acts(terms.ripple[k], lattice.whole[i]):
+            if acts(terms.seen[k], lattice.whole[i]):
                 local = value(
                     terms.kind[k],
                     terms.angle[k],
                     terms.exponent[k],
-                    seen(terms.ripple[k], E[s, i]),
+                    seen(terms.seen[k], E[s, i]),
                 )
                 total += terms.c[terms.first_term + k] * local
+            for side in range(2):
+                j = across(lattice, terms.seen[k], side, i)
+                if j >= 0:
+                    step = short(E[s, i]) - short(E[s, j])
+                    local = value(terms.kind[k], terms.angle[k], terms.exponent[k], step)
+                    total += half * terms.c[terms.first_term + k] * local
         count = terms.bond_kind.shape[0]
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]

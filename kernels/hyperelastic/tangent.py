@@ -26,8 +26,8 @@ def _curvature(scalar):
         s, i = wp.tid()
         total = block()
         for k in range(terms.kind.shape[0]):
-            if acts(terms.ripple[k], lattice.whole[i]):
-                ripple = terms.ripple[k]
+            if acts(terms.seen[k], lattice.whole[i]):
+                ripple = terms.seen[k]
                 local = curve(
                     terms.kind[k], terms.angle[k], terms.exponent[k], seen(ripple, E[s, i])
                 )
@@ -78,7 +78,8 @@ def _stress_rate(scalar):
     part = parts(scalar)
     vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
     bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
-    deviation, on_short = part.deviation, part.on_short
+    deviation, on_short, across = part.deviation, part.on_short, part.across
+    curve = energies(scalar).curve
     half, one, two, four = scalar(0.5), scalar(1.0), scalar(2.0), scalar(4.0)
     six_times = scalar(6.0)
 
@@ -96,6 +97,14 @@ def _stress_rate(scalar):
         """The derivative of G along v."""
         s, i = wp.tid()
         total = H[s, i] * dE[s, i]
+        for k in range(terms.kind.shape[0]):
+            for side in range(2):
+                j = across(lattice, terms.seen[k], side, i)
+                if j >= 0:
+                    step = short(E[s, i]) - short(E[s, j])
+                    bent = curve(terms.kind[k], terms.angle[k], terms.exponent[k], step)
+                    rate = bent * (short(dE[s, i]) - short(dE[s, j]))
+                    total += terms.c[terms.first_term + k] * on_short(rate)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
             if deviates(lattice, p, i, j):
@@ -104,9 +113,9 @@ def _stress_rate(scalar):
                 d = deviation(lattice, p, bond_strain(lattice, p, Y), E[s, i], E[s, j])
                 own = wp.dot(Y, v[s, j] - v[s, i]) * lattice.inverse[p] * d[1]
                 mean = half * wp.dot(unit, short(dE[s, i]) + short(dE[s, j])) * d[2]
-                rate = (one + (six_times + four * d[0]) * d[0]) * mean - (one + two * d[0]) * own
+                bend = (one + (six_times + four * d[0]) * d[0]) * mean - (one + two * d[0]) * own
                 c = terms.c[terms.first_deviation + lattice.deviation[p]]
-                total += half * c * rate * d[2] * d[2] * on_short(unit)
+                total += half * c * bend * d[2] * d[2] * on_short(unit)
         dG[s, i] = total
 
     return stress_rate
@@ -188,7 +197,7 @@ def _stress_of_each(scalar):
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
-    acts = part.acts
+    acts, across, short = part.acts, part.across, part.short
     slope, slope_by_angle = energy.slope, energy.slope_by_angle
     slope_by_exponent = energy.slope_by_exponent
     half = scalar(0.5)
@@ -211,15 +220,21 @@ def _stress_of_each(scalar):
         total = six()
         if k >= deviations:
             t = k - deviations
-            if acts(terms.ripple[t], lattice.whole[i]):
-                strained = seen(terms.ripple[t], E[s, i])
+            if acts(terms.seen[t], lattice.whole[i]):
+                strained = seen(terms.seen[t], E[s, i])
                 kind, angle, exponent = terms.kind[t], terms.angle[t], terms.exponent[t]
                 local = slope(kind, angle, exponent, strained)
                 if by == 1:
                     local = slope_by_angle(kind, angle, exponent, strained)
                 if by == 2:
                     local = slope_by_exponent(kind, angle, exponent, strained)
-                total = placed(terms.ripple[t], local)
+                total = placed(terms.seen[t], local)
+            for side in range(2):
+                j = across(lattice, terms.seen[t], side, i)
+                if j >= 0 and by == 0:
+                    step = short(E[s, i]) - short(E[s, j])
+                    local = slope(terms.kind[t], terms.angle[t], terms.exponent[t], step)
+                    total += on_short(local)
         else:
             for p in range(lattice.xi.shape[0]):
                 j = lattice.neighbour[i, p]

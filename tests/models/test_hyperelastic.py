@@ -61,6 +61,11 @@ def test_weights_reproduce_uniform_strain_and_no_fourth_moment(reach):
 def test_what_no_solid_has_is_refused(tmp_path):
     with pytest.raises(InputError, match="fibre_power: expected an exponent"):
         Term("fibre_power", 0.0, 1.0)
+    for wrong in ({"kind": "neo_hookean"}, {"kind": "trace", "ripple": True}):
+        with pytest.raises(InputError, match="across: expected trace, shear, along"):
+            Term(**wrong, across=(1, 0))
+    with pytest.raises(InputError, match=r"across \(2, 0\)"):
+        Term("trace", across=(2, 0))
     with pytest.raises(InputError, match="bonds of a half family"):
         Dictionary(3.0, (), ((-1, 0),))
     with pytest.raises(InputError, match="at least one energy"):

@@ -207,6 +207,20 @@ def test_what_cannot_be_used_is_refused():
         Term("ogden")
 
 
+def test_a_step_of_the_strain_costs_what_its_bond_says():
+    points = square(3)
+    op = HyperelasticOperator(Dictionary(3.0, terms=(Term("trace", across=(1, 0)),)), points)
+    x, _ = points.x.T
+    along = np.zeros_like(points.x)
+    assert abs(op.energy(along + 0.1 * points.x, np.ones(1))) < 1e-20  # uniform strain
+    along[:, 0] = 0.5 * x**2  # E11 = x + x²/2 and a fourth moment that is the same everywhere
+    E = x + x**2 / 2
+    columns = np.unique(np.rint(x / SPACING).astype(int))
+    inner = E.reshape(len(columns), -1)[1:-1, 1:-1]  # nodes with a whole short family
+    expected = 0.5 * SPACING**2 * (np.diff(inner, axis=0) ** 2).sum()
+    assert op.energy(along, np.ones(1)) == pytest.approx(expected, rel=1e-9)
+
+
 def test_the_stress_is_the_slope_of_the_energy_density(problem):
     op, _, c, _ = problem
     F = np.array([[1.15, 0.1], [-0.05, 0.95]])
@@ -234,5 +248,5 @@ def nodal_energy(op, u, c):
     field, terms = op._field(u), op._terms(c)
     E, _ = op._states(field, terms)
     U = empty(*field.shape, dtype=op.scalar)
-    launch(sweeps(op.scalar).energy, field.shape, [op._lattice, terms, field, E], [U])
+    launch(sweeps(op.scalar).energy, field.shape, [op.lattice, terms, field, E], [U])
     return U.numpy()[0]

@@ -26,7 +26,12 @@ def everything():
     terms += [Term("fibre_power", next(angles), p) for p in (2.5, 3.0)]
     terms += [Term("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
     terms += [Term("along", next(angles)), Term("along", next(angles), ripple=True)]
-    terms += [Term("trace", ripple=True), Term("fibre_power", next(angles), 2.5, ripple=True)]
+    terms += [Term("along", next(angles), across=(1, -1)), Term("trace", across=(0, 1))]
+    terms += [
+        Term("shear", across=(1, 1)),
+        Term("trace", ripple=True),
+        Term("fibre_power", next(angles), 2.5, ripple=True),
+    ]
     return Dictionary(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
 
 

@@ -16,7 +16,7 @@ from warp_peri.learning.energy_fit import (
     non_negative,
     residual,
 )
-from warp_peri.models.hyperelastic import FIBRES, Dictionary, HyperelasticSolid, Term
+from warp_peri.models.hyperelastic import ACROSS, FIBRES, Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.points.samples import Samples
 
@@ -109,6 +109,7 @@ def read_material(
     matrix: Sequence[str] = ("neo_hookean", "volumetric"),
     deviations: tuple[tuple[int, int], ...] = ((0, 1), (1, 0), (1, 1), (1, -1)),
     stiffness: float = 0.0,
+    steps: bool = True,
     directions: int = 16,
     most_steps: int = 12,
 ) -> HyperelasticSolid:
@@ -122,11 +123,14 @@ def read_material(
         matrix: kinds of the energies beside the fibres.
         deviations: as for Dictionary.
         stiffness: least coefficient of the deviations.
+        steps: whether steps of the strain across near bonds (H17) may cost energy, which belongs to
+            the lattice and the elements of the data.
         directions: of the first fit.
         most_steps: of Gauss and Newton.
     """
     few = Samples(samples.points, samples.u[:ENOUGH], samples.loads[:ENOUGH])
     terms = [Term(kind) for kind in matrix]
+    terms += [Term(kind, across=bond) for kind in ("trace", "shear") for bond in ACROSS if steps]
     dictionary = Dictionary(3.0, (), deviations, (*terms, *rose(directions)))
     op = HyperelasticOperator(dictionary, few)
     c = non_negative(equations(op, few), lower=lower_bounds(dictionary, stiffness))

@@ -18,8 +18,8 @@ from warp_peri.learning.energy_fit import largest_stretch, lower_bounds
 from warp_peri.models.hyperelastic import FIBRES, Dictionary, HyperelasticSolid
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
-from warp_peri.operator.hyperelastic_tangent import positive_factors
 from warp_peri.points.samples import Samples
+from warp_peri.stability.positive import positive_factors
 from warp_peri.statics.large_deformation import NoEquilibrium, StaticProblem
 
 SCALE_WEIGHT = 1e3

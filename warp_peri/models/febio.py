@@ -22,8 +22,8 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
     and "fiber-exp-pow" for each family, which is the learned energy exactly in plane strain. With
     plane_stress it is an incompressible mixture ("Mooney-Rivlin", c2 = 0, and
     "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
-    bulk modulus, which is set to a thousand times the shear modulus. Deviations and ripples, which
-    belong to the lattice, are left out.
+    bulk modulus, which is set to a thousand times the shear modulus. Deviations, ripples and steps,
+    which belong to the lattice, are left out.
 
     Args:
         solid: whose only other energies are fibre exponentials.
@@ -40,7 +40,7 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
     active = [
         (term, value)
         for term, value in zip(dictionary.terms, c[dictionary.first_term :])
-        if value and not term.ripple
+        if value and not term.ripple and term.across is None
     ]
     matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
     if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):

@@ -37,6 +37,10 @@ KINDS = {
 """Strain energies Φ(E) by number; docs/theory.md lists them in (H5)."""
 NAMED = {number: kind for kind, number in KINDS.items()}
 FIBRES = ("fibre_power", "fibre_exponential")
+GRADIENTS = ("trace", "shear", "along")
+"""Kinds that may act on a difference of strains, (H17)."""
+ACROSS = ((0, 1), (1, 0), (1, -1), (1, 1))
+"""Near bonds, in the order of a half family."""
 GUARANTEED = {
     "neo_hookean",
     "volumetric",
@@ -62,14 +66,18 @@ class Term:
         angle: direction n of a fibre [rad], where the kind has one.
         exponent: p of a fibre's power or k₂ of its exponential.
         ripple: acts on the difference of the two nodal strains, (H4), instead of on the strain.
+        across: a near bond in lattice steps; the term then acts on the difference of the short
+            strains of its ends, (H17). Quadratic kinds only.
 
-    Raises InputError for an unknown kind or an exponent that the kind cannot take.
+    Raises InputError for an unknown kind, an exponent that the kind cannot take, or a difference
+    that it cannot act on.
     """
 
     kind: str
     angle: float = 0.0
     exponent: float = 0.0
     ripple: bool = False
+    across: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -80,11 +88,19 @@ class Term:
             raise InputError(f"fibre_power: expected an exponent ≥ 2, got {self.exponent}")
         if self.kind == "fibre_exponential" and self.exponent < 0:
             raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
+        if self.across is not None:
+            object.__setattr__(self, "across", tuple(self.across))
+            if self.across not in ACROSS or self.kind not in GRADIENTS or self.ripple:
+                raise InputError(
+                    f"across: expected {', '.join(GRADIENTS)} across one of {ACROSS}, "
+                    f"got {self.kind} across {self.across}"
+                )
 
     @property
     def label(self) -> str:
         """Its name in tables."""
         words = self.kind + (" of the ripple" if self.ripple else "")
+        words += f" across {self.across}" if self.across else ""
         if self.kind in (*FIBRES, "along"):
             words += f" at {np.rad2deg(self.angle):.1f}°"
         return words + (f", {self.exponent:g}" if self.kind in FIBRES else "")

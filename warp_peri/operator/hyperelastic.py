@@ -18,6 +18,7 @@ from warp_peri.kernels.hyperelastic.sweeps import sweeps, types
 from warp_peri.kernels.hyperelastic.tangent import features, tangents
 from warp_peri.launch import empty, floats, ints, launch, zeros
 from warp_peri.models.hyperelastic import (
+    ACROSS,
     BONDS,
     KINDS,
     Dictionary,
@@ -174,12 +175,14 @@ class HyperelasticOperator:
         packed = self.of.Terms()
         packed.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
         packed.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
-        packed.ripple = ints(np.array([term.ripple for term in terms], int))
+        seen = [int(t.ripple) if t.across is None else 2 + ACROSS.index(t.across) for t in terms]
+        packed.seen = ints(np.array(seen, int))
         packed.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
         packed.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
         packed.c = floats(np.array(c, real), self.scalar)
         packed.first_deviation = dictionary.first_deviation
         packed.first_term = dictionary.first_term
+        packed.local = bool(dictionary.deviations) or any(n > 1 for n in seen)
         self._packed = np.array(c, float), packed
         return packed
 

@@ -20,8 +20,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from warp_peri.errors import InputError
 from warp_peri.models.hyperelastic import HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.operator.hyperelastic_tangent import TangentPattern, positive_factors
+from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.samples import PointsLike
+from warp_peri.stability.positive import positive_factors
 
 DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
