@@ -16,6 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.operator.stencil import smallest_ratio
 from warp_peri.statics.domain import Domain
 from warp_peri.statics.preconditioners import Preconditioner, additive, nothing, sine, torus_inverse
+from warp_peri.statics.strip import Strip
 
 MOST_ITERATIONS = 1500
 RESTARTS = 2
@@ -26,6 +27,7 @@ SINGULAR = 1e-13
 PRECONDITIONERS: dict[str, Callable[[Domain, torch.Tensor], Preconditioner]] = {
     "multigrid": additive,
     "sine": sine,
+    "strip": torus_inverse,
     "fft": torus_inverse,
     "cg": nothing,
 }
@@ -50,7 +52,8 @@ class Dirichlet:
     Args:
         domain: where the nodes lie.
         A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1], on the processor.
-        method: a name in PRECONDITIONERS; "sine" is for rectangles.
+        method: a name in PRECONDITIONERS; "sine" is for rectangles, "strip" eliminates the nodes
+            near the edge first.
 
     Raises InputError for an operator that is not proven positive definite: singular or indefinite.
     """
@@ -62,7 +65,8 @@ class Dirichlet:
         self.scale = float(A[0, 0, A.shape[-1] // 2, A.shape[-1] // 2])
         self.symbol = domain.torus.symbol(A)
         self.check_definite()
-        self.precondition = PRECONDITIONERS[method](domain, A)
+        self.filtered = PRECONDITIONERS[method](domain, A)
+        self.strip = Strip(domain, A) if method == "strip" else None
 
     def check_definite(self) -> None:
         """Raise InputError unless the symbol proves that L_II is positive definite."""
@@ -87,6 +91,11 @@ class Dirichlet:
     def pull(self, wide: torch.Tensor) -> torch.Tensor:
         """L of a field of the wider box, at the unknown nodes."""
         return self.domain.inner(self.domain.torus.product(self.symbol, wide))
+
+    def precondition(self, r: torch.Tensor) -> torch.Tensor:
+        """z ≈ L_II⁻¹ r; with a strip for r that is zero on it, and then L_II z is zero there too."""
+        z = self.filtered(r)
+        return z if self.strip is None else z - self.strip(self.product(z))
 
     def solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, Record]:
         """The field with L_II u = right and its record, to a true relative residual.
@@ -122,12 +131,15 @@ class Dirichlet:
             f"the solve stalled: residual {record.residual:.1e} of the right-hand side after "
             f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator on these "
             f"{len(self.domain.free)} nodes is nearly singular, or so nearly incompressible "
-            f"that {self.method} does not come close to it: try lu"
+            f"that {self.method} does not come close to it: try strip or lu"
         )
 
     def _descend(self, r: torch.Tensor, goal: float, record: Record) -> torch.Tensor:
         """Conjugate gradients from zero until the recursive residual meets the goal."""
         u, r = torch.zeros_like(r), r.clone()
+        if self.strip is not None:
+            u = self.strip(r)
+            r -= self.product(u)
         z = self.precondition(r)
         p, rz = z.clone(), _dot(r, z)
         while float(r.norm()) > goal and record.iterations < MOST_ITERATIONS:

@@ -146,7 +146,8 @@ def equilibrium(
         solid: numbers, arrays or tensors. Where λ and μ are equal the problem is bond-based, and
             its derivatives to them are those of (42).
         horizon: δ [Å].
-        method: "lu", or on lattices "sine" (rectangles), "multigrid", "fft", "cg".
+        method: "lu", or on lattices "sine" (rectangles), "multigrid", "strip"
+            (λ ≫ μ), "fft", "cg".
         tolerance: of iterative solves, true residual over right-hand side.
         records: takes one Record for each sample of an iterative solve.
 

@@ -31,6 +31,8 @@ from warp_peri.transfer.points import model_for
 DIRECT_METHODS = ("lu", "gmres")
 DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are solved for directly, on lattices and on other point sets."""
+STIFF = 30.0
+"""λ/μ from which the strip at the edge costs less than the iterations that it saves."""
 SINGULAR = 1e-13
 """Eigenvalues of the symbol below this fraction of the largest count as zero."""
 
@@ -77,9 +79,9 @@ def solve(
         u_collar: displacement [Å], same shape; only collar values count.
         quadrature_degree: as for LPSOperator.
         method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
-            conjugate gradients with "sine" for rectangles or "multigrid" for any nodes; "gmres"
-            with an incomplete LU for many scattered points, whose operator is not symmetric. "fft"
-            (the inverse symbol) and "cg" (plain) are there to compare.
+            conjugate gradients with "sine" for rectangles, "multigrid" for any nodes, or "strip"
+            where λ ≫ μ; "gmres" with an incomplete LU for many scattered points, whose operator is
+            not symmetric. "fft" (the inverse symbol) and "cg" (plain) are there to compare.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
         iteration: tolerance and device of conjugate gradients, and records of what they took.
@@ -99,7 +101,8 @@ def solve(
     model = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
     nodes = on_nominal_lattice(model, points)
     plain = nodes.is_plain_lattice
-    method = choose_method(nodes, plain=plain) if method == "auto" else method
+    if method == "auto":
+        method = choose_method(nodes, plain=plain, stiff=model.lam > STIFF * model.mu)
     shape = u.shape
     load, u = (field.reshape(-1, len(nodes.x), 2) for field in (load, u))
     if method in PRECONDITIONERS:
@@ -188,13 +191,21 @@ def checked_fields(
     return load, u
 
 
-def choose_method(points: PointsLike, *, plain: bool) -> str:
-    """The cheapest method for a point set; plain: a lattice without a box or broken bonds."""
+def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False) -> str:
+    """The cheapest method for a point set.
+
+    Args:
+        points: whose interior nodes are solved for.
+        plain: a lattice without a box or broken bonds.
+        stiff: λ ≫ μ.
+    """
     nodes = int(np.count_nonzero(points.interior))
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
     if nodes <= DIRECT:
         return "lu"
+    if stiff:
+        return "strip"
     inside, _ = lattice_steps(
         Points(points.x[points.interior], np.ones(nodes, bool), points.spacing)
     )

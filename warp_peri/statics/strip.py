@@ -1,0 +1,70 @@
+"""Nodes near the edge of a domain, solved for exactly: what λ ≫ μ needs beside the filter.
+
+Far from the edge the inverse symbol on a torus is the inverse, whatever λ is. At the edge it cuts
+a displacement off whose dilatation costs λ. So the nodes within STRIP reaches of the edge are
+eliminated by LU, and conjugate gradients run on the rest (docs/solves.md).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from scipy.ndimage import distance_transform_cdt
+from scipy.sparse.linalg import splu
+
+from warp_peri.statics.domain import Domain
+
+STRIP = 2
+"""Width of the strip in reaches of the operator."""
+
+
+class Strip:
+    """z = E A_ss⁻¹ Eᵗ r on the strip s of a domain.
+
+    Args:
+        domain: where the nodes lie.
+        A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1], on the processor.
+    """
+
+    def __init__(self, domain: Domain, A: torch.Tensor) -> None:
+        mask = domain.mask.cpu().numpy()
+        depth = distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1]
+        near = mask & (depth <= STRIP * (A.shape[-1] // 2))
+        self.place = torch.from_numpy(np.flatnonzero(near)).to(domain.mask.device)
+        # symmetric and positive definite: no pivots
+        self.factors = splu(
+            block(A.numpy(), near),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+    def __call__(self, r: torch.Tensor) -> torch.Tensor:
+        """The displacement [2, n₁, n₂] that leaves no residual on the strip, zero elsewhere."""
+        right = r.flatten(1)[:, self.place].T.cpu().numpy()
+        answer = self.factors.solve(np.ascontiguousarray(right).ravel()).reshape(-1, 2)
+        z = torch.zeros_like(r)
+        z.flatten(1)[:, self.place] = torch.from_numpy(answer.T.copy()).to(r)
+        return z
+
+
+def block(A: np.ndarray, mask: np.ndarray) -> sp.csc_array:
+    """The operator of a stencil on the nodes of a mask, shape [2 n, 2 n]."""
+    number = np.full(mask.shape, -1)
+    number[mask] = np.arange(np.count_nonzero(mask))
+    nodes, reach = np.argwhere(mask), A.shape[-1] // 2
+    rows, columns, values = [], [], []
+    for step in np.argwhere(A.any(axis=(0, 1))):
+        there = nodes + step - reach
+        inside = ((there >= 0) & (there < mask.shape)).all(axis=1)
+        row = np.flatnonzero(inside)
+        column = number[tuple(there[row].T)]
+        row, column = row[column >= 0], column[column >= 0]
+        for a in (0, 1):
+            for b in (0, 1):
+                rows.append(2 * row + a)
+                columns.append(2 * column + b)
+                values.append(np.full(len(row), A[a, b, step[0], step[1]]))
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sp.csc_array(entries, shape=2 * (2 * len(nodes),))
