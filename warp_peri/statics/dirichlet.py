@@ -93,7 +93,7 @@ class Dirichlet:
         return self.domain.inner(self.domain.torus.product(self.symbol, wide))
 
     def precondition(self, r: torch.Tensor) -> torch.Tensor:
-        """z ≈ L_II⁻¹ r; with a strip for r that is zero on it, and then L_II z is zero there too."""
+        """z ≈ L_II⁻¹ r; with a strip r is zero on it, and so is L_II z."""
         z = self.filtered(r)
         return z if self.strip is None else z - self.strip(self.product(z))
 
