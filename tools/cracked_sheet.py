@@ -76,7 +76,7 @@ class CrackedSheet:
 
 
 def cracked_sheet(
-    cracks: Sequence[np.ndarray], *, half: float = HALF, armchair: bool = False
+    cracks: Sequence[np.ndarray], *, half: float = HALF, turned: float = 0.0
 ) -> CrackedSheet:
     """A square sheet with straight cracks.
 
@@ -84,20 +84,22 @@ def cracked_sheet(
         cracks: ends of each [Å], shape [2, 2]; y = 0 runs through the middle of bonds when the
             crack runs along the zigzag direction, x = 0 midway between two of them.
         half: half side of the part that moves [Å].
-        armchair: the x axis is the armchair direction instead of the zigzag direction.
+        turned: degrees from the zigzag direction to the x axis; 30 is the armchair direction.
     """
     bond = bond_length()
     step = np.sqrt(3) * bond
     width = half + FRAME
-    cells = (2 * int(width / step) + 8, 2 * int(width / (3 * bond)) + 8)
+    reach = width * (1 if turned == 0 else np.sqrt(2))
+    cells = (2 * int(reach / step) + 8, 2 * int(reach / (3 * bond)) + 8)
     positions, _ = sheet(bond, cells=cells)
     pairs = find_bonds(positions, None)
     middle = positions[pairs].mean(axis=1)
     upright = np.abs(np.diff(positions[pairs], axis=1)[:, 0, 0]) < 0.1
     centre = middle[upright][np.argmin((middle[upright] ** 2).sum(axis=1))]
     positions = positions - centre + (step / 2, 0.0)
-    if armchair:
-        positions = positions[:, ::-1].copy()
+    if turned:
+        cos, sin = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+        positions = positions @ np.array([[cos, -sin], [sin, cos]])
     positions = positions[(np.abs(positions) < width).all(axis=1)]
     while True:  # atoms with one bond left, on the rim or along a slanted crack, are taken away
         pairs = find_bonds(positions, None)
@@ -261,11 +263,11 @@ class Pulled:
 
 
 def critical_strain(
-    cracks: Sequence[np.ndarray], expected: float, *, half: float = HALF, armchair: bool = False
+    cracks: Sequence[np.ndarray], expected: float, *, half: float = HALF, turned: float = 0.0
 ) -> dict[str, float]:
     """Critical strain of a sheet with cracks, and what it took."""
     began = time.perf_counter()
-    body = cracked_sheet(cracks, half=half, armchair=armchair)
+    body = cracked_sheet(cracks, half=half, turned=turned)
     with tempfile.TemporaryDirectory() as folder:
         potential = longer_cutoff(Path(folder))
         with CutSession(body, potential) as session:

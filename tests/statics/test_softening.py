@@ -1,23 +1,30 @@
-"""Bonds that soften: linear limit, energy's derivative at rest, and a peak."""
+"""Bonds that soften and fail: linear limit, energy's derivative, a peak, another horizon."""
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
-from examples.published_plate import plate, pulled, same_toughness
+from examples.published_plate import plate, pulled
 from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from warp_peri import InputError, Model
 from warp_peri.statics.cracked import CutSolid
-from warp_peri.statics.softening import SoftBody
+from warp_peri.statics.softening import BondLaw, SoftBody
+
+LAWS = {
+    "linear": BondLaw(0.0, 0.06),
+    "softening": BondLaw(5.0, 0.06),
+    "with a tail": BondLaw(5.0, 0.05, 0.03),
+}
 
 
 def test_without_softness_it_is_the_linear_body():
-    soft, unit = plate(20, 5.0, 10.05, 0.0, True)
+    soft, unit = plate(20, 5.0, 10.05, BondLaw(0.0), True)
     times = np.array([10.0, 20.0])
-    run = pulled(20, times, 0.0, np.inf, horizon=10.05)
+    run = pulled(20, times, BondLaw(0.0), horizon=10.05)
     assert run.force[1] == pytest.approx(2 * run.force[0])
     crack = [[(-10, 0), (10, 0)]]
-    linear = CutSolid(Model(1.0, 1.0, 0.0, [1.0], 10.05), soft.body, soft.held, cracks=crack)
+    linear = CutSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), soft.body, soft.held, cracks=crack)
     np.testing.assert_allclose(
         soft.rest(unit.ravel().astype(float), np.ones(len(soft._k))).reshape(-1, 2),
         linear.solve(unit),
@@ -25,25 +32,48 @@ def test_without_softness_it_is_the_linear_body():
     )
 
 
-def test_softer_bonds_pull_less_and_broken_ones_make_a_peak():
-    times = np.arange(20.0, 400.0, 20.0)
-    stiff, soft = (pulled(20, times, beta, np.inf, horizon=10.05) for beta in (0.0, 4.0))
+def test_softer_bonds_pull_less_failing_ones_make_a_peak_and_a_tail_raises_it():
+    times = np.arange(84.0, 112.0, 4.0)
+    stiff, soft, broken, tail = (
+        pulled(20, times, law, horizon=10.05)
+        for law in (BondLaw(0.0), BondLaw(4.0), BondLaw(4.0, 0.05), BondLaw(4.0, 0.05, 0.05))
+    )
     assert (soft.force < stiff.force).all()
-    broken = pulled(20, times, 4.0, 0.05, horizon=10.05)
-    assert broken.peak[1] < soft.force.max()
+    assert broken.peak[1] < tail.peak[1] < soft.force.max()
     assert broken.broken[-1] > 0
     assert broken.force[-1] < broken.peak[1]
 
 
-def test_the_same_toughness_at_a_longer_horizon():
-    assert same_toughness(0.06, 0.0, 2.0) == pytest.approx(0.06 / np.sqrt(2), rel=1e-6)
-    assert 0.06 / np.sqrt(2) > same_toughness(0.06, 5.0, 2.0) > 0.03
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart(law):
+    def pull(s):
+        worst = np.array([s])
+        return float((law.pull(worst) * law.share(worst))[0])
+
+    ends = law.stretch, law.stretch + law.tail
+    work = quad(pull, 0, ends[0])[0] + quad(pull, *ends)[0]
+    assert law.spent() == pytest.approx(work, rel=1e-8)
+    assert pull(ends[1] + 1e-6) == 0
+    assert law.share(np.array([0.0, 0.02])).min() == 1
 
 
-def test_dilatation_and_stiffening_are_refused():
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("times", [0.5, 1.0, 2.0, 4.0])
+def test_another_horizon_keeps_the_toughness_and_if_it_can_the_strength(law, times):
+    other = law.at_horizon(times)
+    assert other.spent() * times == pytest.approx(law.spent(), rel=1e-9)
+    if other.tail:
+        assert other.stretch == law.stretch
+    else:
+        assert other.stretch <= law.stretch * (1 + 1e-9)
+    if times < 1:
+        assert other.tail > law.tail
+
+
+def test_dilatation_and_laws_that_are_none_are_refused():
     body = lattice(8, 8)
-    held = np.abs(body.x) > 3
     with pytest.raises(InputError, match="expected λ = μ"):
-        SoftBody(solid(0.5).model, body, 1.0, held)
-    with pytest.raises(InputError, match="softness"):
-        SoftBody(solid().model, body, -1.0, held)
+        SoftBody(solid(0.5).model, body, BondLaw(1.0), np.abs(body.x) > 3)
+    for law in ((-1.0,), (1.0, 0.0), (1.0, 0.1, -0.1), (1.0, 0.1, np.inf)):
+        with pytest.raises(InputError, match="expected a"):
+            BondLaw(*law)

@@ -1,4 +1,8 @@
-"""Bonds that soften before they break, pulled slowly until the body comes apart (C16)."""
+"""Bonds that soften before they break, pulled slowly until the body comes apart (C16, C18).
+
+Strength and toughness belong to the material, the horizon to the numbers: `at_horizon` gives the
+law of bonds at another horizon that has both.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
@@ -18,6 +23,69 @@ from warp_peri.statics.cracked import symmetric_factors
 
 NEWTON = 40
 TOLERANCE = 1e-8
+SETTLED = 0.01
+"""Change of a bond's share of its pull below which damage counts as at rest."""
+
+
+@dataclass(frozen=True)
+class BondLaw:
+    """How a bond pulls: k d exp(−β s), s = d/r² > 0, and k d in compression (C16).
+
+    Attributes:
+        softness: β ≥ 0; it would pull hardest at s = 1/β.
+        stretch: s₀ at which it begins to fail; inf for never.
+        tail: stretch beyond s₀ over which its pull falls to nothing, linearly; 0 breaks at once.
+
+    Raises InputError unless β ≥ 0, s₀ > 0 and the tail ≥ 0.
+    """
+
+    softness: float
+    stretch: float = np.inf
+    tail: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value, fine in (
+            ("softness: expected a number ≥ 0", self.softness, self.softness >= 0),
+            ("stretch: expected a number > 0", self.stretch, self.stretch > 0),
+            ("tail: expected a finite number ≥ 0", self.tail, 0 <= self.tail < np.inf),
+        ):
+            if not fine:
+                raise InputError(f"{name}, got {value}")
+
+    def pull(self, s: np.ndarray) -> np.ndarray:
+        """Pull over k r² of a bond that has not begun to fail."""
+        return np.asarray(s * np.exp(-self.softness * np.maximum(s, 0)))
+
+    def share(self, worst: np.ndarray) -> np.ndarray:
+        """What is left of that pull after a largest stretch, from 1 to 0."""
+        left = (worst <= self.stretch).astype(float)
+        if self.tail == 0 or left.all():
+            return left
+        fall = 1 - (worst - self.stretch) / self.tail
+        beyond = worst > self.stretch
+        whole = self.pull(np.where(beyond, worst, 1.0))
+        ends = self.pull(np.array(self.stretch)) * np.maximum(fall, 0) / whole
+        return np.where(beyond, np.minimum(ends, 1.0), 1.0)
+
+    def spent(self) -> float:
+        """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18)."""
+        b, s = self.softness, self.stretch
+        before = (1 - np.exp(-b * s) * (1 + b * s)) / b**2 if b else s * s / 2
+        return float(before + self.pull(np.array(s)) * self.tail / 2)
+
+    def at_horizon(self, times: float) -> BondLaw:
+        """The law with the same strength and toughness at a horizon so many times as long (C18).
+
+        A bond that stores more than its part of the toughness before it fails has no tail left, and
+        fails earlier: then the strength gives way.
+        """
+        goal = self.spent() / times
+        abrupt = BondLaw(self.softness, self.stretch)
+        if abrupt.spent() <= goal:
+            peak = float(self.pull(np.array(self.stretch)))
+            return BondLaw(self.softness, self.stretch, 2 * (goal - abrupt.spent()) / peak)
+        low = brentq(lambda s: BondLaw(self.softness, s).spent() - goal, 1e-9, self.stretch)
+        return BondLaw(self.softness, float(low))
 
 
 @dataclass(frozen=True)
@@ -42,12 +110,12 @@ class Pull:
 
 
 class SoftBody:
-    """A bond-based body whose bonds pull with k d exp(−β s), s = d/r² > 0, and k d in compression.
+    """A bond-based body whose bonds soften and fail by one law.
 
     Args:
         model: λ = μ, positive on the lattice.
         body: the body.
-        softness: β ≥ 0; a bond pulls hardest at s = 1/β.
+        law: of the bonds.
         held: components of the displacement that are given, shape [N, 2] bool.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
@@ -57,7 +125,7 @@ class SoftBody:
         self,
         model: Model,
         body: Body,
-        softness: float,
+        law: BondLaw,
         held: np.ndarray,
         *,
         cracks: list[ArrayLike] | None = None,
@@ -65,10 +133,8 @@ class SoftBody:
     ) -> None:
         if model.lam != model.mu:
             raise InputError("model: expected λ = μ, bonds without a dilatation")
-        if not softness >= 0:
-            raise InputError(f"softness: expected a number ≥ 0, got {softness}")
         check_breakable(model, body.classes)
-        self.body, self.softness, self.held = body, float(softness), held
+        self.body, self.law, self.held = body, law, held
         table = cracked(body, cracks or [])
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
@@ -84,71 +150,76 @@ class SoftBody:
         self._breakable = ~(safe[node] | safe[far])
         self._free = ~held.ravel()
 
-    def rest(self, u: np.ndarray, alive: np.ndarray) -> np.ndarray:
-        """u at rest from a start that holds the given components, by Newton's method, flat [2N]."""
+    def stretch(self, u: np.ndarray) -> np.ndarray:
+        """s of each bond at u, flat [2N]."""
+        along: np.ndarray = (self._d @ u) / self._square
+        return along
+
+    def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """u at rest from a start that holds the given components, by Newton's method, flat [2N].
+
+        share: what is left of the pull of each bond.
+        """
+        softness = self.law.softness
         for _ in range(NEWTON):
             d = self._d @ u
             s = np.maximum(d / self._square, 0)
-            weak = np.exp(-self.softness * s)
-            total = self._d.T @ (self._k * alive * d * weak)
+            weak = np.exp(-softness * s)
+            total = self._d.T @ (self._k * share * d * weak)
             force = total[self._free]
             if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
                 return u
-            tangent = self._k * alive * weak * np.maximum(1 - self.softness * s, 0.02)
+            tangent = self._k * share * weak * np.maximum(1 - softness * s, 0.02)
             matrix = sp.csr_array(self._d.T @ (sp.diags_array(tangent) @ self._d))
             inner = sp.csc_array(matrix[self._free][:, self._free])
             u = u.copy()
             u[self._free] -= symmetric_factors(inner).solve(force)
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
-    def across(self, u: np.ndarray, alive: np.ndarray, line: ArrayLike) -> float:
+    def across(self, u: np.ndarray, share: np.ndarray, line: ArrayLike) -> float:
         """Pull per thickness across a line along x, of what is above on what is below."""
         cut = crossing_bonds(self.body, line)[self._node, self._bond]
-        d = self._d @ u
-        weak = np.exp(-self.softness * np.maximum(d / self._square, 0))
+        pull = self._k * share * self._square * self.law.pull(self.stretch(u))
         xi = self.body.xi[self._bond]
-        pull = (self._k * alive * d * weak)[cut] * np.abs(xi[cut, 1])
-        return float(self.body.spacing**2 * pull.sum())
+        return float(self.body.spacing**2 * (pull[cut] * np.abs(xi[cut, 1])).sum())
 
     def pull(
         self,
         u: np.ndarray,
         loads: ArrayLike,
-        stretch: float,
         line: ArrayLike,
         *,
         stop: float = 0.7,
         progress: bool = False,
     ) -> Pull:
-        """Raise the load step by step; at each, break what is beyond `stretch` until nothing is.
+        """Raise the load step by step; at each, let bonds fail until none fails further.
 
         Args:
             u: given components at unit load, shape [N, 2].
             loads: rising factors.
-            stretch: s₀ at which bonds break; inf for none.
             line: across which the force is read, [2, 2].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
         """
         given = np.where(self.held, u, 0).ravel()
-        alive = np.ones(len(self._k))
+        share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
         field, rows, before = np.zeros_like(given), [], 0.0
         for load in tqdm(np.asarray(loads, dtype=float), disable=not progress, unit="load"):
             field = field * (load / before) if before else load * np.ravel(u)
             field = np.where(self.held.ravel(), load * given, field)
             try:
                 while True:
-                    field = self.rest(field, alive)
-                    beyond = (self._d @ field > stretch * self._square) & self._breakable
-                    beyond &= alive > 0
-                    if not beyond.any():
+                    field = self.rest(field, share)
+                    worst = np.where(self._breakable, np.maximum(worst, self.stretch(field)), 0)
+                    lasting = np.minimum(self.law.share(worst), share)
+                    change, share = np.max(share - lasting), lasting
+                    if change < SETTLED:
                         break
-                    alive[beyond] = 0
             except InputError:
-                rows.append((load, 0.0, int((alive == 0).sum())))
+                rows.append((load, 0.0, int((share == 0).sum())))
                 break
             before = load
-            rows.append((load, self.across(field, alive, line), int((alive == 0).sum())))
+            rows.append((load, self.across(field, share, line), int((share == 0).sum())))
             if rows[-1][1] < stop * max(row[1] for row in rows):
                 break
         return Pull(*np.array(rows).T)
