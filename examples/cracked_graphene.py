@@ -31,8 +31,10 @@ from warp_peri.statics.cracked import CutSolid
 
 FITTED, DEFAULT, ALL = 24, (12, 16), (8, 12, 16, 32, 36)
 """Cut bonds of the crack that G_c is fitted on, of those predicted, and of all."""
-INNER, OUTER = 4, 14
+PAIRS = {"collinear": (4, 14), "collinear, long": (4, 20)}
 """Ends of the right one of two collinear cracks, in hexagons from the middle."""
+LATER = (20,), ("collinear, long",)
+"""Cracks chosen, and predicted, when everything else here stood."""
 HALF = 40
 """Half side of the sheet inside its rim, in hexagons."""
 
@@ -61,16 +63,17 @@ class Continuum:
         curve = CubicSpline(halves, energies, bc_type=((1, 0.0), "not-a-knot"))
         return lambda half: -float(curve(half, 1)) / (2 * self.step)
 
-    def release_of_two(self, zone: float) -> float:
+    def release_of_two(self, zone: float, first: int, last: int) -> float:
         """The larger G at unit strain of the tips of two collinear cracks [TPa Å].
 
-        zone: hexagons, up to 2, by which each tip is further out than the crack's own.
+        zone: hexagons, up to 2, by which each tip is further out than the crack's own;
+        first, last: ends of the right one.
         """
-        inner, outer = INNER - np.arange(-1, 4), OUTER + np.arange(-1, 4)
-        table = [self.energy([(a, OUTER + 1), (-OUTER - 1, -a)]) for a in inner]
-        by_inner = CubicSpline(inner[::-1], table[::-1])(INNER - zone, 1)
-        table = [self.energy([(INNER - 1, b), (-b, 1 - INNER)]) for b in outer]
-        by_outer = -CubicSpline(outer, table)(OUTER + zone, 1)
+        inner, outer = first - np.arange(-1, 4), last + np.arange(-1, 4)
+        table = [self.energy([(a, last + 1), (-last - 1, -a)]) for a in inner]
+        by_inner = CubicSpline(inner[::-1], table[::-1])(first - zone, 1)
+        table = [self.energy([(first - 1, b), (-b, 1 - first)]) for b in outer]
+        by_outer = -CubicSpline(outer, table)(last + zone, 1)
         return float(max(by_inner, by_outer) / (2 * self.step))
 
 
@@ -98,6 +101,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--all", action="store_true", help="six cracks, and two collinear ones")
+    parser.add_argument("--later", action="store_true", help="two that were predicted blindly")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "cracked_graphene")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -106,25 +110,27 @@ def main(argv: list[str] | None = None) -> int:
     step = float(np.sqrt(3) * bond)
     constants = elastic_constants(bond)
     sheet = Continuum(constants["lambda"], constants["mu"], step)
-    lengths = (FITTED, *(ALL if args.all else DEFAULT))
+    lengths = (FITTED, *(ALL if args.all else DEFAULT), *(LATER[0] if args.later else ()))
+    pairs = (*(("collinear",) if args.all else ()), *(LATER[1] if args.later else ()))
     release = sheet.release(max(lengths) // 2 + 1)
     guess = {n: 0.03 * np.sqrt(release(FITTED / 2) / release(n / 2)) for n in lengths}
     names = {f"{n} bonds": ([(-n / 2, n / 2)], guess[n]) for n in lengths}
-    if args.all:
-        names["collinear"] = ([(INNER, OUTER), (-OUTER, -INNER)], 0.038)
+    for name in pairs:
+        first, last = PAIRS[name]
+        names[name] = ([(first, last), (-last, -first)], 0.035)
     measured = atoms(names, step, args.out / "atoms.json")
     strength, _ = ideal_strength()
     base = measured[f"{FITTED} bonds"]
     toughness, zone = fitted(release, base, constants["E"], strength, step)
     table = {}
     for name, strain in measured.items():
-        n = lengths[list(names).index(name)] if name != "collinear" else 0
-        found_release = release(n / 2 + zone) if n else sheet.release_of_two(zone)
-        predicted = float(np.sqrt(toughness / found_release))
+        n = 0 if name in pairs else lengths[list(names).index(name)]
+        unit = release(n / 2 + zone) if n else sheet.release_of_two(zone, *PAIRS[name])
+        predicted = float(np.sqrt(toughness / unit))
         table[name] = {"atoms": strain, "predicted": predicted, "error": predicted / strain - 1}
-        if n:  # without the zone, G_c fitted anew
-            plain = base * float(np.sqrt(release(FITTED / 2) / release(n / 2)))
-            table[name]["error without zone"] = plain / strain - 1
+        bare = release(n / 2) if n else sheet.release_of_two(0.0, *PAIRS[name])
+        plain = base * float(np.sqrt(release(FITTED / 2) / bare))  # G_c fitted anew
+        table[name]["error without zone"] = plain / strain - 1
     numbers = {"G_c": 100 * toughness, "unit": "J/m² of a sheet 3.35 Å thick", "cracks": table}
     numbers |= {"strength": strength, "zone": zone * step}
     numbers |= {"lambda": constants["lambda"], "mu": constants["mu"], "fitted": f"{FITTED} bonds"}
