@@ -70,11 +70,16 @@ def steel(h: float, ratio: float, turn: float = 0.0, speed: float = 16.5):
     return body, [notch @ axes for notch in notches], x
 
 
-def crack_angles(x: np.ndarray, phi: np.ndarray, h: float) -> tuple[float, float]:
-    """Angles to the notches of both cracks' mean direction and of the way to their tips, means."""
+def crack_angles(x: np.ndarray, phi: np.ndarray, h: float) -> tuple[float | None, float | None]:
+    """Angles to the notches of both cracks' mean direction and of the way to their tips, means.
+
+    None before both have grown.
+    """
     angles = []
     for side in (1, -1):
         new = (phi > DAMAGED) & (x[:, 0] > 2 * h) & (x[:, 0] < 0.048) & (side * x[:, 1] > 0.025)
+        if np.count_nonzero(new) < 10:
+            return None, None
         along, up = x[new, 0], np.abs(x[new, 1])
         end = along[up > up.max() - 1.5 * h].mean(), up.max() - 0.025
         angles.append((np.arctan(1 / np.polyfit(up, along, 1)[0]), np.arctan2(end[1], end[0])))

@@ -16,6 +16,15 @@ def test_a_short_run_prints_and_draws(tmp_path, capsys):
     assert (tmp_path / "series" / "motion.pvd").exists()
 
 
+@pytest.mark.parametrize("turn", [0.0, 20.0])
+def test_the_plate_that_is_hit_cracks_steeply_wherever_its_lattice_points(turn, tmp_path, capsys):
+    command = ["--kalthoff", "--spacing", "2e-3", "--ratio", "3", "--turn", str(turn), "--json"]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert 55 < numbers["angle"] < 75
+    assert 55 < numbers["angle to the tips"] < 75
+
+
 @pytest.mark.slow
 def test_the_glass_plate_branches_and_its_ledger_closes_better_with_shorter_steps(tmp_path, capsys):
     runs = []
