@@ -147,11 +147,11 @@ def alternating(jobs, repeats: int) -> np.ndarray:
     times = np.empty((2, len(jobs), repeats))
     for turn in range(repeats):
         for place in (0, 1) if turn % 2 else (1, 0):
-            began = np.array([time.process_time(), time.perf_counter()])
+            before = np.array([time.process_time(), time.perf_counter()])
             for _ in range(calls):
                 jobs[place]()
-            ended = np.array([time.process_time(), time.perf_counter()])
-            times[:, place, turn] = 1e3 * (ended - began) / calls
+            after = np.array([time.process_time(), time.perf_counter()])
+            times[:, place, turn] = 1e3 * (after - before) / calls
     return times
 
 
