@@ -1,9 +1,11 @@
 """Cracks along other directions of graphene: which edge is nearest, and where they run."""
 
+import json
+
 import numpy as np
 import pytest
 
-from examples.studies.crack_directions import crack, kink
+from examples.studies.crack_directions import crack, kink, main
 from tools.cracked_sheet import cracked_sheet
 from tools.graphene import bond_length
 
@@ -23,3 +25,11 @@ def test_cracks_keep_away_from_atoms_and_the_sheet_is_turned(turned):
     angles = np.degrees(np.arctan2(bonds[:, 1], bonds[:, 0])) % 60
     expected = (90 - turned) % 60  # bonds stand across zigzag directions
     assert np.abs((angles - expected + 30) % 60 - 30).max() < 1e-6
+
+
+@pytest.mark.slow
+def test_an_armchair_crack_follows_from_a_zigzag_one(tmp_path, capsys):
+    assert main(["--cases", "2", "--json", "--out", str(tmp_path)]) == 0
+    zigzag, armchair = json.loads(capsys.readouterr().out).values()
+    assert armchair["atoms"] > 1.05 * zigzag["atoms"]
+    assert abs(armchair["error"]) < 0.02

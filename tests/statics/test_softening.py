@@ -1,10 +1,12 @@
 """Bonds that soften and fail: linear limit, energy's derivative, a peak, another horizon."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from examples.published_plate import plate, pulled
+from examples.published_plate import main, plate, pulled
 from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from warp_peri import InputError, Model
@@ -77,3 +79,13 @@ def test_dilatation_and_laws_that_are_none_are_refused():
     for law in ((-1.0,), (1.0, 0.0), (1.0, 0.1, -0.1), (1.0, 0.1, np.inf)):
         with pytest.raises(InputError, match="expected a"):
             BondLaw(*law)
+
+
+@pytest.mark.slow
+def test_the_large_plate_follows_from_the_small_ones_at_two_horizons(tmp_path, capsys):
+    assert main(["--json", "--out", str(tmp_path)]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["whole plate, mean error"] < 0.038
+    assert abs(numbers["peaks"]["L = 100"]["force error"]) < 0.04
+    assert abs(numbers["peaks"]["L = 100, horizon × 2"]["force error"]) < 0.05
+    assert (tmp_path / "force.png").stat().st_size > 5000
