@@ -94,7 +94,7 @@ def rival():
 
 
 def compare(
-    sides: tuple[int, int], ratio: float, rivals, repeats: int, lam: float = 1.0
+    sides: tuple[int, int], ratio: float, rivals, repeats: int, lam: float = 1.0, scale=3e-3
 ) -> dict[str, object]:
     """Milliseconds of both, and the ratio Numba over Warp with its 10 and 90 % points; μ = 1."""
     body = lattice_body(rectangle(float(sides[0]), float(sides[1]), 1.0), 1.0, ratio)
@@ -103,7 +103,7 @@ def compare(
     operator = CutOperator(model, body, limits=limits)
     count, w = len(body.x), operator.weights
     u = np.zeros((operator.places, 2))
-    u[:count] = 3e-3 * np.random.default_rng(0).standard_normal((count, 2))
+    u[:count] = scale * np.random.default_rng(0).standard_normal((count, 2))
     field, links = floats(u.copy(), wp.vec2d), operator.links(body.neighbour)
     force, energy = zeros(operator.places, dtype=wp.vec2d), zeros(operator.places)
     theirs = (np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.int32))
@@ -160,6 +160,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--scale", type=float, default=3e-3, help="of the displacements")
     parser.add_argument("--sizes", type=int, default=len(SIZES), help="how many of them")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -171,7 +172,7 @@ def main(argv: list[str] | None = None) -> int:
         numba.set_num_threads(min(threads, os.cpu_count() or 1))
         for lam in (1.0, 2.0):
             for width, height, ratio in SIZES[: args.sizes]:
-                row = compare((width, height), ratio, rivals, args.repeats, lam)
+                row = compare((width, height), ratio, rivals, args.repeats, lam, args.scale)
                 table.append({"threads": threads} | row)
                 if not args.json:
                     print(table[-1], flush=True)
