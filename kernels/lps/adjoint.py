@@ -28,19 +28,20 @@ def adjoints(scalar):
             return c
         return int_at(reverse, e)
 
-    structs = _structs(of)
+    types = structs(scalar)
     return SimpleNamespace(
         scaled=_scaled(of),
         dilatation_adjoint=_dilatation_adjoint(of, reverse_class),
         displacement_adjoint=_displacement_adjoint(of, reverse_class),
-        table_adjoint=_table_adjoint(of, structs),
-        **vars(structs),
+        table_adjoint=_table_adjoint(of, types),
+        **vars(types),
     )
 
 
-def _structs(of):
+@cache
+def structs(scalar):
     """What table_adjoint reads: the law as tables and numbers, and the fields it was applied to."""
-    scalar, vec = of.scalar, of.vec
+    vec = bonds(scalar).vec
 
     @wp.struct
     class Law:

@@ -18,7 +18,8 @@ from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
 from warp_peri.launch import at_once, empty, launch, launch_slices
 from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.launches import Evaluation, influence_inputs
+from warp_peri.operator.launches import Evaluation, filled, influence_inputs
+from warp_peri.operator.rows import Rows
 
 BLOCKS = 8
 """Parts in which the nodes are summed over."""
@@ -62,28 +63,19 @@ def gradient(
         parameters: whether to return those to λ, μ, α, D.
     """
     u, lam, mu, alpha, *coefficients = arrays
-    kernels, links = adjoints(bonds.scalar), bonds.arrays
-    samples, nodes = u.shape
-    scaled = []
-    for m in (evaluation.m, evaluation.md)[: 1 + (evaluation.md is not evaluation.m)]:
-        scaled.append(bonds.zeros(samples, nodes, dtype=bonds.vec))
-        inputs: tuple[Any, ...] = (bonds.rows, links, m, g)
-        launch_slices(kernels.scaled, len(bonds.rows), inputs, (scaled[-1],), samples=samples)
-    h, hd = scaled[0], scaled[-1]
-    kw, kd = evaluation.kw, evaluation.kd
-    tau = bonds.zeros(samples, nodes)
-    if not bonds.bond_based:
-        inputs = (bonds.full, links, bonds.reverse, kd, evaluation.md, lam, mu, hd)
-        launch_slices(kernels.dilatation_adjoint, len(bonds.full), inputs, (tau,), samples=samples)
-    u_bar = None
-    if displacement:
-        u_bar = empty(samples, nodes, dtype=bonds.vec, device=bonds.device)
-        inputs = (links, bonds.reverse, kw, kd, mu, h, tau)
-        launch_slices(kernels.displacement_adjoint, nodes, inputs, (u_bar,), samples=samples)
+    kernels = adjoints(bonds.scalar)
+    e = evaluation
+    law = filled(kernels.Law, e.kw, e.m, e.kd, e.md, lam, mu)
+    h, hd = _scaled(bonds, evaluation, g)
+    tau = bonds.zeros(*u.shape)
+    u_bar = empty(*u.shape, dtype=bonds.vec, device=bonds.device) if displacement else None
+    if bonds.laid_out is not None:
+        _by_rows(bonds, bonds.laid_out, law, g, tau if parameters else None, u_bar)
+    else:
+        _by_bonds(bonds, law, (h, hd), tau, u_bar)
     if not parameters:
         return Gradient(u_bar)
-    law = _filled(kernels.Law, kw, evaluation.m, kd, evaluation.md, lam, mu)
-    fields = _filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
+    fields = filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
     tables = _Tables(bonds, law, fields, alpha, coefficients)
     at_once([tables.job(block) for block in range(BLOCKS)])
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
@@ -91,12 +83,60 @@ def gradient(
     return Gradient(u_bar, -2 * bulk, 2 * bulk - 16 * shear, by_alpha, *by_D)
 
 
-def _filled(struct: Any, *values: wp.array[Any]) -> Any:
-    """An instance of a kernel's struct, its members in order."""
-    instance = struct()
-    for name, value in zip(struct.vars, values):
-        setattr(instance, name, value)
-    return instance
+def _scaled(
+    bonds: Bonds, evaluation: Evaluation, g: wp.array[Any]
+) -> tuple[wp.array[Any], wp.array[Any]]:
+    """h = g/m and hd = g/md on all nodes, one array where they are the same."""
+    scaled = []
+    for m in (evaluation.m, evaluation.md)[: 1 + (evaluation.md is not evaluation.m)]:
+        scaled.append(bonds.zeros(len(g), bonds.nodes, dtype=bonds.vec))
+        inputs = (bonds.rows, bonds.arrays, m, g)
+        kernel = adjoints(bonds.scalar).scaled
+        launch_slices(kernel, len(bonds.rows), inputs, (scaled[-1],), samples=len(g))
+    return scaled[0], scaled[-1]
+
+
+def _by_bonds(
+    bonds: Bonds,
+    law: Any,
+    scaled: tuple[wp.array[Any], wp.array[Any]],
+    tau: wp.array[Any],
+    u_bar: wp.array[Any] | None,
+) -> None:
+    """τ, and ∂/∂u where an array is given, through the lists of neighbours."""
+    kernels, links = adjoints(bonds.scalar), (bonds.arrays, bonds.reverse)
+    inputs: tuple[Any, ...]
+    if not bonds.bond_based:
+        inputs = (bonds.full, *links, law.kd, law.md, law.lam, law.mu, scaled[1])
+        count, samples = len(bonds.full), len(tau)
+        launch_slices(kernels.dilatation_adjoint, count, inputs, (tau,), samples=samples)
+    if u_bar is not None:
+        inputs = (*links, law.kw, law.kd, law.mu, scaled[0], tau)
+        launch_slices(kernels.displacement_adjoint, bonds.nodes, inputs, (u_bar,), samples=len(tau))
+
+
+def _by_rows(
+    bonds: Bonds,
+    rows: Rows,
+    law: Any,
+    g: wp.array[Any],
+    tau: wp.array[Any] | None,
+    u_bar: wp.array[Any] | None,
+) -> None:
+    """τ by node and ∂/∂u, where arrays are given, on a lattice laid out in rows."""
+    kernels, pieces = rows.kernels, rows.pieces
+    planes, dilatation = rows.planes("backward", len(g))
+    rows.lay_out(pieces.row_images, g, planes, law.md)
+    law_of_bonds = (bonds.arrays, law, planes)
+    rows.sweep(kernels.dilatation_adjoint, pieces.needed, law_of_bonds, dilatation)
+    if u_bar is not None:
+        if law.m is not law.md:
+            rows.lay_out(pieces.row_images, g, planes, law.m)
+        inputs = (*law_of_bonds, dilatation)
+        rows.sweep(kernels.displacement_adjoint, pieces.nodes, inputs, u_bar)
+    if tau is not None:
+        rows.take_up(dilatation, tau)
+    rows.give_back("backward", planes, dilatation)
 
 
 class _Tables:

@@ -10,6 +10,7 @@ import warp as wp
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import bonds
 from warp_peri.launch import DEVICE, floats, ints, known_device, zeros
+from warp_peri.operator.rows import Rows, rows_of
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -39,6 +40,8 @@ class Bonds:
             broken bonds, `whole` the others.
         r, weight: length [Å] and quadrature weight [Å²] of each bond class, shape [C].
         reverse: number of the bond from j back to i; not read on lattices, shape [E].
+        laid_out: a lattice without broken bonds as rows of a rectangle, on the processor, for the
+            sweeps that take many nodes at a time; None for other point sets.
         kept: tables that launches keep from one evaluation to the next.
 
     Raises InputError for what families_of refuses, another precision, and an unknown device.
@@ -73,6 +76,9 @@ class Bonds:
         self.r, self.weight = self.floats(families.r), self.floats(families.weight)
         self.reverse = self.ints(families.reverse)
         self.arrays = self._arrays(types, points.x, points.box)
+        self.laid_out: Rows | None = None
+        if self.lattice and self.device == DEVICE and not bond_based:
+            self.laid_out = rows_of(families, points.x, points.box, self.scalar)
         self.kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}
 
     def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, float] | None) -> Any:

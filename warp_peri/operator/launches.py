@@ -10,12 +10,14 @@ import warp as wp
 from scipy.special import comb
 
 from warp_peri.errors import InputError
+from warp_peri.kernels.lps import adjoint as lps_adjoint
 from warp_peri.kernels.lps import force as lps
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.launch import launch, launch_slices
 from warp_peri.models.influence import CANCELLED
 from warp_peri.models.lps import Model
 from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.rows import Rows
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Evaluation:
         kw, m: K W of each bond class [C] and weighted volume of each node [N], or of all nodes of a
             lattice [1], deviatoric.
         kd, md: those of the dilatation; the same arrays with one influence function.
-        theta: dilatation of each sample and node, shape [S, N].
+        theta: dilatation of each sample and node, shape [S, N]; zero where nobody asked for it.
         Lu: L u on the interior nodes, shape [S, I] of vectors.
     """
 
@@ -116,6 +118,7 @@ def evaluate(
     D_dilatation: wp.array[Any] | None = None,
     *,
     gradient: bool = False,
+    dilatation: bool = True,
 ) -> Evaluation:
     """L u [TPa/Å] and all that led to it; with `gradient` for the active tape, in one thread.
 
@@ -128,6 +131,7 @@ def evaluate(
         D_dilatation: those of the dilatation's own influence function, of any degree; None when it
             shares that of D.
         gradient: whether to record derivatives.
+        dilatation: whether θ is wanted by node, and not only for the force.
     """
     samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar), bonds.arrays
     inputs: tuple[Any, ...]
@@ -141,6 +145,10 @@ def evaluate(
     if D_dilatation is not None:
         kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
     theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
+    if bonds.laid_out is not None and not gradient:
+        law = filled(lps_adjoint.structs(bonds.scalar).Law, kw, m, kd, md, lam, mu)
+        _by_rows(bonds, bonds.laid_out, law, u, Lu, theta if dilatation else None)
+        return Evaluation(kw, m, kd, md, theta, Lu)
     inputs = (bonds.whole, arrays, kd, md, u)
     _launch(gradient, kernels.dilatation, len(bonds.whole), inputs, theta, samples)
     if len(bonds.cut):
@@ -150,6 +158,28 @@ def evaluate(
     inputs = (bonds.rows, arrays, kw, m, kd, md, lam, mu, u, theta)
     _launch(gradient, kernels.force, len(bonds.rows), inputs, Lu, samples)
     return Evaluation(kw, m, kd, md, theta, Lu)
+
+
+def filled(struct: Any, *values: wp.array[Any]) -> Any:
+    """An instance of a kernel's struct, its members in order."""
+    instance = struct()
+    for name, value in zip(struct.vars, values):
+        setattr(instance, name, value)
+    return instance
+
+
+def _by_rows(
+    bonds: Bonds, rows: Rows, law: Any, u: wp.array[Any], Lu: wp.array[Any], theta: Any
+) -> None:
+    """Dilatation and force on a lattice laid out in rows; θ by node where an array is given."""
+    planes, dilatation = rows.planes("forward", len(u))
+    rows.lay_out(rows.pieces.images, u, planes)
+    law_of_bonds = (bonds.arrays, law, planes)
+    rows.sweep(rows.kernels.dilatation, rows.pieces.needed, law_of_bonds, dilatation)
+    rows.sweep(rows.kernels.force, rows.pieces.forces, (*law_of_bonds, dilatation), Lu)
+    if theta is not None:
+        rows.take_up(dilatation, theta)
+    rows.give_back("forward", planes, dilatation)
 
 
 def _launch(

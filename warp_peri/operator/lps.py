@@ -42,7 +42,8 @@ class _Force(torch.autograd.Function):
             with wp.Tape() as ctx.tape:
                 ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
         else:
-            ctx.evaluation = evaluate(bonds, *ctx.arrays)
+            wanted = any(ctx.needs_input_grad)
+            ctx.evaluation = evaluate(bonds, *ctx.arrays, dilatation=wanted)
         Lu: torch.Tensor = wp.to_torch(ctx.evaluation.Lu, requires_grad=False)
         return Lu
 

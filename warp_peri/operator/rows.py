@@ -1,0 +1,184 @@
+"""A lattice laid out row by row in a rectangle, for the sweeps that take many nodes at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_peri.kernels.lps.rows import BYTES, rows
+from warp_peri.launch import DEVICE, ints, launch_slices, zeros
+from warp_peri.points.families import Families
+
+SPARE = 2
+"""Largest rectangle, in places a node: beyond that the nodes are better left in their lists."""
+SHORT = 4
+"""Least mean length of a piece that is worth it."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Nodes that follow one another in the rectangle and in their numbering, shape [P] of (first
+    place, first number, count), see kernels/lps/rows.py.
+
+    Attributes:
+        forces: the interior, by number in `rows`.
+        nodes: all nodes, by their own number.
+        images, row_images: the same two, and the images of theirs that a periodic set needs.
+        needed: where dilatations are needed.
+    """
+
+    forces: wp.array[Any]
+    nodes: wp.array[Any]
+    images: wp.array[Any]
+    row_images: wp.array[Any]
+    needed: wp.array[Any]
+
+
+class Rows:
+    """Where the nodes of a lattice lie in the rectangle, and the planes of fields on it.
+
+    Made by `rows_of`.
+
+    Attributes:
+        pieces: of nodes.
+        offset: places from a node to the end of each bond of the pattern, shape [B].
+        places: of a plane, with room around the rectangle that bonds may lead to, P.
+        kernels: the sweeps.
+    """
+
+    def __init__(self, pieces: Pieces, offset: np.ndarray, places: int, scalar: Any) -> None:
+        self.pieces, self.offset = pieces, ints(offset)
+        self.places, self.scalar, self.kernels = places, scalar, rows(scalar)
+        self.one = wp.ones(1, dtype=scalar, device=DEVICE)
+        self._spare: dict[str, list[tuple[wp.array[Any], wp.array[Any]]]] = {}
+
+    def planes(self, use: str, samples: int) -> tuple[wp.array[Any], wp.array[Any]]:
+        """Planes of a vector field [S, 2 P] and of numbers [S, P], zero off the pieces of a use.
+
+        They are to be given back: a use writes to the same places every time.
+        """
+        spare = self._spare.get(use, [])
+        while spare:
+            vectors, numbers = spare.pop()
+            if len(vectors) == samples:
+                return vectors, numbers
+        shapes = (2 * self.places, self.places)
+        vectors, numbers = (zeros(samples, size, dtype=self.scalar) for size in shapes)
+        return vectors, numbers
+
+    def give_back(self, use: str, vectors: wp.array[Any], numbers: wp.array[Any]) -> None:
+        """Keep the planes for the next evaluation of as many samples."""
+        self._spare.setdefault(use, []).append((vectors, numbers))
+
+    def lay_out(
+        self,
+        pieces: wp.array[Any],
+        values: wp.array[Any],
+        planes: wp.array[Any],
+        divisor: wp.array[Any] | None = None,
+    ) -> None:
+        """Vectors by number into their planes, divided by a number on the device."""
+        inputs = (pieces, self.one if divisor is None else divisor, values)
+        self._launch(self.kernels.laid_out, inputs, planes)
+
+    def take_up(self, plane: wp.array[Any], numbers: wp.array[Any]) -> None:
+        """Numbers from their places back to all nodes."""
+        self._launch(self.kernels.taken_up, (self.pieces.nodes, plane), numbers)
+
+    def sweep(
+        self, kernel: Any, pieces: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
+    ) -> None:
+        """One of the sweeps over the bonds of the pieces."""
+        self._launch(kernel, (pieces, self.offset, *inputs), output)
+
+    @staticmethod
+    def _launch(kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
+        launch_slices(kernel, len(inputs[0]), inputs, (output,), samples=output.shape[0])
+
+
+def rows_of(
+    families: Families, x: np.ndarray, box: tuple[float, float] | None, scalar: Any
+) -> Rows | None:
+    """The layout of a lattice; None with broken bonds, and where the rectangle or the pieces of it
+    would be mostly empty.
+
+    Args:
+        families: of the lattice.
+        x: its nodes [Å], shape [N, 2].
+        box: its periods [Å].
+        scalar: type of numbers.
+    """
+    classes = families.classes
+    axes = np.linalg.lstsq(classes.xi, families.pattern, rcond=None)[0].T
+    grid = np.rint((x - x[0]) @ axes / classes.spacing).astype(np.int64)
+    grid -= grid.min(axis=0)
+    steps, period = classes.steps, np.zeros(2, np.int64)
+    if box is not None:
+        period = np.rint(np.array(box) / classes.spacing).astype(np.int64)
+        grid %= period
+    if len(grid) > 1 and grid[0, 1] == grid[1, 1]:  # numbered along the other axis
+        grid, steps, period = grid[:, ::-1], steps[:, ::-1], period[::-1]
+    size = grid.max(axis=0) + 1
+    if len(families.cut) or size.prod() > SPARE * len(grid):
+        return None
+    reach = int(np.abs(steps).max())
+    ring = reach if box is None else 2 * reach
+    height, width = (size if box is None else period) + 2 * ring
+    room = reach * (width + 1) + BYTES  # for bonds off the rectangle, and the last piece's lanes
+
+    def places(steps: np.ndarray) -> np.ndarray:
+        """Of nodes that are so many steps from the first corner."""
+        corner: np.ndarray = room + (steps + ring) @ (width, 1)
+        return corner
+
+    lanes = rows(scalar).lanes
+    numbers, row_numbers = np.arange(len(grid)), np.full(len(grid), -1)
+    row_numbers[families.rows] = np.arange(len(families.rows))
+    needed = np.zeros(len(grid), bool)
+    needed[families.whole] = True
+    home = places(grid)
+    nodes = _pieces(home, numbers, lanes)
+    if SHORT * len(nodes) > len(grid):
+        return None
+    owner, image = _images(grid, period, ring)
+    _, around = _images(grid[needed], period, reach)
+    interior = row_numbers[owner] >= 0
+    image_places = places(image)
+    pieces = Pieces(
+        forces=_pieces(home[families.rows], row_numbers[families.rows], lanes),
+        nodes=nodes,
+        images=_pieces(image_places, owner, lanes),
+        row_images=_pieces(image_places[interior], row_numbers[owner[interior]], lanes),
+        needed=_pieces(places(around), places(around), lanes),
+    )
+    return Rows(pieces, steps @ (width, 1), int(height * width + 2 * room), scalar)
+
+
+def _images(grid: np.ndarray, period: np.ndarray, ring: int) -> tuple[np.ndarray, np.ndarray]:
+    """Number and steps of all nodes and of their periodic images in a ring around the period."""
+    owners, images = [], []
+    for shift in np.ndindex(3, 3) if period.any() else [(1, 1)]:
+        image = grid + (np.array(shift) - 1) * period
+        inside = ((image >= -ring) & (image < period + ring)).all(axis=1) | (not period.any())
+        owners.append(np.flatnonzero(inside))
+        images.append(image[inside])
+    return np.concatenate(owners), np.concatenate(images)
+
+
+def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
+    """Pieces of at most so many lanes, in the order of their places, shape [P] of vectors."""
+    order = np.argsort(places, kind="stable")
+    places, numbers = places[order], numbers[order]
+    broken = np.ones(len(places), bool)
+    broken[1:] = (np.diff(places) != 1) | (np.diff(numbers) != 1)
+    begin = np.flatnonzero(broken)
+    length = np.diff(np.append(begin, len(places)))
+    parts = -(-length // lanes)
+    step = lanes * (np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts))
+    first = np.repeat(begin, parts) + step
+    count = np.minimum(np.repeat(length, parts) - step, lanes)
+    table = np.stack([places[first], numbers[first], count], axis=1).astype(np.int32)
+    return wp.array(table, dtype=wp.vec3i, device=DEVICE)
