@@ -102,15 +102,22 @@ def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any])
 
 
 def launch_slices(
-    kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any], *, samples: int = 0
+    kernel: Any,
+    count: int,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    *,
+    samples: int = 0,
+    weight: int = 1,
 ) -> None:
     """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count.
 
-    With samples the dimensions are (samples, slice). Must not be called while a tape records. A GPU
-    takes all of them at once.
+    With samples the dimensions are (samples, slice). `weight` is the work of an index, that of a
+    node being 1. Must not be called while a tape records. A GPU takes all of them at once.
     """
     device = outputs[0].device
-    slices = max(1, min(_count, count * max(samples, 1) // SLICE)) if device.is_cpu else 1
+    work = count * max(samples, 1) * weight
+    slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
     ends = [count * n // slices for n in range(slices + 1)]
 
     def job(first: int, last: int) -> Callable[[], None]:

@@ -69,8 +69,7 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     points = lattice(8, HORIZON)
     order = np.random.default_rng(0).permutation(len(points.x))
     assert Bonds(numbered(points, order), HORIZON).laid_out is None
-    far = points.x + (200.0, 200.0)
-    apart = Points(np.concatenate([points.x, far]), np.tile(points.interior, 2), 1.0)
+    apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
     assert Bonds(apart, HORIZON).laid_out is None
     outside = points.x[:, 0] > 4
     body = replace(points, interior=points.interior & ~outside, outside=outside)

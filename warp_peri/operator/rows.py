@@ -16,6 +16,8 @@ SPARE = 2
 """Largest rectangle, in places a node: beyond that the nodes are better left in their lists."""
 SHORT = 4
 """Least mean length of a piece that is worth it."""
+FASTER = 4
+"""How much less a thread has to do with a node here than in its list of neighbours."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,11 @@ class Rows:
         They are to be given back: a use writes to the same places every time.
         """
         spare = self._spare.get(use, [])
-        while spare:
-            vectors, numbers = spare.pop()
+        while True:
+            try:
+                vectors, numbers = spare.pop()
+            except IndexError:
+                break
             if len(vectors) == samples:
                 return vectors, numbers
         shapes = (2 * self.places, self.places)
@@ -94,9 +99,10 @@ class Rows:
         """One of the sweeps over the bonds of the pieces."""
         self._launch(kernel, (pieces, self.offset, *inputs), output)
 
-    @staticmethod
-    def _launch(kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
-        launch_slices(kernel, len(inputs[0]), inputs, (output,), samples=output.shape[0])
+    def _launch(self, kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
+        count, samples = len(inputs[0]), output.shape[0]
+        weight = self.kernels.lanes // FASTER
+        launch_slices(kernel, count, inputs, (output,), samples=samples, weight=weight)
 
 
 def rows_of(
