@@ -18,6 +18,7 @@ from warp_peri.operator.adjoint import gradient
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import check_volumes, evaluate
 from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.tables import Tabulated
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
@@ -122,6 +123,9 @@ class LPSOperator:
             device=device,
         )
         check_volumes(self.bonds, model)
+        self._tabulated: Tabulated | None = None
+        if not self.bonds.lattice and device == DEVICE:
+            self._tabulated = Tabulated(self.bonds)
 
     @overload
     def __call__(self, u: np.ndarray) -> np.ndarray: ...
@@ -132,7 +136,16 @@ class LPSOperator:
             tensor = u
         else:
             tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
-        Lu = lps_force(self.bonds, tensor, self.model.solid)
+        solid = self.model.solid
+        differentiated = torch.is_grad_enabled() and tensor.requires_grad
+        if self._tabulated is None or differentiated:
+            Lu = lps_force(self.bonds, tensor, solid)
+        else:
+            check_field(self.bonds, tensor)
+            fields = tensor.detach().reshape(-1, self.bonds.nodes, 2).contiguous()
+            vectors: Any = wp.from_torch(fields, dtype=self.bonds.vec)
+            made = self._tabulated(vectors, solid)
+            Lu = wp.to_torch(made, requires_grad=False).reshape(*tensor.shape[:-2], -1, 2)
         return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
 
 
@@ -148,6 +161,21 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
     Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based bonds, whose
     derivative to λ is zero: (42) is a function of μ.
     """
+    check_field(bonds, u)
+    numbers = [
+        torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1)
+        for value in solid.values()
+    ]
+    if bonds.bond_based and not torch.equal(*numbers[:2]):
+        raise InputError(
+            f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
+        )
+    Lu = _force(bonds, u.reshape(-1, bonds.nodes, 2), *numbers)
+    return Lu.reshape(*u.shape[:-2], -1, 2)
+
+
+def check_field(bonds: Bonds, u: torch.Tensor) -> None:
+    """Refuse a displacement whose device, type or shape is not that of the bonds."""
     nodes, dtype = bonds.nodes, getattr(torch, bonds.scalar.__name__)
     if u.device != torch.device(bonds.device):
         raise InputError(f"u: expected a tensor on {bonds.device}, got one on {u.device}")
@@ -156,15 +184,6 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
             f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, 2] or [{nodes}, 2], "
             f"got {u.dtype} of shape {list(u.shape)}"
         )
-    numbers = [
-        torch.as_tensor(value, dtype=dtype, device=u.device).reshape(-1) for value in solid.values()
-    ]
-    if bonds.bond_based and not torch.equal(*numbers[:2]):
-        raise InputError(
-            f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
-        )
-    Lu = _force(bonds, u.reshape(-1, nodes, 2), *numbers)
-    return Lu.reshape(*u.shape[:-2], -1, 2)
 
 
 __all__ = ["Bonds", "DEVICE", "LPSOperator", "lps_force"]

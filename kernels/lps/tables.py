@@ -1,0 +1,190 @@
+"""The sweeps while the law stays as it is: what a bond does is read from a table, not computed.
+
+With k = K W/m of the deviatoric part and q = K W/md of the dilatation, bond e holds the vector
+a = q ξ and the number s = k/(q² r²), so that
+
+  θ_i = 2 Σ a·(u_j − u_i),   (L u)_i = Σ (−2 (λ−μ) (θ_i + θ_j) − 16 μ s a·(u_j − u_i)) a
+
+are (6) and (9): 24 bytes a bond in double precision and the number of its far end, one stream for
+both sweeps. A bond whose q vanishes takes a q so small beside k that the dilatation, to rounding,
+does not see it. For the processor; four bonds at a time, each with a sum of its own, since one sum
+would wait for itself.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import warp as wp
+
+from warp_peri.kernels.bonds import bonds
+
+NOTHING = {"float64": 1e-20, "float32": 1e-10}
+"""Of k: what q is at least; its square must be a number."""
+
+DILATATION = """
+    const REAL* v = (const REAL*)(u.data + size_t(s) * u.shape[1]);
+    const REAL x = v[2 * i], y = v[2 * i + 1];
+    REAL tx[4] = {}, ty[4] = {};
+    auto add = [&](int e, int l) {
+        const REAL* far = v + 2 * size_t(table.ends.data[e]);
+        const REAL* a = (const REAL*)(table.vectors.data + e);
+        tx[l] += a[0] * (far[0] - x);
+        ty[l] += a[1] * (far[1] - y);
+    };
+    BONDS
+    const REAL sum = ((tx[0] + tx[1]) + (tx[2] + tx[3])) + ((ty[0] + ty[1]) + (ty[2] + ty[3]));
+    theta.data[size_t(s) * theta.shape[1] + i] = REAL(2) * sum;
+"""
+FORCE = """
+    const REAL* v = (const REAL*)(u.data + size_t(s) * u.shape[1]);
+    const REAL* t = theta.data + size_t(s) * theta.shape[1];
+    const REAL x = v[2 * i], y = v[2 * i + 1], own = t[i];
+    REAL fx[4] = {}, fy[4] = {};
+    auto add = [&](int e, int l) {
+        const int j = table.ends.data[e];
+        const REAL* far = v + 2 * size_t(j);
+        const REAL* a = (const REAL*)(table.vectors.data + e);
+        const REAL stretch = a[0] * (far[0] - x) + a[1] * (far[1] - y);
+        const REAL density = bulk * (own + t[j]) + shear * (stretch * table.numbers.data[e]);
+        fx[l] += density * a[0];
+        fy[l] += density * a[1];
+    };
+    BONDS
+    REAL* out = (REAL*)(Lu.data + size_t(s) * Lu.shape[1] + number);
+    out[0] = (fx[0] + fx[1]) + (fx[2] + fx[3]);
+    out[1] = (fy[0] + fy[1]) + (fy[2] + fy[3]);
+"""
+BONDS = """
+    int e = table.row.data[i];
+    const int end = table.row.data[i + 1];
+    for (; e + 4 <= end; e += 4)
+        for (int l = 0; l < 4; ++l)
+            add(e + l, l);
+    for (; e < end; ++e)
+        add(e, 0);
+"""
+
+
+@cache
+def tables(scalar):
+    """The kernels in one precision."""
+    of = bonds(scalar)
+    vec = of.vec
+
+    @wp.struct
+    class Table:
+        row: wp.array(dtype=wp.int32)
+        ends: wp.array(dtype=wp.int32)
+        vectors: wp.array(dtype=vec)
+        numbers: wp.array(dtype=scalar)
+
+    def native(body):
+        return body.replace("BONDS", BONDS).replace("REAL", f"wp::{scalar.__name__}")
+
+    return SimpleNamespace(
+        Table=Table,
+        filled=_filled(of),
+        dilatation=_dilatation(of, Table, native(DILATATION)),
+        force=_force(of, Table, native(FORCE)),
+    )
+
+
+def _filled(of):
+    scalar, vec, BondArrays, bond_of = of.scalar, of.vec, of.BondArrays, of.bond_of
+    bond_class_of, volume_of, scalar_at = of.bond_class_of, of.volume_of, of.scalar_at
+    nothing = wp.constant(scalar(NOTHING[scalar.__name__]))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def filled(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        bonds: BondArrays,
+        kw: wp.array(dtype=scalar),
+        m: wp.array(dtype=scalar),
+        kd: wp.array(dtype=scalar),
+        md: wp.array(dtype=scalar),
+        vectors: wp.array(dtype=vec),
+        numbers: wp.array(dtype=scalar),
+    ):
+        """a and s of the bonds of some nodes; zero of broken bonds, which do nothing."""
+        i = nodes[first + wp.tid()]
+        begin = bonds.row[i]
+        skip = bonds.lattice * begin
+        v = volume_of(bonds, i)
+        for e in range(begin, bonds.row[i + 1]):
+            j = bonds.neighbour[e]
+            if j >= 0:
+                bond = bond_of(bonds, e - skip, i, j)
+                c = bond_class_of(bonds, e - skip)
+                k = scalar_at(kw, c) / m[v]
+                q = scalar_at(kd, c) / md[v]
+                if wp.abs(q) < nothing * wp.abs(k):
+                    q = nothing * wp.abs(k)
+                if q != scalar(0.0):
+                    vectors[e] = q * vec(bond[0], bond[1])
+                    numbers[e] = k / q * bond[2] / q
+
+    return filled
+
+
+def _dilatation(of, Table, body):
+    scalar, vec = of.scalar, of.vec
+
+    @wp.func_native(body)
+    def row_of_bonds(
+        s: wp.int32,
+        i: wp.int32,
+        table: Table,
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+    ): ...
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def dilatation(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        table: Table,
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+    ):
+        """θ of some nodes, (6)."""
+        s, t = wp.tid()
+        row_of_bonds(s, nodes[first + t], table, u, theta)
+
+    return dilatation
+
+
+def _force(of, Table, body):
+    scalar, vec = of.scalar, of.vec
+
+    @wp.func_native(body)
+    def row_of_bonds(
+        s: wp.int32,
+        number: wp.int32,
+        i: wp.int32,
+        bulk: scalar,
+        shear: scalar,
+        table: Table,
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+        Lu: wp.array2d(dtype=vec),
+    ): ...
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def force(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        table: Table,
+        lam: wp.array(dtype=scalar),
+        mu: wp.array(dtype=scalar),
+        u: wp.array2d(dtype=vec),
+        theta: wp.array2d(dtype=scalar),
+        Lu: wp.array2d(dtype=vec),
+    ):
+        """L u of some nodes, (9)."""
+        s, t = wp.tid()
+        bulk = scalar(-2.0) * (lam[0] - mu[0])
+        shear = scalar(-16.0) * mu[0]
+        row_of_bonds(s, first + t, nodes[first + t], bulk, shear, table, u, theta, Lu)
+
+    return force
