@@ -1,12 +1,15 @@
 """Speed and memory of the LPS operator beside other ways of computing it, all in one run.
 
-    python tools/benchmark.py operator [--quick]
+    python tools/benchmark.py operator [--quick] [--threads 1]
+    python tools/benchmark.py roofline
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
 first. Rounds are interleaved, each timing follows an untimed call, and the best round counts (a
-median folds in what else the machine does). Bonds are counted once from each end. What to read are
-the ratios: the times belong to the machine. Needs the extra `bench` for Numba.
+median folds in what else the machine does). On one thread the median of the processor's time counts
+instead, which a shared machine disturbs less. Every candidate has the same number of threads. Bonds
+are counted once from each end. What to read are the ratios: the times belong to the machine. Needs
+the extra `bench` for Numba.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import numba_rival, rivals, solve_study
+from tools import numba_rival, rivals, roofline, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
@@ -35,6 +38,7 @@ from warp_peri.operator.adjoint import BLOCKS
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence_inputs
 from warp_peri.operator.lps import lps_force
+from warp_peri.operator.tables import Tabulated
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 
@@ -80,9 +84,16 @@ def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable
 
 
 def ours_kept(bonds: Bonds, u: np.ndarray, dtype: torch.dtype) -> Callable[[], np.ndarray]:
-    """The library's forward pass while D and α stay as they are, so that K is kept."""
+    """The library's differentiable forward pass while D and α stay as they are: K is kept."""
     field, solid = torch.as_tensor(u, dtype=dtype), Solid(**MODEL)
     return lambda: lps_force(bonds, field, solid).numpy()
+
+
+def ours_fixed(bonds: Bonds, u: np.ndarray) -> Callable[[], np.ndarray]:
+    """What LPSOperator does for a fixed model on scattered points: tables of the bonds."""
+    field: Any = wp.array(u[None], dtype=bonds.vec, device="cpu")
+    force, solid = Tabulated(bonds), Solid(**MODEL)
+    return lambda: force(field, solid).numpy()[0]
 
 
 def on_threads(count: int, function: Callable[[], Any]) -> Callable[[], Any]:
@@ -110,14 +121,16 @@ def interleaved(candidates: Candidates, rounds: int, tolerance: float) -> dict[s
             if not error <= tolerance:
                 raise RuntimeError(f"{name} is wrong by {error:.1e}")
     times: dict[str, list[float]] = {name: [] for name in candidates}
+    alone = THREADS > 1  # the clock on the wall needs an idle machine
+    clock, typical = (time.perf_counter, min) if alone else (time.process_time, np.median)
     for _ in range(rounds):
         for name, function in candidates.items():
             time.sleep(0.02)  # until the threads of the one before stop spinning
             function()
-            start = time.perf_counter()
+            start = clock()
             function()
-            times[name].append(time.perf_counter() - start)
-    return {name: min(values) for name, values in times.items()}
+            times[name].append(clock() - start)
+    return {name: typical(values) for name, values in times.items()}
 
 
 def copy_bandwidth() -> float:
@@ -126,15 +139,17 @@ def copy_bandwidth() -> float:
     target = np.empty_like(source)
     best = np.inf
     for _ in range(7):
-        start = time.perf_counter()
+        start = time.process_time()
         np.copyto(target, source)
-        best = min(best, time.perf_counter() - start)
+        best = min(best, time.process_time() - start)
     return 2 * source.nbytes / best
 
 
 def traffic(bonds: Bonds, nodes: int, count: int, size: int) -> int:
     """Bytes a forward pass must move if every array is read or written once a sweep."""
     fields = nodes * (2 * (2 * size + size) + 2 * size)  # u and θ in both sweeps, L u out
+    if bonds.laid_out is not None:
+        return fields
     if bonds.lattice:
         return 2 * 4 * count + fields
     return count * (2 * (4 + size) + 4 * size) + fields  # K: r, W in, K W out; volume: r, K W
@@ -163,10 +178,16 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
         f"  families and weights {built:.2f} s; {memory(bonds, size) / count:.1f} bytes a bond"
         " all told"
     )
-    forward: Candidates = {"warp_peri": force, "warp_peri, 1 thread": on_threads(1, force)}
-    both: Candidates = {"warp_peri": gradient, "warp_peri, 1 thread": on_threads(1, gradient)}
+    forward: Candidates = {"warp_peri": force}
+    both: Candidates = {"warp_peri": gradient}
+    if THREADS > 1:
+        forward["warp_peri, 1 thread"] = on_threads(1, force)
+        both["warp_peri, 1 thread"] = on_threads(1, gradient)
     if kind == "scattered":
         forward["warp_peri, K kept"] = ours_kept(bonds, fields[0], dtype)
+        forward["warp_peri, fixed"] = fixed = ours_fixed(bonds, fields[0])
+        if THREADS > 1:
+            forward["warp_peri, fixed, 1 thr."] = on_threads(1, fixed)
     t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
     if count < LARGE:
         forward["torch scatter"], both["torch scatter"] = rivals.torch_scatter(t, dtype)
@@ -180,6 +201,9 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
     report("forward", seconds, count)
     share = traffic(bonds, nodes, count, size) / seconds["warp_peri"] / bandwidth
     print(f"    of copy bandwidth: {100 * share:.0f} %")
+    if bonds.laid_out is not None:
+        lists = share + 2 * 4 * count / seconds["warp_peri"] / bandwidth
+        print(f"    with the lists of neighbours that others read: {100 * lists:.0f} %")
     report("forward and backward to u, D, α", interleaved(both, rounds, tolerance), count)
     return seconds["warp_peri"]
 
@@ -198,12 +222,13 @@ def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision
 
 def memory(bonds: Bonds, size: int) -> int:
     """Bytes of all arrays of the operator, of one evaluation and of its gradient."""
-    held = [
-        value
-        for value in (*vars(bonds).values(), *vars(bonds.arrays).values())
-        if isinstance(value, wp.array)
-    ]
-    total = sum({array.ptr: array.capacity for array in held}.values())
+    parts: list[Any] = [bonds, bonds.arrays]
+    planes = 0
+    if bonds.laid_out is not None:
+        parts += [bonds.laid_out, bonds.laid_out.pieces]
+        planes = 2 * 3 * bonds.laid_out.places  # u and θ, h and τ
+    held = [value for part in parts for value in vars(part).values() if isinstance(value, wp.array)]
+    total = sum({array.ptr: array.capacity for array in held}.values()) + size * planes
     count, classes, nodes = len(bonds.families.neighbour), len(bonds.r), bonds.nodes
     volumes = 1 if bonds.lattice else nodes
     state = classes + volumes + nodes * (2 + 1 + 2)  # K W, m; u, θ, L u
@@ -293,8 +318,10 @@ def lammps(side: int, ours: float) -> None:
 THREADS = 2
 
 
-def operator(*, quick: bool) -> None:
+def operator(*, quick: bool, threads: int = 2) -> None:
     """The benchmark of the operator."""
+    global THREADS
+    THREADS = threads
     set_threads(THREADS)
     torch.set_num_threads(THREADS)
     bandwidth = copy_bandwidth()
@@ -313,20 +340,35 @@ def operator(*, quick: bool) -> None:
         setting_up(1000, forward)
 
 
+def ceilings() -> None:
+    """The rooflines of the lattice, on one core."""
+    set_threads(1)
+    bandwidth = copy_bandwidth()
+    for side in (200,):
+        points, _ = problem("lattice", side)
+        u = np.random.default_rng(1).normal(size=points.x.shape)
+        for precision in ("float64", "float32"):
+            bonds = Bonds(points, HORIZON, precision=precision)
+            roofline.roofline(bonds, Solid(**MODEL), u, bandwidth)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["operator", "solve"])
+    parser.add_argument("what", choices=["operator", "roofline", "solve"])
     parser.add_argument("--quick", action="store_true", help="few rounds, no 1000² lattice")
+    parser.add_argument("--threads", type=int, default=2, help="operator: of every candidate")
     parser.add_argument("--model", type=Path, help="solve: model file (default: learned graphene)")
     parser.add_argument("--out", type=Path, help="solve: write the table as JSON")
     given = parser.parse_args(arguments)
     if given.what == "solve":
         solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
+    elif given.what == "roofline":
+        ceilings()
     else:
-        operator(quick=given.quick)
+        operator(quick=given.quick, threads=given.threads)
     return 0
 
 
