@@ -344,7 +344,7 @@ def ceilings() -> None:
     """The rooflines of the lattice, on one core."""
     set_threads(1)
     bandwidth = copy_bandwidth()
-    for side in (200,):
+    for side in (200, 1000):
         points, _ = problem("lattice", side)
         u = np.random.default_rng(1).normal(size=points.x.shape)
         for precision in ("float64", "float32"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -40,8 +41,6 @@ class Bonds:
             broken bonds, `whole` the others.
         r, weight: length [Å] and quadrature weight [Å²] of each bond class, shape [C].
         reverse: number of the bond from j back to i; not read on lattices, shape [E].
-        laid_out: a lattice without broken bonds as rows of a rectangle, on the processor, for the
-            sweeps that take many nodes at a time; None for other point sets.
         kept: tables that launches keep from one evaluation to the next.
 
     Raises InputError for what families_of refuses, another precision, and an unknown device.
@@ -76,9 +75,7 @@ class Bonds:
         self.r, self.weight = self.floats(families.r), self.floats(families.weight)
         self.reverse = self.ints(families.reverse)
         self.arrays = self._arrays(types, points.x, points.box)
-        self.laid_out: Rows | None = None
-        if self.lattice and self.device == DEVICE and not bond_based:
-            self.laid_out = rows_of(families, points.x, points.box, self.scalar)
+        self._places = (np.array(points.x) if self.lattice else points.x, points.box)
         self.kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}
 
     def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, float] | None) -> Any:
@@ -106,6 +103,15 @@ class Bonds:
     def nodes(self) -> int:
         """Number of nodes N."""
         return len(self.families.row) - 1
+
+    @cached_property
+    def laid_out(self) -> Rows | None:
+        """A lattice without broken bonds as rows of a rectangle, for the processor's sweeps that
+        take many nodes at a time; None for what else there is.
+        """
+        if not self.lattice or self.device != DEVICE or self.bond_based:
+            return None
+        return rows_of(self.families, *self._places, self.scalar)
 
     def floats(self, values: np.ndarray) -> wp.array[Any]:
         """A Warp array in this precision, where the bonds are."""

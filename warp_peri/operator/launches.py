@@ -28,7 +28,8 @@ class Evaluation:
         kw, m: K W of each bond class [C] and weighted volume of each node [N], or of all nodes of a
             lattice [1], deviatoric.
         kd, md: those of the dilatation; the same arrays with one influence function.
-        theta: dilatation of each sample and node, shape [S, N]; zero where nobody asked for it.
+        theta: dilatation of each sample and node, shape [S, N], or [S, 0] where nobody
+            asked for it.
         Lu: L u on the interior nodes, shape [S, I] of vectors.
     """
 
@@ -144,11 +145,12 @@ def evaluate(
         return Evaluation(kw, m, kd, md, bonds.zeros(samples, bonds.nodes), Lu)
     if D_dilatation is not None:
         kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
-    theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
     if bonds.laid_out is not None and not gradient:
+        theta = bonds.zeros(samples, bonds.nodes if dilatation else 0)
         law = filled(lps_adjoint.structs(bonds.scalar).Law, kw, m, kd, md, lam, mu)
         _by_rows(bonds, bonds.laid_out, law, u, Lu, theta if dilatation else None)
         return Evaluation(kw, m, kd, md, theta, Lu)
+    theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
     inputs = (bonds.whole, arrays, kd, md, u)
     _launch(gradient, kernels.dilatation, len(bonds.whole), inputs, theta, samples)
     if len(bonds.cut):

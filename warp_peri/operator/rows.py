@@ -165,19 +165,23 @@ def rows_of(
 
 def _images(grid: np.ndarray, period: np.ndarray, ring: int) -> tuple[np.ndarray, np.ndarray]:
     """Number and steps of all nodes and of their periodic images in a ring around the period."""
-    owners, images = [], []
-    for shift in np.ndindex(3, 3) if period.any() else [(1, 1)]:
-        image = grid + (np.array(shift) - 1) * period
-        inside = ((image >= -ring) & (image < period + ring)).all(axis=1) | (not period.any())
-        owners.append(np.flatnonzero(inside))
-        images.append(image[inside])
+    owners, images = [np.arange(len(grid))], [grid]
+    if period.any():
+        border = np.flatnonzero(((grid < ring) | (grid >= period - ring)).any(axis=1))
+        for shift in np.ndindex(3, 3):
+            image = grid[border] + (np.array(shift) - 1) * period
+            inside = ((image >= -ring) & (image < period + ring)).all(axis=1)
+            if shift != (1, 1):
+                owners.append(border[inside])
+                images.append(image[inside])
     return np.concatenate(owners), np.concatenate(images)
 
 
 def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
     """Pieces of at most so many lanes, in the order of their places, shape [P] of vectors."""
-    order = np.argsort(places, kind="stable")
-    places, numbers = places[order], numbers[order]
+    if (np.diff(places) <= 0).any():
+        order = np.argsort(places, kind="stable")
+        places, numbers = places[order], numbers[order]
     broken = np.ones(len(places), bool)
     broken[1:] = (np.diff(places) != 1) | (np.diff(numbers) != 1)
     begin = np.flatnonzero(broken)
