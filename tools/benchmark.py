@@ -214,7 +214,7 @@ def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision
     except ImportError:
         print("  Numba is not installed: pip install 'warp_peri[bench]'")
         return
-    numba.set_num_threads(min(THREADS, os.cpu_count() or 1))
+    numba.set_num_threads(THREADS)
     for name, fast in (("Numba parallel", False), ("Numba parallel, fastmath", True)):
         dtype = getattr(np, precision)
         forward[name], both[name] = numba_rival.numba_parallel(t, dtype, fastmath=fast)
@@ -321,7 +321,8 @@ THREADS = 2
 def operator(*, quick: bool, threads: int = 2) -> None:
     """The benchmark of the operator."""
     global THREADS
-    THREADS = threads
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    THREADS = min(threads, cores or 1)  # what a process is bound to, Numba insists on
     set_threads(THREADS)
     torch.set_num_threads(THREADS)
     bandwidth = copy_bandwidth()
