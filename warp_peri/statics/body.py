@@ -9,9 +9,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
@@ -21,9 +21,11 @@ from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
+from warp_peri.statics.body_loads import check_part, loads_on
 from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
+from warp_peri.statics.whole_body import WholeBody
 from warp_peri.transfer.kept import model_at
 
 OVERLAP = 2.0
@@ -110,6 +112,7 @@ def solve_body(
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None = None,
     b: Field | None = None,
+    edge: Mapping[str, float] | None = None,
     coupling: Coupling = Coupling(),
     allow_uncertified: bool = False,
 ) -> BodySolution:
@@ -123,6 +126,8 @@ def solve_body(
         traction: force per area [TPa] by part, a vector or a function of positions and outward
             normals.
         b: body force density [TPa/Å] as a function of positions [n, 2]; None for none.
+        edge: stiffness of edges of their own [TPa Å] by part, the force in an edge over its strain
+            and the sheet's thickness; negative where atoms at an edge are softer (B2a).
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
@@ -132,8 +137,8 @@ def solve_body(
     """
     if coupling.degree not in (1, 2):
         raise InputError(f"degree: expected 1 or 2, got {coupling.degree!r}")
-    held = {name: _field(name, value, mesh) for name, value in displacement.items()}
-    pulls = {name: _field(name, value, mesh) for name, value in (traction or {}).items()}
+    loads = loads_on(mesh, displacement, traction, b)
+    springs = _springs(edge or {}, mesh)
     spacing = model.certified_on[0] if coupling.spacing is None else coupling.spacing
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     stiff = long_wave(model, spacing)
@@ -142,12 +147,13 @@ def solve_body(
     if lattice is None:
         message = f"mesh: nowhere is the body's edge {2 * model.horizon:g} Å away, two horizons"
         warnings.warn(f"{message}; it is solved by elements alone", stacklevel=2)
-    kept = _rim_triangles(mesh, spacing, model.horizon, overlap, lattice)
-    rim = Rim(mesh, kept, coupling.degree)
-    f = _loads(rim, pulls, b)
-    given, fixed = _given(rim, held)
+    collar = 2 * model.horizon + MARGIN * spacing
+    depth = mesh.distance(mesh.x, spacing / 10)
+    rim = Rim(mesh, _rim_triangles(mesh, depth < collar + overlap, lattice), coupling.degree)
+    loads.refuse_loose(rim)
+    f, (given, fixed) = loads.on(rim), loads.given(rim)
     fixed[rim.inner] = True
-    problem = RimProblem(rim.stiffness(stiff), fixed.ravel())
+    problem = RimProblem(stiffness(rim, stiff, springs), fixed.ravel())
     if lattice is None:
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
@@ -155,12 +161,14 @@ def solve_body(
             model, stiff, rim, u.reshape(-1, 2), None, np.zeros((0, 2)), overlap, record
         )
     points, triangle = lattice
-    bulk = Bulk(model, points, coupling.tolerance)
+    bulk = Bulk(model, points)
+    elements = Rim(mesh, np.ones(len(mesh.triangles), bool), degree=1)
+    whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
     to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
-    two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk)
-    load = np.zeros((len(bulk.inside), 2)) if b is None else b(points.x[bulk.inside])
-    start = _by_elements(mesh, stiff, rim.x[rim.inner], held, pulls, b)
-    u_rim, inner, record = two.solve(f, given, load, start, coupling.tolerance)
+    two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
+    u_rim, inner, record = two.solve(
+        f, given, loads.density(points.x[bulk.inside]), coupling.tolerance
+    )
     u_bulk = bulk.field(inner, two.to_bulk @ u_rim)
     return BodySolution(model, stiff, rim, u_rim, points, u_bulk, overlap, record)
 
@@ -187,86 +195,30 @@ def long_wave(model: Model, spacing: float) -> Moduli:
     return stiff
 
 
-def _field(name: str, value: Field | Traction | ArrayLike, mesh: Mesh) -> Any:
-    """A value on a part as a function that answers with vectors of the right shape."""
-    if name not in mesh.parts:
-        raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")
+def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
+    """Edge stiffnesses by part, checked."""
+    for name, size in edge.items():
+        check_part(name, mesh)
+        if not np.isfinite(size):
+            raise InputError(f"edge '{name}': expected a stiffness in TPa Å, got {size}")
+    return {name: float(size) for name, size in edge.items()}
 
-    def answer(*where: np.ndarray) -> np.ndarray:
-        vectors = np.asarray(value(*where) if callable(value) else value, dtype=float)
-        try:
-            return np.broadcast_to(vectors, where[0].shape)
-        except ValueError:
-            raise InputError(
-                f"part '{name}': expected vectors of shape {list(where[0].shape)}, got "
-                f"{list(vectors.shape)}"
-            ) from None
 
-    return answer
+def stiffness(rim: Rim, stiff: Moduli, springs: Mapping[str, float]) -> sp.csr_array:
+    """K of elements with the stiffness of edges [TPa], shape [2 n, 2 n]."""
+    K = rim.stiffness(stiff)
+    for name, size in springs.items():
+        K = K + rim.edge_stiffness(name, size)
+    return sp.csr_array(K)
 
 
 def _rim_triangles(
-    mesh: Mesh,
-    spacing: float,
-    horizon: float,
-    overlap: float,
-    lattice: tuple[Points, np.ndarray] | None,
+    mesh: Mesh, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
 ) -> np.ndarray:
-    """Triangles with a corner within 2δ and the overlap of the outline, or that hold the collar."""
+    """Triangles with a corner near the outline, or that hold the collar; shape [T] bool."""
     if lattice is None:
         return np.ones(len(mesh.triangles), bool)
     points, triangle = lattice
-    width = 2 * horizon + MARGIN * spacing + overlap
-    near = mesh.distance(mesh.x, spacing / 10) < width
     kept = near[mesh.triangles].any(axis=1)
     kept[triangle[~points.interior]] = True
     return np.asarray(kept)
-
-
-def _loads(rim: Rim, pulls: Mapping[str, Traction], b: Field | None) -> np.ndarray:
-    """Load of tractions and a body force on the rim's nodes [TPa Å], shape [n, 2]."""
-    f = np.zeros_like(rim.x) if b is None else rim.body_force(b)
-    for name, pull in pulls.items():
-        f += rim.traction(name, pull)
-    return f
-
-
-def _by_elements(
-    mesh: Mesh,
-    stiff: Moduli,
-    x: np.ndarray,
-    held: Mapping[str, Field],
-    pulls: Mapping[str, Traction],
-    b: Field | None,
-) -> np.ndarray:
-    """Displacement [Å] at positions x by linear elements on the whole body, shape [n, 2]."""
-    whole = Rim(mesh, np.ones(len(mesh.triangles), bool), degree=1)
-    given, fixed = _given(whole, held)
-    problem = RimProblem(whole.stiffness(stiff), fixed.ravel())
-    u = problem.solve(_loads(whole, pulls, b).ravel(), given.ravel()).reshape(-1, 2)
-    return np.asarray(whole.probe(x, mesh.holding(x)) @ u)
-
-
-def _given(rim: Rim, held: Mapping[str, Field]) -> tuple[np.ndarray, np.ndarray]:
-    """Held displacements of the rim's nodes, and which they are, each of shape [n, 2].
-
-    Raises InputError when the body is left a rigid motion.
-    """
-    given, fixed = np.zeros_like(rim.x), np.zeros(rim.x.shape, bool)
-    for name, values in held.items():
-        nodes = rim.nodes_of(name)
-        there = values(rim.x[nodes])
-        known = np.isfinite(there)
-        given[nodes] = np.where(known, there, given[nodes])
-        fixed[nodes] |= known
-    centred = rim.x - rim.x.mean(axis=0)
-    size = np.abs(centred).max()
-    turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1) / size
-    motions = [np.broadcast_to(v, rim.x.shape) for v in np.eye(2)] + [turn]
-    held_motions = np.stack([motion[fixed] for motion in motions], axis=1)
-    if np.linalg.matrix_rank(held_motions, tol=1e-6) < 3:
-        raise InputError(
-            "displacement: expected parts that hold the body against shifts and turns, got "
-            + (", ".join(held) or "none")
-        )
-    return given, fixed

@@ -110,14 +110,39 @@ class Rim:
     def stiffness(self, moduli: Moduli) -> sp.csr_array:
         """K [TPa], shape [2 n, 2 n], linear in the moduli (B2)."""
         first, second, mixed = self._squares
-        unit = [[sp.csr_array(np.eye(2)[:, [a]] @ np.eye(2)[[c]]) for c in (0, 1)] for a in (0, 1)]
         across = moduli.C12 * mixed + moduli.C44 * mixed.T
         parts = (
-            sp.kron(moduli.C11 * first + moduli.C44 * second, unit[0][0]),
-            sp.kron(moduli.C11 * second + moduli.C44 * first, unit[1][1]),
-            sp.kron(across, unit[0][1]),
-            sp.kron(across.T, unit[1][0]),
+            sp.kron(moduli.C11 * first + moduli.C44 * second, _unit(0, 0)),
+            sp.kron(moduli.C11 * second + moduli.C44 * first, _unit(1, 1)),
+            sp.kron(across, _unit(0, 1)),
+            sp.kron(across.T, _unit(1, 0)),
         )
+        return sp.csr_array(sum(parts[1:], parts[0]))
+
+    def edge_stiffness(self, part: str, size: float) -> sp.csr_array:
+        """∫ E_s (τ · ε(v) τ) (τ · ε(u) τ) over a part of the outline [TPa], as `stiffness` (B2a).
+
+        Args:
+            part: name of it.
+            size: E_s, force in an edge over its strain and the sheet's thickness [TPa Å].
+        """
+        basis = self._facets(part)
+        products = []
+        for a, c in ((0, 0), (0, 1), (1, 1)):
+
+            def form(u: Any, v: Any, w: Any, a: int = a, c: int = c) -> Any:
+                along = (-w.n[1], w.n[0])
+                slopes = [along[0] * z.grad[0] + along[1] * z.grad[1] for z in (u, v)]
+                return size * along[a] * along[c] * slopes[0] * slopes[1]
+
+            products.append(sp.csr_array(self._fem.BilinearForm(form).assemble(basis)))
+        blocks = (
+            (0, 0, products[0]),
+            (0, 1, products[1]),
+            (1, 0, products[1]),
+            (1, 1, products[2]),
+        )
+        parts = [sp.kron(block, _unit(a, c)) for a, c, block in blocks]
         return sp.csr_array(sum(parts[1:], parts[0]))
 
     def body_force(self, b: Field) -> np.ndarray:
@@ -126,10 +151,12 @@ class Rim:
 
     def traction(self, part: str, t: Traction) -> np.ndarray:
         """∫ t · φ [TPa Å], shape [n, 2], of a force per area [TPa] on a part of the outline."""
+        return self._integrals(self._facets(part), lambda w: t(_points(w.x), _points(w.n)))
+
+    def _facets(self, part: str) -> Any:
         facets = self.facets[self.mesh.parts[part]]
         shape = self.basis.mesh
-        basis = self._fem.FacetBasis(shape, self.element, facets=facets, intorder=self.order)
-        return self._integrals(basis, lambda w: t(_points(w.x), _points(w.n)))
+        return self._fem.FacetBasis(shape, self.element, facets=facets, intorder=self.order)
 
     def _integrals(self, basis: Any, vectors: Callable[[Any], np.ndarray]) -> np.ndarray:
         columns = []
@@ -195,12 +222,24 @@ class RimProblem:
         u[self.free] = self.factors.solve(f[self.free] - self.given @ given[~self.free])
         return u
 
+    def solve_back(self, by_u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives by f and by what is given, shape [2 n] each, of those by u."""
+        by_f, by_given = np.zeros_like(by_u), np.zeros_like(by_u)
+        by_f[self.free] = self.factors.solve(by_u[self.free], trans="T")
+        by_given[~self.free] = by_u[~self.free] - self.given.T @ by_f[self.free]
+        return by_f, by_given
+
     def residual(self, f: np.ndarray, u: np.ndarray) -> float:
         """‖K u − f‖ over ‖f − K of what is given‖ on the free displacements."""
         right = f[self.free] - self.given @ u[~self.free]
         left = right - self.inside @ u[self.free]
         size = float(np.linalg.norm(right))
         return float(np.linalg.norm(left)) / size if size else 0.0
+
+
+def _unit(a: int, c: int) -> sp.csr_array:
+    """1 in row a and column c, shape [2, 2]."""
+    return sp.csr_array(([1.0], ([a], [c])), shape=(2, 2))
 
 
 def _points(field: Any) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,18 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from warp_peri.errors import InputError
 from warp_peri.statics.bulk import Bulk
 from warp_peri.statics.rim import RimProblem
+from warp_peri.statics.whole_body import WholeBody
 
 MOST_EXCHANGES = 100
+ROUNDS = 3
+"""Times that GMRES goes on from where the true mismatch was found too large."""
+KNOWN = 1e-10
+"""A vector this close to the span of earlier ones needs no exchange of its own."""
+GOAL = 0.5
+"""Share of the tolerance that GMRES aims at."""
+
+Fields = tuple[np.ndarray, np.ndarray]
+"""Of the rim, shape [n, 2], and of the bulk's unknown nodes, shape [I, 2]."""
 
 
 @dataclass
@@ -42,6 +53,7 @@ class Schwarz:
         inner: nodes of the rim's inner side, shape [G].
         to_rim: from unknown nodes of the bulk to these, shape [G, I].
         to_bulk: from nodes of the rim to the collar of the bulk, shape [C, n].
+        whole: the body in linear elements, for what passes slowly.
     """
 
     def __init__(
@@ -51,27 +63,37 @@ class Schwarz:
         inner: np.ndarray,
         to_rim: sp.csr_array,
         to_bulk: sp.csr_array,
+        whole: WholeBody,
     ) -> None:
-        self.rim, self.bulk, self.inner = rim, bulk, inner
+        self.rim, self.bulk, self.inner, self.whole = rim, bulk, inner, whole
         self.to_rim, self.to_bulk = to_rim, to_bulk
 
     def once(
-        self, f: np.ndarray, given: np.ndarray, b: np.ndarray, side: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, f: np.ndarray, given: np.ndarray, b: np.ndarray, side: np.ndarray, tolerance: float
+    ) -> Fields:
         """Displacement of the rim [n, 2] and the bulk [I, 2] for one of the inner side [G, 2]."""
         given = given.copy()
         given[self.inner] = side
         of_rim = self.rim.solve(f.ravel(), given.ravel()).reshape(-1, 2)
-        of_bulk = self.bulk.solve(b - self.bulk.pull(self.to_bulk @ of_rim))
+        of_bulk = self.bulk.solve(b - self.bulk.pull(self.to_bulk @ of_rim), tolerance)
         return of_rim, of_bulk
 
+    def once_back(
+        self, by_rim: np.ndarray, by_bulk: np.ndarray, side: np.ndarray, tolerance: float
+    ) -> tuple[Fields, np.ndarray]:
+        """The transpose of `once`, of derivatives by its answers and by the inner side (B11).
+
+        Returns:
+            Derivatives by the loads, as of_rim and of_bulk, and by what is given on the rim,
+            shape [n, 2]; the inner side's are among these.
+        """
+        by_b = self.bulk.solve(by_bulk + self.to_rim.T @ side, tolerance)
+        by_rim = by_rim - self.to_bulk.T @ self.bulk.push(by_b)
+        by_f, by_given = self.rim.solve_back(by_rim.ravel())
+        return (by_f.reshape(-1, 2), by_b), by_given.reshape(-1, 2)
+
     def solve(
-        self,
-        f: np.ndarray,
-        given: np.ndarray,
-        b: np.ndarray,
-        start: np.ndarray,
-        tolerance: float,
+        self, f: np.ndarray, given: np.ndarray, b: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, Exchange]:
         """Displacement of rim [n, 2] and bulk [I, 2] that agree, and the record.
 
@@ -81,49 +103,71 @@ class Schwarz:
             f: load on the rim [TPa Å], shape [n, 2].
             given: displacement held on the rim [Å], shape [n, 2].
             b: body force density on the unknown nodes [TPa/Å], shape [I, 2].
-            start: a first guess of the inner side [Å], shape [G, 2].
             tolerance: of the mismatch.
 
         Raises InputError when they do not come to agree.
         """
-        record = Exchange(exchanges=1)
+        side = self.whole.guess()
+        fields = self.once(f, given, b, side, tolerance)
         nothing = np.zeros_like(f), np.zeros_like(given), np.zeros_like(b)
-        of_rim, of_bulk = self.once(f, given, b, start)
-        off = (self.to_rim @ of_bulk - start).ravel()
-        asked: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-        def left(side: np.ndarray) -> np.ndarray:
-            record.exchanges += 1
-            asked[:] = [(side.copy(), *self.once(*nothing, side.reshape(start.shape)))]
-            gap: np.ndarray = side - (self.to_rim @ asked[0][2]).ravel()
-            return gap
+        def exchange(step: np.ndarray, accuracy: float) -> tuple[np.ndarray, Fields]:
+            answer = self.once(*nothing, step, accuracy)
+            return self.to_rim @ answer[1], answer
 
-        matrix = LinearOperator((off.size, off.size), left, dtype=float)
-        goal = 0.5 * tolerance * float(np.linalg.norm(start + off.reshape(start.shape)))
-        if np.linalg.norm(off) > goal:
-            step, _ = gmres(matrix, off, rtol=0.0, atol=goal, restart=MOST_EXCHANGES, maxiter=1)
-            if not (asked and np.array_equal(asked[0][0], step)):
-                left(step)  # GMRES mostly asks for its answer's own residual last
-            of_rim, of_bulk = of_rim + asked[0][1], of_bulk + asked[0][2]
-            start = start + step.reshape(start.shape)
-        self._judge(record, (f, given, b), of_rim, of_bulk, start)
+        record = Exchange(exchanges=1)
+        for _ in range(ROUNDS):
+            off = self.to_rim @ fields[1] - side
+            goal = tolerance * float(np.linalg.norm(side + off))
+            if np.linalg.norm(off) <= goal:
+                break
+            step, change, count = fixed_point(exchange, self.whole.correct, off, GOAL * goal)
+            side = side + step
+            fields = fields[0] + change[0], fields[1] + change[1]
+            record.exchanges += count
+        self._judge(record, (f, given, b), fields, side)
         if not record.mismatch <= tolerance:
             raise InputError(
                 f"rim and bulk do not agree: mismatch {record.mismatch:.1e} after "
                 f"{record.exchanges} exchanges, {tolerance:.1e} was asked for"
             )
-        return of_rim, of_bulk, record
+        return *fields, record
+
+    def solve_back(
+        self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float
+    ) -> tuple[Fields, np.ndarray]:
+        """Derivatives by loads and by what is given, of ones by displacement (B10, B11).
+
+        Args:
+            by_rim: by the rim's displacement, shape [n, 2].
+            by_bulk: by that of the bulk's unknown nodes, shape [I, 2].
+            tolerance: as for `solve`.
+        """
+        side = np.zeros((len(self.inner), 2))
+        fields, by_given = self.once_back(by_rim, by_bulk, side, tolerance)
+        nothing = np.zeros_like(by_rim), np.zeros_like(by_bulk)
+        answers: list[np.ndarray] = [*fields, by_given]
+
+        def exchange(step: np.ndarray, accuracy: float) -> tuple[np.ndarray, list[np.ndarray]]:
+            (by_f, by_b), past = self.once_back(*nothing, step, accuracy)
+            return past[self.inner], [by_f, by_b, past]
+
+        off = by_given[self.inner]
+        goal = GOAL * tolerance * float(np.linalg.norm(off))
+        _, change, _ = fixed_point(exchange, self.whole.correct_transposed, off, goal)
+        answers = [answer + more for answer, more in zip(answers, change)]
+        return (answers[0], answers[1]), answers[2]
 
     def _judge(
         self,
         record: Exchange,
         loads: tuple[np.ndarray, np.ndarray, np.ndarray],
-        of_rim: np.ndarray,
-        of_bulk: np.ndarray,
+        fields: Fields,
         side: np.ndarray,
     ) -> None:
         """Fill the record in from the fields as they stand."""
         f, _, b = loads
+        of_rim, of_bulk = fields
         back = self.to_rim @ of_bulk
         size = np.linalg.norm(back)
         record.mismatch = float(np.linalg.norm(back - side) / size) if size else 0.0
@@ -133,3 +177,62 @@ class Schwarz:
         whole = of_rim.copy()
         whole[self.inner] = back
         record.rim_residual = self.rim.residual(f.ravel(), whole.ravel())
+
+
+def fixed_point(
+    exchange: Callable[[np.ndarray, float], tuple[np.ndarray, Sequence[np.ndarray]]],
+    correct: Callable[[np.ndarray], np.ndarray],
+    off: np.ndarray,
+    goal: float,
+) -> tuple[np.ndarray, list[np.ndarray], int]:
+    """g with ‖g − M g − off‖ ≤ goal by GMRES, and what the exchange answers to it (B6, B6a).
+
+    Every exchange is linear, so that the fields of the answer are combined of those of the vectors
+    asked for. Later vectors count for less and are worked out less closely.
+
+    Args:
+        exchange: M g and fields, all linear in g, to a relative accuracy.
+        correct: nearly (I − M)⁻¹.
+        off: shape [G, 2].
+        goal: largest norm of what is left.
+
+    Returns:
+        g, its fields, and how many exchanges were made.
+    """
+    size = float(np.linalg.norm(off))
+    vectors: list[np.ndarray] = []
+    answers: list[list[np.ndarray]] = []
+    accuracy = [goal / size]
+
+    def left(v: np.ndarray) -> np.ndarray:
+        weights = np.array([w @ v for w in vectors])
+        rest = v - sum((a * w for a, w in zip(weights, vectors)), np.zeros_like(v))
+        if np.linalg.norm(rest) > KNOWN * np.linalg.norm(v):
+            step = correct(v.reshape(off.shape))
+            after, fields = exchange(step, accuracy[0])
+            vectors.append(v.copy())
+            answers.append([step - after, step, *fields])
+            return answers[-1][0].ravel()
+        gap: np.ndarray = sum(a * answer[0] for a, answer in zip(weights, answers)).ravel()
+        return gap
+
+    def loosen(residual: float) -> None:
+        accuracy[0] = min(1.0, goal / (residual * size)) if residual else 1.0
+
+    matrix = LinearOperator((off.size, off.size), left, dtype=float)
+    y, _ = gmres(
+        matrix,
+        off.ravel(),
+        rtol=0.0,
+        atol=goal,
+        restart=MOST_EXCHANGES,
+        maxiter=1,
+        callback=loosen,
+        callback_type="pr_norm",
+    )
+    weights = [v @ y for v in vectors]
+    combined = [
+        np.asarray(sum(a * answer[n] for a, answer in zip(weights, answers)))
+        for n in range(1, len(answers[0]))
+    ]
+    return combined[0], combined[1:], len(vectors)

@@ -1,0 +1,100 @@
+"""What holds, pulls and loads a body, on the nodes of any of its elements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.errors import InputError
+from warp_peri.points.mesh import Mesh
+from warp_peri.statics.rim import Field, Rim, Traction
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Displacement and traction by part of the outline, and a body force.
+
+    Attributes:
+        held: displacement [Å] as functions of positions; NaN leaves a component free.
+        pulls: force per area [TPa] as functions of positions and outward normals.
+        b: body force density [TPa/Å] as a function of positions; None for none.
+    """
+
+    held: Mapping[str, Field]
+    pulls: Mapping[str, Traction]
+    b: Field | None
+
+    def on(self, rim: Rim) -> np.ndarray:
+        """Load of tractions and the body force on the nodes of elements [TPa Å], shape [n, 2]."""
+        f = np.zeros_like(rim.x) if self.b is None else rim.body_force(self.b)
+        for name, pull in self.pulls.items():
+            f += rim.traction(name, pull)
+        return f
+
+    def density(self, x: np.ndarray) -> np.ndarray:
+        """The body force density [TPa/Å] at positions, both of shape [n, 2]."""
+        return np.zeros_like(x) if self.b is None else np.asarray(self.b(x), dtype=float)
+
+    def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
+        """Held displacements of the nodes of elements, and which they are, shape [n, 2] each."""
+        given, fixed = np.zeros_like(rim.x), np.zeros(rim.x.shape, bool)
+        for name, values in self.held.items():
+            nodes = rim.nodes_of(name)
+            there = values(rim.x[nodes])
+            known = np.isfinite(there)
+            given[nodes] = np.where(known, there, given[nodes])
+            fixed[nodes] |= known
+        return given, fixed
+
+    def refuse_loose(self, rim: Rim) -> None:
+        """Raise InputError when what is held leaves the body a rigid motion."""
+        _, fixed = self.given(rim)
+        centred = rim.x - rim.x.mean(axis=0)
+        size = np.abs(centred).max()
+        turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1) / size
+        motions = [np.broadcast_to(v, rim.x.shape) for v in np.eye(2)] + [turn]
+        held_motions = np.stack([motion[fixed] for motion in motions], axis=1)
+        if np.linalg.matrix_rank(held_motions, tol=1e-6) < 3:
+            raise InputError(
+                "displacement: expected parts that hold the body against shifts and turns, got "
+                + (", ".join(self.held) or "none")
+            )
+
+
+def loads_on(
+    mesh: Mesh,
+    displacement: Mapping[str, Field | ArrayLike],
+    traction: Mapping[str, Traction | ArrayLike] | None,
+    b: Field | None,
+) -> Loads:
+    """Loads as functions; InputError for a part that the mesh has not."""
+    held = {name: _field(name, value, mesh) for name, value in displacement.items()}
+    pulls = {name: _field(name, value, mesh) for name, value in (traction or {}).items()}
+    return Loads(held, pulls, b)
+
+
+def check_part(name: str, mesh: Mesh) -> None:
+    """Raise InputError unless the outline has a part of this name."""
+    if name not in mesh.parts:
+        raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")
+
+
+def _field(name: str, value: Field | Traction | ArrayLike, mesh: Mesh) -> Any:
+    """A value on a part as a function that answers with vectors of the right shape."""
+    check_part(name, mesh)
+
+    def answer(*where: np.ndarray) -> np.ndarray:
+        vectors = np.asarray(value(*where) if callable(value) else value, dtype=float)
+        try:
+            return np.broadcast_to(vectors, where[0].shape)
+        except ValueError:
+            raise InputError(
+                f"part '{name}': expected vectors of shape {list(where[0].shape)}, got "
+                f"{list(vectors.shape)}"
+            ) from None
+
+    return answer

@@ -1,0 +1,94 @@
+"""A whole body in linear elements: a first guess, and the long waves of an exchange (B6a)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from warp_peri.statics.body_loads import Loads
+from warp_peri.statics.rim import Rim, RimProblem
+
+
+class WholeBody:
+    """Linear elements on every triangle, factorised once.
+
+    Were the bulk elements of the same kind, one exchange would be g ↦ M g + r with a matrix M for
+    which (I − M)⁻¹ is a solve of the whole body: `correct`. What is left for GMRES is the
+    difference between the bulk and those elements.
+
+    Args:
+        mesh: of the body.
+        K: their stiffness [TPa], shape [2 P, 2 P], on the nodes of `elements`.
+        elements: all triangles of the mesh, of degree 1.
+        loads: of the body.
+        rim: its rim.
+        depth: distance of the mesh's corners from the outline [Å], shape [P].
+        collar: depth of the bulk's collar [Å].
+    """
+
+    def __init__(
+        self,
+        elements: Rim,
+        K: sp.csr_array,
+        loads: Loads,
+        rim: Rim,
+        depth: np.ndarray,
+        collar: float,
+    ) -> None:
+        self.elements, self.loads = elements, loads
+        _, fixed = loads.given(elements)
+        self.problem = RimProblem(K, fixed.ravel())
+        is_corner = np.full(len(rim.x), -1)
+        is_corner[rim.corner_nodes] = rim.corners
+        corner = is_corner[rim.inner]
+        self.rows = np.flatnonzero(corner >= 0)
+        """Of the inner side's nodes those that are corners."""
+        side = corner[self.rows]
+        inside = np.setdiff1d(rim.corners, side)
+        shared, outer = inside[depth[inside] >= collar], inside[depth[inside] < collar]
+        side, shared, self.outer = (
+            _pairs(elements.corner_nodes[corners]) for corners in (side, shared, outer)
+        )
+        self.free = ~fixed.ravel()[shared]
+        shared = shared[self.free]
+        K = sp.csr_array(K)
+        self.overlap = splu(K[shared][:, shared].tocsc()) if len(shared) else None
+        self.from_side = K[shared][:, side]
+        self.to_outer = K[self.outer][:, shared]
+        self.past = K[self.outer][:, side]
+        x = rim.x[rim.inner]
+        self.trace = elements.probe(x, rim.mesh.holding(x))
+
+    def guess(self) -> np.ndarray:
+        """Displacement of the rim's inner side [Å], shape [G, 2]."""
+        f, (given, _) = self.loads.on(self.elements), self.loads.given(self.elements)
+        u = self.problem.solve(f.ravel(), given.ravel()).reshape(-1, 2)
+        return np.asarray(self.trace @ u)
+
+    def correct(self, jump: np.ndarray) -> np.ndarray:
+        """(I − M)⁻¹ of these elements, of a jump of the inner side, both of shape [G, 2]."""
+        side = jump[self.rows].ravel()
+        pull = -self.past @ side
+        if self.overlap is not None:
+            pull += self.to_outer @ self.overlap.solve(self.from_side @ side)
+        f = np.zeros(2 * len(self.elements.x))
+        f[self.outer] = pull
+        u = self.problem.solve(f, np.zeros_like(f)).reshape(-1, 2)
+        return jump + np.asarray(self.trace @ u)
+
+    def correct_transposed(self, jump: np.ndarray) -> np.ndarray:
+        """The transpose of `correct`."""
+        f = np.asarray(self.trace.T @ jump).ravel()
+        u = self.problem.solve(f, np.zeros_like(f))[self.outer]
+        side = -self.past.T @ u
+        if self.overlap is not None:
+            side += self.from_side.T @ self.overlap.solve(self.to_outer.T @ u, trans="T")
+        corrected = jump.copy()
+        corrected[self.rows] += side.reshape(-1, 2)
+        return corrected
+
+
+def _pairs(nodes: np.ndarray) -> np.ndarray:
+    """Both displacements of each node."""
+    return np.column_stack([2 * nodes, 2 * nodes + 1]).ravel()
