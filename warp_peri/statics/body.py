@@ -23,6 +23,7 @@ from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.statics.body_loads import check_part, loads_on
 from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
+from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
 from warp_peri.statics.whole_body import WholeBody
@@ -38,7 +39,7 @@ class Coupling:
     """How rim and bulk meet.
 
     Attributes:
-        spacing: of the bulk's lattice [Å]; None for one that the model is certified on.
+        spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
         overlap: width of what both solve for [Å]; None for two horizons.
         degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
         tolerance: of the mismatch on the rim's inner side.
@@ -56,6 +57,8 @@ class BodySolution:
 
     Attributes:
         model: of the bulk, on its lattice.
+        spacing: of this lattice [Å].
+        tried: lattices that were looked at, where none was asked for.
         moduli: of the rim, and of the bulk at long waves.
         rim: its elements, with their nodes `rim.x`.
         u_rim: displacement of these [Å], shape [n, 2].
@@ -63,9 +66,12 @@ class BodySolution:
         u_bulk: displacement of these [Å], shape [N, 2].
         overlap: of the two [Å].
         exchange: what it took, and residuals of both.
+        problem: what was solved, factorised; for gradients.
     """
 
     model: Model
+    spacing: float
+    tried: tuple[Tried, ...]
     moduli: Moduli
     rim: Rim
     u_rim: np.ndarray
@@ -73,6 +79,7 @@ class BodySolution:
     u_bulk: np.ndarray
     overlap: float
     exchange: Exchange
+    problem: Schwarz | RimProblem
 
     @property
     def rim_stress(self) -> np.ndarray:
@@ -104,6 +111,40 @@ class BodySolution:
             stress[rest] = flat.reshape(-1, 2, 2)
         return u, stress
 
+    def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
+        """Matrices R and B, u(x) = R u_rim + B u_bulk, shapes [m, n] and [m, N].
+
+        The rim's where it is, the bulk's elsewhere.
+
+        Args:
+            x: positions [Å], shape [m, 2].
+
+        Raises InputError for positions outside the mesh.
+        """
+        triangle = self.rim.mesh.holding(x)
+        if (triangle < 0).any():
+            raise InputError(f"x: {np.count_nonzero(triangle < 0)} positions are outside the mesh")
+        in_rim = self.rim.cells[triangle] >= 0
+        to_x = _rows(np.flatnonzero(in_rim), len(x))
+        R = to_x @ self.rim.probe(x[in_rim], triangle[in_rim])
+        B = sp.csr_array((len(x), len(self.u_bulk)))
+        if self.points is not None and not in_rim.all():
+            inside = np.flatnonzero(self.points.interior)
+            from_bulk = cubic(self.points, x[~in_rim]) @ _rows(inside, len(self.u_bulk)).T
+            B = _rows(np.flatnonzero(~in_rim), len(x)) @ from_bulk
+        return sp.csr_array(R), sp.csr_array(B)
+
+    def displacement(self, x: np.ndarray) -> np.ndarray:
+        """u [Å] at positions of the body, both of shape [m, 2]; as `probe`."""
+        R, B = self.probe(x)
+        return np.asarray(R @ self.u_rim + B @ self.u_bulk)
+
+
+def _rows(kept: np.ndarray, count: int) -> sp.csr_array:
+    """Puts values in the rows that are kept, shape [count, len(kept)]."""
+    entries = (np.ones(len(kept)), (kept, np.arange(len(kept))))
+    return sp.csr_array(entries, shape=(count, len(kept)))
+
 
 def solve_body(
     model: Model,
@@ -119,7 +160,7 @@ def solve_body(
     """A body in equilibrium, its outline held in part, pulled in part, free elsewhere (B1–B7).
 
     Args:
-        model: certified on some lattice; on others it is transferred.
+        model: certified on some lattice; it is transferred to that of the bulk.
         mesh: the body [Å].
         displacement: [Å] by part of the outline, a vector or a function of positions [n, 2]; a
             component that is NaN is free.
@@ -139,8 +180,13 @@ def solve_body(
         raise InputError(f"degree: expected 1 or 2, got {coupling.degree!r}")
     loads = loads_on(mesh, displacement, traction, b)
     springs = _springs(edge or {}, mesh)
-    spacing = model.certified_on[0] if coupling.spacing is None else coupling.spacing
-    model = model_at(model, spacing, allow_uncertified=allow_uncertified)
+    spacing = coupling.spacing
+    tried: tuple[Tried, ...] = ()
+    if spacing is None:
+        model, tried = bulk_lattice(model, mesh, b, coupling.overlap)
+        spacing = model.certified_on[0]
+    else:
+        model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     stiff = long_wave(model, spacing)
     overlap = _overlap(model, mesh, coupling)
     lattice = bulk_points(mesh, spacing, model.horizon)
@@ -157,8 +203,9 @@ def solve_body(
     if lattice is None:
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
+        none = None, np.zeros((0, 2))
         return BodySolution(
-            model, stiff, rim, u.reshape(-1, 2), None, np.zeros((0, 2)), overlap, record
+            model, spacing, tried, stiff, rim, u.reshape(-1, 2), *none, overlap, record, problem
         )
     points, triangle = lattice
     bulk = Bulk(model, points)
@@ -170,7 +217,9 @@ def solve_body(
         f, given, loads.density(points.x[bulk.inside]), coupling.tolerance
     )
     u_bulk = bulk.field(inner, two.to_bulk @ u_rim)
-    return BodySolution(model, stiff, rim, u_rim, points, u_bulk, overlap, record)
+    return BodySolution(
+        model, spacing, tried, stiff, rim, u_rim, points, u_bulk, overlap, record, two
+    )
 
 
 def _overlap(model: Model, mesh: Mesh, coupling: Coupling) -> float:

@@ -205,9 +205,8 @@ def fixed_point(
     accuracy = [goal / size]
 
     def left(v: np.ndarray) -> np.ndarray:
-        weights = np.array([w @ v for w in vectors])
-        rest = v - sum((a * w for a, w in zip(weights, vectors)), np.zeros_like(v))
-        if np.linalg.norm(rest) > KNOWN * np.linalg.norm(v):
+        weights, rest = _in_span(vectors, v)
+        if rest > KNOWN * np.linalg.norm(v):
             step = correct(v.reshape(off.shape))
             after, fields = exchange(step, accuracy[0])
             vectors.append(v.copy())
@@ -230,9 +229,18 @@ def fixed_point(
         callback=loosen,
         callback_type="pr_norm",
     )
-    weights = [v @ y for v in vectors]
+    weights, _ = _in_span(vectors, y)
     combined = [
         np.asarray(sum(a * answer[n] for a, answer in zip(weights, answers)))
         for n in range(1, len(answers[0]))
     ]
     return combined[0], combined[1:], len(vectors)
+
+
+def _in_span(vectors: list[np.ndarray], v: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights of vectors that make another, and the norm of what they leave."""
+    if not vectors:
+        return np.zeros(0), float(np.linalg.norm(v))
+    basis = np.stack(vectors, axis=1)
+    weights = np.linalg.lstsq(basis, v)[0]
+    return weights, float(np.linalg.norm(v - basis @ weights))

@@ -75,7 +75,8 @@ class WholeBody:
         f = np.zeros(2 * len(self.elements.x))
         f[self.outer] = pull
         u = self.problem.solve(f, np.zeros_like(f)).reshape(-1, 2)
-        return jump + np.asarray(self.trace @ u)
+        corrected: np.ndarray = jump + self.trace @ u
+        return corrected
 
     def correct_transposed(self, jump: np.ndarray) -> np.ndarray:
         """The transpose of `correct`."""
@@ -84,7 +85,7 @@ class WholeBody:
         side = -self.past.T @ u
         if self.overlap is not None:
             side += self.from_side.T @ self.overlap.solve(self.to_outer.T @ u, trans="T")
-        corrected = jump.copy()
+        corrected = np.array(jump)
         corrected[self.rows] += side.reshape(-1, 2)
         return corrected
 
