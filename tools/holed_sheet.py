@@ -39,6 +39,8 @@ CALM = (10.0, 20.0)
 WAVES = (110.0, 80.0)
 """Lengths of the waves [Å]."""
 SEED = 7
+RECIPE = 2
+"""Of the loads: what was made by another is made again."""
 STRAIN = 1e-3
 """Of strips whose edges' stiffness is measured."""
 STRIPS = (40.0, 80.0)
@@ -128,14 +130,22 @@ class Wave:
         return f"wave-{self.number}"
 
     def density(self, plate: Plate, x: np.ndarray) -> np.ndarray:
-        """Body force density [TPa/Å] at positions, both of shape [n, 2]; none beside edges."""
+        """Body force density [TPa/Å] at the atoms, both of shape [n, 2]; none beside edges.
+
+        What pushes or turns the plate as a whole is taken out where the wave pushes, not at edges.
+        """
         length = WAVES[self.number % len(WAVES)]
         way, phase, axis = np.random.default_rng((SEED, self.number)).uniform(0, 2 * np.pi, 3)
         k = 2 * np.pi / length
         size = TENSION * k * np.cos(k * (x @ (np.cos(way), np.sin(way))) + phase)
         s = np.clip((plate.edge_distance(x) - CALM[0]) / (CALM[1] - CALM[0]), 0, 1)
-        size *= s**2 * (3 - 2 * s)
-        return size[:, None] * (np.cos(axis), np.sin(axis))
+        share = (s**2 * (3 - 2 * s))[:, None]
+        b = share * size[:, None] * (np.cos(axis), np.sin(axis))
+        turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
+        motions = [np.broadcast_to((1.0, 0.0), x.shape), np.broadcast_to((0.0, 1.0), x.shape), turn]
+        sums = [[np.vdot(v, share * w) for w in motions] for v in motions]
+        weights = np.linalg.solve(sums, [np.vdot(v, b) for v in motions])
+        return b - share * sum(weight * v for weight, v in zip(weights, motions))
 
 
 Load = Pull | Wave
@@ -200,7 +210,7 @@ def _file(cache: Path, plate: Plate, load: Load, bond: float, potential: Path) -
         "potential": file_hash(potential),
         "bond": bond,
         "plate": repr(plate),
-        "load": [repr(load), TENSION, GRIP, CALM, WAVES, SEED],
+        "load": [repr(load), TENSION, GRIP, CALM, WAVES, SEED, RECIPE],
         "tolerance": TOLERANCE,
     }
     key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

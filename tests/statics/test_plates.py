@@ -61,7 +61,7 @@ def test_an_affine_field_is_exact(model, degree):
         plate(RADIUS, HALF, 12, 40),
         displacement={"sides": lambda x: x @ gradient.T},
         traction={"hole": lambda x, n: n @ stress},
-        coupling=Coupling(degree=degree, tolerance=1e-12),
+        coupling=Coupling(spacing=SPACING, degree=degree, tolerance=1e-12),
     )
     assert error(solution.u_rim, solution.rim.x @ gradient.T) < 1e-10
     assert error(solution.u_bulk, solution.points.x @ gradient.T) < 1e-10
@@ -101,7 +101,10 @@ def test_the_exact_field_is_in_balance_and_kirsch_when_isotropic():
         ({"displacement": {"sides": (0, np.nan)}}, "hold the body against shifts and turns"),
         ({"displacement": {"sides": (0, 0, 0)}}, "part 'sides': expected vectors of shape"),
         ({"traction": {"rim": (0, 1)}}, "part 'rim': the outline has"),
-        ({"coupling": Coupling(overlap=20.0)}, "a hole of 16 Å is smaller than the overlap"),
+        (
+            {"coupling": Coupling(spacing=SPACING, overlap=20.0)},
+            "a hole of 16 Å is smaller than the overlap",
+        ),
         ({"coupling": Coupling(degree=3)}, "degree: expected 1 or 2"),
     ],
 )
@@ -114,7 +117,12 @@ def test_bad_input_is_named(model, change, message):
 def test_a_mesh_in_another_unit_is_refused(model):
     mesh = plate(RADIUS * 1e-10, HALF * 1e-10, 8, 32)
     with pytest.raises(InputError, match="expected positions in Å"):
-        solve_body(model, mesh, displacement={"sides": (0, 0)}, coupling=Coupling(overlap=0.0))
+        solve_body(
+            model,
+            mesh,
+            displacement={"sides": (0, 0)},
+            coupling=Coupling(spacing=SPACING, overlap=0.0),
+        )
 
 
 def test_a_thin_body_is_solved_by_elements_alone(model):
@@ -131,7 +139,7 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
 def test_displacement_converges_with_the_mesh_of_the_rim(model, degree, least):
     field = exact(model)
     rings = np.array([8, 16, 32, 64])
-    coupling = Coupling(degree=degree)
+    coupling = Coupling(spacing=SPACING, degree=degree)
     solutions = [
         solve_body(
             model,

@@ -184,18 +184,23 @@ def solve_body(
     tried: tuple[Tried, ...] = ()
     if spacing is None:
         model, tried = bulk_lattice(model, mesh, b, coupling.overlap)
-        spacing = model.certified_on[0]
+        spacing = tried[-1].spacing
     else:
         model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     stiff = long_wave(model, spacing)
     overlap = _overlap(model, mesh, coupling)
     lattice = bulk_points(mesh, spacing, model.horizon)
-    if lattice is None:
-        message = f"mesh: nowhere is the body's edge {2 * model.horizon:g} Å away, two horizons"
-        warnings.warn(f"{message}; it is solved by elements alone", stacklevel=2)
     collar = 2 * model.horizon + MARGIN * spacing
     depth = mesh.distance(mesh.x, spacing / 10)
-    rim = Rim(mesh, _rim_triangles(mesh, depth < collar + overlap, lattice), coupling.degree)
+    kept = _rim_triangles(mesh, depth < collar + overlap, lattice)
+    if kept.all():
+        lattice = None
+        warnings.warn(
+            f"mesh: no triangle is {collar + overlap:g} Å from the body's edge, two horizons and "
+            "the overlap; it is solved by elements alone",
+            stacklevel=2,
+        )
+    rim = Rim(mesh, kept, coupling.degree)
     loads.refuse_loose(rim)
     f, (given, fixed) = loads.on(rim), loads.given(rim)
     fixed[rim.inner] = True

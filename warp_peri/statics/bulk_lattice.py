@@ -83,7 +83,7 @@ def bulk_lattice(
         overlap: of rim and bulk [Å]; None for two horizons.
 
     Returns:
-        The model, certified on the one lattice that was chosen, and what was tried.
+        The model on the lattice that was chosen, and what was tried; the last is what was taken.
 
     Raises InputError for a model that is certified on no lattice.
     """
@@ -102,9 +102,8 @@ def bulk_lattice(
         if here is not None and (last or attempt.verdict == "taken"):
             if attempt.wave_error > TOLERANCE:
                 warnings.warn(
-                    f"b: waves of {2 * np.pi / wave_number:.3g} Å have an error of "
-                    f"{attempt.wave_error:.1%} on the lattice of {attempt.spacing:g} Å, the finest "
-                    "that is tried",
+                    f"b: waves of {2 * np.pi / wave_number:.3g} Å are not resolved to "
+                    f"{TOLERANCE:.1%} on the lattice of {attempt.spacing:g} Å, the finest tried",
                     stacklevel=3,
                 )
             return here, (*tried, attempt)
@@ -124,7 +123,10 @@ def _attempt(
         here = on_lattice(model, spacing=spacing)
     except InputError as error:
         return Tried(spacing, least, seen.share(least), np.nan, str(error)), None
-    wave_error = _wave_error(here, seen.wave_number)
+    if model.is_certified_on(spacing) and here.horizon >= model.horizon * (1 - 1e-9):
+        here, wave_error = model, 0.0  # fewer bonds do not serve: no copy of what is there
+    else:
+        wave_error = _wave_error(here, seen.wave_number)
     refusal = seen.refusal(here.horizon)
     if not refusal and wave_error > TOLERANCE:
         refusal = "the waves of the load are not resolved"

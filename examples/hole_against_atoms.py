@@ -1,0 +1,170 @@
+"""Graphene with a hole, and a strip with free edges: the coupled model against LAMMPS.
+
+Atoms relax their edges first and are then loaded, at their ends or by waves of body force in the
+plate. The model holds the sides where the smoothed atoms are, and knows of the edges nothing but,
+in a second solve, a stiffness that strips of two widths have told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.interpolate import RectBivariateSpline
+from scipy.spatial import cKDTree
+
+import warp_peri
+from tools.graphene import THICKNESS, bond_length
+from tools.holed_sheet import HOLES, LOADS, STRIP, Plate, edge_constants, held_samples
+from tools.lammps_session import CARBON_MASS
+from tools.samples import Sample
+from warp_peri.points.mesh import Mesh
+from warp_peri.points.outlines import Circle, box, mesh_outline
+from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.statics.body import BodySolution, Coupling, solve_body
+
+INSIDE = 100.0
+"""Half of the model's plate [Å]; the atoms go on beyond it."""
+SMOOTHING = 10.0
+"""Radius of the coarse graining, and how far from free edges fields are compared [Å]."""
+NODES = 5.0
+"""Spacing of the nodes where they are [Å]."""
+FINE = 2.5
+"""Spacing of the nodes that the load is smoothed to [Å]."""
+
+
+def mesh_of(plate: Plate, bond: float) -> Mesh:
+    """The model's plate: as much of it as the atoms that are there, a hole for those that are not."""
+    if plate.radius:
+        hole = Circle(plate.effective_radius(bond), size=2.0)
+        return mesh_outline(box(2 * INSIDE, 2 * INSIDE), [hole], size=8.0)
+    return mesh_outline(box(2 * INSIDE, 2 * plate.effective_height(bond), size=4.0), size=6.0)
+
+
+def held_sides(plate: Plate, sample: Sample) -> dict:
+    """Displacement [Å] on the plate's sides where atoms go on: a linear fit to those around."""
+    tree = cKDTree(sample.reference)
+
+    def field(x: np.ndarray) -> np.ndarray:
+        u = np.empty_like(x)
+        for i, near in enumerate(tree.query_ball_point(x, SMOOTHING)):
+            arm = sample.reference[near] - x[i]
+            weight = np.sqrt(SMOOTHING - np.hypot(*arm.T))[:, None]
+            terms = np.column_stack([np.ones(len(near)), arm])
+            u[i] = np.linalg.lstsq(weight * terms, weight * sample.displacement[near])[0][0]
+        return u
+
+    sides = ("left", "right", "bottom", "top") if plate.radius else ("left", "right")
+    return dict.fromkeys(sides, field)
+
+
+def smoothed_load(sample: Sample):
+    """Body force density [TPa/Å] at any position, smoothed as the training data are."""
+    line = FINE * np.arange(-48, 49)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    omega = smoothing_matrix(sample.reference, x, radius=SMOOTHING, spacing=FINE)
+    to_density = warp_peri.sources.coarse_graining.EV_PER_CUBIC_ANGSTROM / (FINE**2 * THICKNESS)
+    b = (omega @ sample.force * to_density).reshape(len(line), len(line), 2)
+    splines = [RectBivariateSpline(line, line, b[..., a]) for a in (0, 1)]
+    return lambda x: np.stack([spline.ev(*x.T) for spline in splines], axis=-1)
+
+
+def reference(plate: Plate, sample: Sample, mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes SMOOTHING and more from free edges [Å], and the atoms' smoothed displacement there."""
+    line = NODES * np.arange(-int(INSIDE / NODES), int(INSIDE / NODES) + 1)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    if plate.radius:
+        x = x[np.hypot(*x.T) >= plate.radius + SMOOTHING]
+    else:
+        x = x[np.abs(x[:, 1]) <= plate.half[1] - SMOOTHING]
+    x = x[(np.abs(x) < INSIDE).all(axis=1)]
+    omega = smoothing_matrix(sample.reference, x, radius=SMOOTHING, spacing=NODES)
+    u, _ = coarse_grain(
+        omega,
+        displacement=sample.displacement[None],
+        force=sample.force[None],
+        mass=CARBON_MASS,
+        node_area=NODES**2,
+        thickness=THICKNESS,
+    )
+    return x, u[0]
+
+
+def compare(
+    model: warp_peri.Model, plate: Plate, sample: Sample, edge: float, whole: Mesh
+) -> tuple[dict[str, float], BodySolution]:
+    """Errors of one plate under one load, without and with the stiffness of its edges."""
+    mesh = mesh_of(plate, bond_length())
+    x, u = reference(plate, sample, mesh)
+    held, b = held_sides(plate, sample), smoothed_load(sample)
+    parts = ("hole",) if plate.radius else ("bottom", "top")
+    plain = solve_body(model, mesh, displacement=held, b=b)
+    coupling = Coupling(spacing=plain.spacing)
+    stiff = solve_body(
+        model, mesh, displacement=held, b=b, edge=dict.fromkeys(parts, edge), coupling=coupling
+    )
+
+    def error(values: np.ndarray, truth: np.ndarray = u) -> float:
+        return float(np.linalg.norm(values) / np.linalg.norm(truth))
+
+    of_plain, of_stiff = plain.displacement(x), stiff.displacement(x)
+    numbers = {
+        "error": error(of_plain - u),
+        "error_with_edge": error(of_stiff - u),
+        "edge_changes": error(of_stiff - of_plain),
+        "spacing": plain.spacing,
+        "exchanges": plain.exchange.exchanges,
+        "bond_strain": sample.max_bond_strain,
+    }
+    if plate.radius:
+        without = solve_body(model, whole, displacement=held, b=b, coupling=coupling)
+        added = u - without.displacement(x)
+        numbers["error_of_what_the_hole_adds"] = error(of_plain - u, added)
+        numbers["the_same_with_edge"] = error(of_stiff - u, added)
+    return numbers, plain
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    file = ROOT / "runs" / "graphene_0K" / "model.json"
+    parser.add_argument("--model", type=Path, default=file, help="a model file")
+    parser.add_argument("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    args = parser.parse_args(argv)
+    warnings.simplefilter("ignore")
+    start = time.perf_counter()
+    samples = held_samples(args.cache, progress=not args.json)
+    model = warp_peri.load_model(args.model)
+    zigzag, armchair = (edge_constants(armchair=turned) for turned in (False, True))
+    round_edge = (zigzag["stiffness"] + armchair["stiffness"]) / 2
+    whole = mesh_outline(box(2 * INSIDE, 2 * INSIDE), size=8.0)
+    table: dict[str, dict[str, float]] = {}
+    for plate in (*HOLES, STRIP):
+        edge = round_edge if plate.radius else zigzag["stiffness"]
+        for load, sample in zip(LOADS[plate], samples[plate]):
+            name = f"{plate.name} {load.name}"
+            table[name], solution = compare(model, plate, sample, edge, whole)
+    numbers = {
+        "zigzag_edge": zigzag,
+        "armchair_edge": armchair,
+        "largest_error": max(row["error"] for row in table.values()),
+        "cases": table,
+        "seconds": time.perf_counter() - start,
+    }
+    print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
