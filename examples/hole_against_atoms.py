@@ -29,8 +29,12 @@ from tools.lammps_session import CARBON_MASS
 from tools.samples import Sample
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.statics.body import BodySolution, Coupling, solve_body
+from warp_peri.sources.coarse_graining import (
+    EV_PER_CUBIC_ANGSTROM,
+    coarse_grain,
+    smoothing_matrix,
+)
+from warp_peri.statics.body import Coupling, solve_body
 
 INSIDE = 100.0
 """Half of the model's plate [Å]; the atoms go on beyond it."""
@@ -43,7 +47,7 @@ FINE = 2.5
 
 
 def mesh_of(plate: Plate, bond: float) -> Mesh:
-    """The model's plate: as much of it as the atoms that are there, a hole for those that are not."""
+    """The model's plate, its hole as large as the area of the atoms that are missing."""
     if plate.radius:
         hole = Circle(plate.effective_radius(bond), size=2.0)
         return mesh_outline(box(2 * INSIDE, 2 * INSIDE), [hole], size=8.0)
@@ -72,13 +76,13 @@ def smoothed_load(sample: Sample):
     line = FINE * np.arange(-48, 49)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     omega = smoothing_matrix(sample.reference, x, radius=SMOOTHING, spacing=FINE)
-    to_density = warp_peri.sources.coarse_graining.EV_PER_CUBIC_ANGSTROM / (FINE**2 * THICKNESS)
+    to_density = EV_PER_CUBIC_ANGSTROM / (FINE**2 * THICKNESS)
     b = (omega @ sample.force * to_density).reshape(len(line), len(line), 2)
     splines = [RectBivariateSpline(line, line, b[..., a]) for a in (0, 1)]
     return lambda x: np.stack([spline.ev(*x.T) for spline in splines], axis=-1)
 
 
-def reference(plate: Plate, sample: Sample, mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def reference(plate: Plate, sample: Sample) -> tuple[np.ndarray, np.ndarray]:
     """Nodes SMOOTHING and more from free edges [Å], and the atoms' smoothed displacement there."""
     line = NODES * np.arange(-int(INSIDE / NODES), int(INSIDE / NODES) + 1)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -101,10 +105,10 @@ def reference(plate: Plate, sample: Sample, mesh: Mesh) -> tuple[np.ndarray, np.
 
 def compare(
     model: warp_peri.Model, plate: Plate, sample: Sample, edge: float, whole: Mesh
-) -> tuple[dict[str, float], BodySolution]:
+) -> dict[str, float]:
     """Errors of one plate under one load, without and with the stiffness of its edges."""
     mesh = mesh_of(plate, bond_length())
-    x, u = reference(plate, sample, mesh)
+    x, u = reference(plate, sample)
     held, b = held_sides(plate, sample), smoothed_load(sample)
     parts = ("hole",) if plate.radius else ("bottom", "top")
     plain = solve_body(model, mesh, displacement=held, b=b)
@@ -130,7 +134,24 @@ def compare(
         added = u - without.displacement(x)
         numbers["error_of_what_the_hole_adds"] = error(of_plain - u, added)
         numbers["the_same_with_edge"] = error(of_stiff - u, added)
-    return numbers, plain
+    return numbers
+
+
+def draw(table: dict[str, dict[str, float]]) -> Figure:
+    """Errors of every case, without and with the edges' own stiffness."""
+    figure = Figure(figsize=(6.5, 4.0), layout="constrained")
+    axes = figure.subplots()
+    place = np.arange(len(table))
+    for shift, key, label in (
+        (-0.2, "error", "edges like the inside"),
+        (0.2, "error_with_edge", "edges' own stiffness"),
+    ):
+        axes.barh(place + shift, [100 * row[key] for row in table.values()], 0.4, label=label)
+    axes.set(yticks=place, yticklabels=table, xlabel="error of displacement, 10 Å off edges, in %")
+    axes.invert_yaxis()
+    axes.axvline(3.0, color="grey", linewidth=1)
+    axes.legend()
+    return figure
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -154,7 +175,7 @@ def main(argv: list[str] | None = None) -> int:
         edge = round_edge if plate.radius else zigzag["stiffness"]
         for load, sample in zip(LOADS[plate], samples[plate]):
             name = f"{plate.name} {load.name}"
-            table[name], solution = compare(model, plate, sample, edge, whole)
+            table[name] = compare(model, plate, sample, edge, whole)
     numbers = {
         "zigzag_edge": zigzag,
         "armchair_edge": armchair,
@@ -163,6 +184,8 @@ def main(argv: list[str] | None = None) -> int:
         "seconds": time.perf_counter() - start,
     }
     print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
+    args.out.mkdir(parents=True, exist_ok=True)
+    draw(table).savefig(args.out / "errors.png", dpi=120)
     return 0
 
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.dataset_file import load_dataset, save_dataset
     from warp_peri.points.interpolation import onto_lattice
+    from warp_peri.points.mesh import Mesh, load_mesh
     from warp_peri.points.points import Points
     from warp_peri.points.samples import Samples
     from warp_peri.regression.settings import Optimum
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from warp_peri.stability.conditions import Conditions
     from warp_peri.stability.solvability import Solvability, solvability
     from warp_peri.stability.uniqueness import Uniqueness, uniqueness
+    from warp_peri.statics.body import BodySolution, Coupling, solve_body
+    from warp_peri.statics.body_gradient import BodyGradient, body_gradient
     from warp_peri.statics.equilibrium import equilibrium
     from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
     from warp_peri.statics.scattered import ThroughLattice
@@ -54,10 +57,13 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Bernstein",
+    "BodyGradient",
+    "BodySolution",
     "Certificate",
     "Choice",
     "Conditions",
     "Constrained",
+    "Coupling",
     "Dataset",
     "Diagnosis",
     "Fit",
@@ -65,6 +71,7 @@ __all__ = [
     "InputError",
     "Iteration",
     "LPSOperator",
+    "Mesh",
     "Model",
     "Motion",
     "NonlinearFit",
@@ -83,6 +90,7 @@ __all__ = [
     "TwoStage",
     "Uncertainty",
     "Uniqueness",
+    "body_gradient",
     "certify",
     "choose_model",
     "coarse_grain",
@@ -94,6 +102,7 @@ __all__ = [
     "fit_nonlinear",
     "fit_uncertainty",
     "load_dataset",
+    "load_mesh",
     "load_model",
     "load_nonlinear",
     "model_for",
@@ -105,6 +114,7 @@ __all__ = [
     "smoothing_matrix",
     "solvability",
     "solve",
+    "solve_body",
     "solve_nonlinear",
     "solve_periodic",
     "sweep",
@@ -134,6 +144,7 @@ _NAMES = {
     "points.dataset": ("Dataset",),
     "points.dataset_file": ("load_dataset", "save_dataset"),
     "points.interpolation": ("onto_lattice",),
+    "points.mesh": ("Mesh", "load_mesh"),
     "points.points": ("Points",),
     "points.samples": ("Samples",),
     "operator.nonlinear": ("NonlinearOperator",),
@@ -142,6 +153,8 @@ _NAMES = {
     "stability.conditions": ("Conditions",),
     "stability.solvability": ("Solvability", "solvability"),
     "stability.uniqueness": ("Uniqueness", "uniqueness"),
+    "statics.body": ("BodySolution", "Coupling", "solve_body"),
+    "statics.body_gradient": ("BodyGradient", "body_gradient"),
     "statics.equilibrium": ("equilibrium",),
     "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
     "statics.scattered": ("ThroughLattice",),

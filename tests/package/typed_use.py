@@ -132,6 +132,22 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     assert_type(solved, np.ndarray)
 
 
+def body(model: warp_peri.Model, path: Path) -> float:
+    """A body from a mesh file; for type checkers, as it needs the extra `bodies` to run."""
+    mesh = assert_type(warp_peri.load_mesh(path), warp_peri.Mesh)
+    solution = warp_peri.solve_body(
+        model,
+        mesh,
+        displacement={"left": (0.0, 0.0)},
+        traction={"right": lambda x, normal: 0.005 * normal},
+        coupling=warp_peri.Coupling(spacing=SPACING),
+    )
+    u, _ = assert_type(solution, warp_peri.BodySolution).on_corners()
+    assert_type(u, np.ndarray)
+    gradient = warp_peri.body_gradient(solution, solution.u_rim, solution.u_bulk)
+    return assert_type(gradient, warp_peri.BodyGradient).along(traction={"right": (1.0, 0.0)})
+
+
 def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Atoms to nodes."""
     omega = warp_peri.smoothing_matrix(atoms, nodes, radius=3.0)

@@ -37,7 +37,7 @@ def test_the_body_asks_for_a_finer_lattice_and_so_do_short_waves():
     assert "of the body is two horizons inside" in tried[0].verdict
     assert tried[-1].share >= 0.5
     _, tried = bulk_lattice(MODEL, plate(30.0, 120.0, 10, 48), wave(9.0), None)
-    assert tried[-1].spacing == 1.0
+    assert tried[-1].spacing == 1.5
     assert tried[0].verdict == "the waves of the load are not resolved"
     assert tried[0].wave_error > 0.005
 

@@ -119,7 +119,9 @@ def solve(command: ArgumentParser) -> None:
         "--hold", nargs="+", default=[], metavar="PART=ux,uy", help="in Å; - leaves one free"
     )
     body.add_argument("--pull", nargs="+", default=[], metavar="PART=tx,ty", help="in TPa")
-    body.add_argument("--spacing", type=float, help="of the lattice inside [Å]")
+    body.add_argument(
+        "--spacing", type=float, help="of the lattice inside [Å]; by default the coarsest that does"
+    )
     body.add_argument("--overlap", type=float, help="of the elements and the lattice [Å]")
     _uncertified(command)
 

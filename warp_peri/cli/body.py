@@ -42,6 +42,8 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     return {
         "file": str(given.out),
         **largest,
+        "spacing": solution.spacing,
+        "horizon": solution.model.horizon,
         "lattice_nodes": 0 if solution.points is None else int(solution.points.interior.sum()),
         "exchanges": exchange.exchanges,
         "mismatch": exchange.mismatch,
