@@ -24,7 +24,15 @@ from scipy.spatial import cKDTree
 
 import warp_peri
 from tools.graphene import THICKNESS, bond_length
-from tools.holed_sheet import HOLES, LOADS, STRIP, Plate, edge_constants, held_samples
+from tools.holed_sheet import (
+    HOLES,
+    STRIP,
+    TENSION,
+    Plate,
+    edge_constants,
+    held_samples,
+    loads_of,
+)
 from tools.lammps_session import CARBON_MASS
 from tools.samples import Sample
 from warp_peri.points.mesh import Mesh
@@ -160,12 +168,13 @@ def main(argv: list[str] | None = None) -> int:
     file = ROOT / "runs" / "graphene_0K" / "model.json"
     parser.add_argument("--model", type=Path, default=file, help="a model file")
     parser.add_argument("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
+    parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     warnings.simplefilter("ignore")
     start = time.perf_counter()
-    samples = held_samples(args.cache, progress=not args.json)
+    samples = held_samples(args.cache, tension=args.tension, progress=not args.json)
     model = warp_peri.load_model(args.model)
     zigzag, armchair = (edge_constants(armchair=turned) for turned in (False, True))
     round_edge = (zigzag["stiffness"] + armchair["stiffness"]) / 2
@@ -173,7 +182,7 @@ def main(argv: list[str] | None = None) -> int:
     table: dict[str, dict[str, float]] = {}
     for plate in (*HOLES, STRIP):
         edge = round_edge if plate.radius else zigzag["stiffness"]
-        for load, sample in zip(LOADS[plate], samples[plate]):
+        for load, sample in zip(loads_of(plate, args.tension), samples[plate]):
             name = f"{plate.name} {load.name}"
             table[name] = compare(model, plate, sample, edge, whole)
     numbers = {

@@ -27,6 +27,7 @@ from tools.lammps_session import LammpsSession, potential_file
 from tools.loads import atom_force
 from tools.samples import Sample, file_hash, read_record, write_record
 from tools.statics import TOLERANCE, Statics, find_bonds
+from warp_peri.errors import InputError
 from warp_peri.files.whole import locked
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
@@ -103,6 +104,7 @@ class Pull:
     """Tension along one axis: the ends of a plate are pulled apart."""
 
     axis: int
+    tension: float = TENSION
 
     @property
     def name(self) -> str:
@@ -114,7 +116,7 @@ class Pull:
         b = np.zeros_like(x)
         along = x[:, self.axis]
         gripped = np.abs(along) > plate.half[self.axis] - GRIP
-        b[gripped, self.axis] = np.sign(along[gripped]) * TENSION / GRIP
+        b[gripped, self.axis] = np.sign(along[gripped]) * self.tension / GRIP
         return b
 
 
@@ -123,6 +125,7 @@ class Wave:
     """A wave of body force in a direction, with a phase and a polarisation, drawn by its number."""
 
     number: int
+    tension: float = TENSION
 
     @property
     def name(self) -> str:
@@ -137,7 +140,7 @@ class Wave:
         length = WAVES[self.number % len(WAVES)]
         way, phase, axis = np.random.default_rng((SEED, self.number)).uniform(0, 2 * np.pi, 3)
         k = 2 * np.pi / length
-        size = TENSION * k * np.cos(k * (x @ (np.cos(way), np.sin(way))) + phase)
+        size = self.tension * k * np.cos(k * (x @ (np.cos(way), np.sin(way))) + phase)
         s = np.clip((plate.edge_distance(x) - CALM[0]) / (CALM[1] - CALM[0]), 0, 1)
         share = (s**2 * (3 - 2 * s))[:, None]
         b = share * size[:, None] * (np.cos(axis), np.sin(axis))
@@ -152,16 +155,22 @@ Load = Pull | Wave
 
 HOLES = (Plate((120.0, 120.0), 25.0), Plate((120.0, 120.0), 40.0))
 STRIP = Plate((120.0, 50.0))
-LOADS: dict[Plate, tuple[Load, ...]] = {
-    **{hole: (Pull(0), Pull(1), Wave(0), Wave(1)) for hole in HOLES},
-    STRIP: (Pull(0), Wave(0), Wave(1)),
-}
+
+
+def loads_of(plate: Plate, tension: float = TENSION) -> tuple[Load, ...]:
+    """What a plate is loaded by; stresses are about a tension [TPa]."""
+    pulls = (Pull(0, tension), Pull(1, tension)) if plate.radius else (Pull(0, tension),)
+    return (*pulls, Wave(0, tension), Wave(1, tension))
 
 
 def held_samples(
-    cache: str | os.PathLike[str], *, plates: Sequence[Plate] = (*HOLES, STRIP), progress: bool
+    cache: str | os.PathLike[str],
+    *,
+    plates: Sequence[Plate] = (*HOLES, STRIP),
+    tension: float = TENSION,
+    progress: bool,
 ) -> dict[Plate, list[Sample]]:
-    """Plates at rest under their LOADS, from the cache or solved; lists in the order of the loads.
+    """Plates at rest under their loads, from the cache or solved, in the order of `loads_of`.
 
     Raises LammpsError, ConvergenceError naming the load, OSError when the cache cannot be written.
     """
@@ -169,9 +178,11 @@ def held_samples(
     cache.mkdir(parents=True, exist_ok=True)
     bond, potential = bond_length(), potential_file()
     found: dict[Plate, list[Sample]] = {}
-    with locked(cache), tqdm(total=sum(map(len, LOADS.values())), disable=not progress) as bar:
+    count = sum(len(loads_of(plate)) for plate in plates)
+    with locked(cache), tqdm(total=count, disable=not progress) as bar:
         for plate in plates:
-            files = {load: _file(cache, plate, load, bond, potential) for load in LOADS[plate]}
+            loads = loads_of(plate, tension)
+            files = {load: _file(cache, plate, load, bond, potential) for load in loads}
             kept = {load: read_record(file, Sample) for load, file in files.items()}
             missing = [load for load in files if kept[load] is None]
             bar.update(len(files) - len(missing))
@@ -210,7 +221,7 @@ def _file(cache: Path, plate: Plate, load: Load, bond: float, potential: Path) -
         "potential": file_hash(potential),
         "bond": bond,
         "plate": repr(plate),
-        "load": [repr(load), TENSION, GRIP, CALM, WAVES, SEED, RECIPE],
+        "load": [repr(load), GRIP, CALM, WAVES, SEED, RECIPE],
         "tolerance": TOLERANCE,
     }
     key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
@@ -274,8 +285,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cache", type=Path, default=Path("data/holes"), metavar="FOLDER")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
     given = parser.parse_args(arguments)
-    held_samples(given.cache, progress=not given.quiet)
+    try:
+        held_samples(given.cache, tension=given.tension, progress=not given.quiet)
+    except KeyboardInterrupt:
+        print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
+        return 130
+    except (OSError, RuntimeError, InputError) as error:
+        print("holed_sheet: error:", " ".join(str(error).split()), file=sys.stderr)
+        return 1
     print(given.cache)
     return 0
 

@@ -26,6 +26,7 @@ import warp_peri
 from examples.graphene_report import save_figure
 from examples.prose import fill
 from examples.studies import (
+    atlas_bodies,
     atlas_conditions,
     atlas_cracks,
     atlas_flow,
@@ -64,6 +65,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "lame": lambda: atlas_solves.lame_parameters(data),
         "scattered": atlas_points.scattered_points,
         "surfaces": atlas_points.free_surfaces,
+        "bodies": lambda: atlas_bodies.cut_families(model()),
         "time-step": lambda: atlas_motion.critical_step(model()),
         "energy": lambda: atlas_motion.energy_drift(model(), steps),
         "dispersion": lambda: atlas_motion.dispersion(model(), data),

@@ -168,7 +168,7 @@ def solve_body(
             normals.
         b: body force density [TPa/Å] as a function of positions [n, 2]; None for none.
         edge: stiffness of edges of their own [TPa Å] by part, the force in an edge over its strain
-            and the sheet's thickness; negative where atoms at an edge are softer (B2a).
+            and the sheet's thickness; negative where atoms at an edge are softer (B10).
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 

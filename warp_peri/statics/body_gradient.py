@@ -1,4 +1,4 @@
-"""Derivatives of a function of a body's displacement by its loads and by λ and μ (B10–B12)."""
+"""Derivatives of a function of a body's displacement by its loads and by λ and μ (B12–B14)."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def body_gradient(
 
 
 def _by_lame(solution: BodySolution, f: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """−(w · ∂K u + v · ∂L u) by λ and μ, of which K and L are homogeneous of degree one (B12)."""
+    """−(w · ∂K u + v · ∂L u) by λ and μ, of which K and L are homogeneous of degree one (B14)."""
     model = solution.model
     here = _work(solution, model, f, b)
     further = _work(solution, dataclasses.replace(model, lam=model.lam + model.mu), f, b)

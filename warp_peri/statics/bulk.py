@@ -169,6 +169,6 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
 
 
 _TOO_NARROW = (
-    "overlap: the inner side of the rim leaves the nodes that are solved for; expected a smaller "
-    "overlap, a wider body, or a mesh with triangles smaller than the overlap"
+    "overlap: the inner side of the rim leaves the nodes that are solved for; expected an overlap "
+    "of three spacings or more, or a wider body"
 )

@@ -1,4 +1,4 @@
-"""The cheapest lattice that a body's bulk can do with (B13)."""
+"""The cheapest lattice that a body's bulk can do with (B15)."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class Rim:
         return sp.csr_array(sum(parts[1:], parts[0]))
 
     def edge_stiffness(self, part: str, size: float) -> sp.csr_array:
-        """∫ E_s (τ · ε(v) τ) (τ · ε(u) τ) over a part of the outline [TPa], as `stiffness` (B2a).
+        """∫ E_s (τ · ε(v) τ) (τ · ε(u) τ) over a part of the outline [TPa], as `stiffness` (B10).
 
         Args:
             part: name of it.

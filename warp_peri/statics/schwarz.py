@@ -81,7 +81,7 @@ class Schwarz:
     def once_back(
         self, by_rim: np.ndarray, by_bulk: np.ndarray, side: np.ndarray, tolerance: float
     ) -> tuple[Fields, np.ndarray]:
-        """The transpose of `once`, of derivatives by its answers and by the inner side (B11).
+        """The transpose of `once`, of derivatives by its answers and by the inner side (B13).
 
         Returns:
             Derivatives by the loads, as of_rim and of_bulk, and by what is given on the rim,
@@ -136,7 +136,7 @@ class Schwarz:
     def solve_back(
         self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float
     ) -> tuple[Fields, np.ndarray]:
-        """Derivatives by loads and by what is given, of ones by displacement (B10, B11).
+        """Derivatives by loads and by what is given, of ones by displacement (B12, B13).
 
         Args:
             by_rim: by the rim's displacement, shape [n, 2].
@@ -185,7 +185,7 @@ def fixed_point(
     off: np.ndarray,
     goal: float,
 ) -> tuple[np.ndarray, list[np.ndarray], int]:
-    """g with ‖g − M g − off‖ ≤ goal by GMRES, and what the exchange answers to it (B6, B6a).
+    """g with ‖g − M g − off‖ ≤ goal by GMRES, and what the exchange answers to it (B6, B11).
 
     Every exchange is linear, so that the fields of the answer are combined of those of the vectors
     asked for. Later vectors count for less and are worked out less closely.

@@ -1,4 +1,4 @@
-"""A whole body in linear elements: a first guess, and the long waves of an exchange (B6a)."""
+"""A whole body in linear elements: a first guess, and the long waves of an exchange (B11)."""
 
 from __future__ import annotations
 
