@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from tests.points.test_interpolation import cloud
-from tests.support.problems import kernel
-from warp_peri import InputError, Points, Samples, ThroughLattice, evaluate, solve
+from tests.support.problems import kernel, lattice
+from warp_peri import InputError, LPSOperator, Points, Samples, ThroughLattice, evaluate, solve
 from warp_peri.transfer.waves import dispersion
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
@@ -40,7 +41,7 @@ def test_symmetric_and_positive_definite(operator):
     assert figures.condition < 1e4
     A = operator.problem.stiffness.toarray()
     assert figures.smallest_eigenvalue == pytest.approx(np.linalg.eigvalsh(A)[0], rel=1e-6)
-    T = operator._unknown.toarray()
+    T = operator.unknown.toarray()
     smallest = np.linalg.svd(T, compute_uv=False)[-1]
     assert figures.smallest_singular_value == pytest.approx(smallest, rel=1e-6)
 
@@ -79,6 +80,36 @@ def test_own_numbers_and_refusal_stay(operator):
         solve(HOME, operator.points, b, u, transfer=False)
     with pytest.raises(InputError, match="method: expected auto or lu on scattered points"):
         solve(HOME, operator.points, b, u, method="gmres")
+
+
+def test_the_operator_goes_this_way_by_kernels(operator):
+    u, b = waves(operator.points.x)
+    by_kernels = LPSOperator(HOME, operator.points)
+    assert by_kernels(u) == pytest.approx(operator(u), abs=1e-12)
+    assert by_kernels(u[0]) == pytest.approx(operator(u)[0], abs=1e-12)
+    assert np.array_equal(by_kernels.load(b[0]), operator.load(b)[0])
+    x = torch.from_numpy(u).requires_grad_()
+    seed = np.random.default_rng(0).normal(size=(1, operator.points.interior.sum(), 2))
+    (by_kernels(x) * torch.from_numpy(seed)).sum().backward()
+    # linear in u: the gradient is Aᵗ, which is A between unknowns
+    inside = np.zeros_like(u)
+    inside[:, operator.points.interior] = seed
+    gradient = x.grad.numpy()[:, operator.points.interior]
+    assert gradient == pytest.approx(operator(inside), abs=1e-12)
+    direction = np.random.default_rng(1).normal(size=u.shape)
+    change = ((by_kernels(u + direction) - by_kernels(u)) * seed).sum()
+    assert (x.grad.numpy() * direction).sum() == pytest.approx(change, rel=1e-10)
+    with pytest.raises(InputError, match="u: expected"):
+        by_kernels(torch.from_numpy(u[:, :5]))
+    with pytest.raises(InputError, match="not on scattered points"):
+        LPSOperator(HOME, operator.points, transfer=False)
+
+
+def test_a_lattice_loads_its_own_nodes():
+    points = lattice(3, 3.0)
+    b = np.random.default_rng(0).normal(size=(2, len(points.x), 2))
+    loads = LPSOperator(HOME, points).load(b)
+    assert np.array_equal(loads, b[:, points.interior])
 
 
 def test_what_does_not_carry_a_lattice():

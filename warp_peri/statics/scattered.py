@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.ndimage import binary_dilation
-from scipy.sparse.linalg import eigsh, splu
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.sparse.linalg import eigsh
 
-from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.interpolation import (
-    FOR_DATA,
-    FULL,
-    NEIGHBOURS,
-    interpolation,
-    mean_spacing,
-)
-from warp_peri.points.points import Points
+from warp_peri.points.interpolation import NEIGHBOURS
 from warp_peri.points.samples import PointsLike
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.transfer.kept import model_at
-
-FINER = 2.0
-"""Lattice spacings to one spacing of the nodes."""
-SMALLEST = 1e-6
-"""Singular values of T below this count as zero: then two unknowns are one on the lattice."""
+from warp_peri.transfer.carrier import Carrier
 
 
 @dataclass(frozen=True)
@@ -51,26 +35,11 @@ class ScatteredFigures:
     entries: float
 
 
-class ThroughLattice:
+class ThroughLattice(Carrier):
     """The operator of a model on scattered points, A = Tᵗ L T (M7).
 
-    T interpolates displacement at the nodes onto a lattice of half their spacing, L is the
-    operator there. A is symmetric, and positive definite because L is: the lattice goes on with
-    whole families 2δ beyond the last place that an unknown node touches.
-
-    Args:
-        model: certified on some lattice, from where it is transferred.
-        points: scattered nodes (or any others).
-        spacing: of the lattice [Å]; None for half that of the nodes, to two digits.
-        neighbours: nearest nodes that a place of the lattice is interpolated from.
-
-    Attributes:
-        model: on the lattice.
-        x: places of the lattice [Å], shape [Y, 2].
-        loaded: those whose load counts, shape [Y] bool.
-
-    Raises InputError for a collar that is too narrow, saying how wide it must be, and for points
-    too sparse or too uneven to interpolate from.
+    A is assembled, to be solved with. It is symmetric, and positive definite because L is. The
+    arguments, attributes and errors are those of Carrier, which is T.
     """
 
     def __init__(
@@ -81,49 +50,13 @@ class ThroughLattice:
         spacing: float | None = None,
         neighbours: int = NEIGHBOURS,
     ) -> None:
-        if points.box is not None or points.outside is not None:
-            raise InputError(
-                "points: scattered points that repeat or have broken bonds do not go through a "
-                "lattice; expected box=None and outside=None"
-            )
-        dense = mean_spacing(points)
-        if spacing is None:
-            spacing = float(f"{dense / FINER:.2g}")
-        self.points = points
-        self.model = model_at(model, spacing)
-        self.x, self.loaded = _places(points, self.model, spacing, dense, neighbours)
-        self._T = interpolation(points.x, self.x, neighbours=neighbours)
-        self._unknown = sp.csr_array(self._T[self.loaded][:, points.interior])
-        self._check_unknowns()
-        lattice = Points(self.x, self.loaded, spacing)
-        L = matrices(self.model, lattice).operator(self.model.lam, self.model.mu)
+        super().__init__(model, points, spacing=spacing, neighbours=neighbours)
+        L = matrices(self.model, self.lattice).operator(self.model.lam, self.model.mu)
         both = sp.identity(2, format="csr")
-        self._test = sp.csr_array(sp.kron(self._unknown, both)).T
-        A = sp.csr_array(self._test @ (L @ sp.csr_array(sp.kron(self._T, both))))
+        test = sp.csr_array(sp.kron(self.unknown, both)).T
+        A = sp.csr_array(test @ (L @ sp.csr_array(sp.kron(self.T, both))))
         self.problem = MatrixProblem(A, points.interior)
         self._A = A
-
-    @cached_property
-    def _for_loads(self) -> sp.csr_array:
-        """As T, from more nodes: what is missing of short waves is missing of the answer."""
-        count = min(FOR_DATA, len(self.points.x))
-        return interpolation(self.points.x, self.x, neighbours=count)
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """Tᵗ b on the interior nodes [TPa/Å], shape [S, I, 2].
-
-        Args:
-            b: [TPa/Å], at the places of the lattice, shape [S, Y, 2], where those in `loaded`
-                count; or at the nodes, shape [S, N, 2], from where it is interpolated first.
-        """
-        if b.shape[1:] == (len(self.points.x), 2):
-            b = np.stack([self._for_loads @ field for field in b])
-        if b.shape[1:] != (len(self.x), 2):
-            raise InputError(
-                f"b: expected shape [S, {len(self.points.x)}, 2] at the nodes or "
-                f"[S, {len(self.x)}, 2] on the lattice, got {list(b.shape)}"
-            )
-        return np.stack([self._unknown.T @ field[self.loaded] for field in b])
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u on the interior nodes [TPa/Å], of u [Å] of shape [S, N, 2]: shape [S, I, 2]."""
@@ -156,58 +89,8 @@ class ThroughLattice:
         )
 
     def _smallest_singular_value(self) -> float:
-        gram = sp.csc_array(self._unknown.T @ self._unknown)
+        gram = sp.csc_array(self.unknown.T @ self.unknown)
         if gram.shape[0] < 20:
             return float(np.sqrt(max(np.linalg.eigvalsh(gram.toarray())[0], 0.0)))
         square = eigsh(gram, 1, sigma=0, which="LM", return_eigenvectors=False)[0]
         return float(np.sqrt(max(square, 0.0)))
-
-    def _check_unknowns(self) -> None:
-        """Refuse unknowns that the lattice cannot tell apart; splu finds a pivot of zero."""
-        gram = sp.csc_array(self._unknown.T @ self._unknown)
-        try:
-            smallest = np.abs(splu(gram).U.diagonal()).min()
-        except RuntimeError:
-            smallest = 0.0
-        if not smallest > SMALLEST**2:
-            raise InputError(
-                "points: the lattice cannot tell their displacements apart; expected interior "
-                "nodes no closer than its spacing, or a finer lattice"
-            )
-
-
-def _places(
-    points: PointsLike, model: Model, spacing: float, dense: float, neighbours: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the lattice that the problem needs, and those that an unknown node touches.
-
-    Raises InputError where the points do not reach as far.
-    """
-    tree, free = cKDTree(points.x), points.x[points.interior]
-    whole = 2 * model.horizon / spacing * (1 + 1e-9)  # two bonds may end off the axes
-    reach = int(whole)
-    touch = 2.0 * np.sqrt(neighbours / np.pi) * dense  # farther than any node that is used
-    pad = int(np.ceil(touch / spacing)) + reach
-    low = np.floor(free.min(axis=0) / spacing) - pad
-    size = (np.ceil(free.max(axis=0) / spacing) + pad - low + 1).astype(int)
-    steps = np.argwhere(np.ones(size, bool))
-    x = spacing * (low + steps)
-    near = np.flatnonzero(cKDTree(free).query(x, distance_upper_bound=touch)[0] < np.inf)
-    touched = np.zeros(size, bool)
-    used = points.interior[tree.query(x[near], neighbours)[1]].any(axis=1)
-    touched[tuple(steps[near[used]].T)] = True
-    ball = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= whole
-    needed = binary_dilation(touched, ball)
-    x, loaded = x[needed.ravel()], touched.ravel()[needed.ravel()]
-    hull = ConvexHull(points.x).equations
-    outside = (x @ hull[:, :2].T + hull[:, 2]).max(axis=1) > dense / 2
-    empty = tree.query(x)[0] > FULL * dense
-    if (outside | empty).any():
-        wide = float(cKDTree(free).query(x)[0].max())
-        have = float(cKDTree(free).query(x[outside | empty])[0].min())
-        raise InputError(
-            f"collar: expected nodes {wide:.3g} Å around the interior, as evenly as there; they "
-            f"are missing from {have:.3g} Å on (two horizons of {model.horizon:.3g} Å beyond what "
-            "interior nodes touch on the lattice)"
-        )
-    return x, loaded

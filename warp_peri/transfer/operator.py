@@ -1,29 +1,50 @@
-"""The LPS operator on points of any lattice spacing."""
+"""The LPS operator on lattices of any spacing, and on points that are none."""
 
 from __future__ import annotations
 
-from warp_peri.errors import renamed
+from typing import overload
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+
+from warp_peri.errors import InputError, renamed
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.operator import lps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
+from warp_peri.transfer.carrier import Carrier
 from warp_peri.transfer.points import model_for
 
 
 class LPSOperator(lps.LPSOperator):
-    """The operator of a model's material on points: on lattices of any spacing (theory.md, M2–M5).
+    """The operator of a model's material on points of any kind (theory.md, M2–M7).
 
-    As operator.lps.LPSOperator, which the other arguments are of; `model` is the one that is used.
+    On a lattice ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it
+    is b. On scattered points it is Tᵗ L T u, symmetric and definite, and in equilibrium Tᵗ b: a
+    node's share of the load around it, not b at the node. ``op.load(b)`` is what ``op(u)`` equals
+    in equilibrium on both. Weights of each scattered family on its own, through Warp's tape, are
+    what allow_uncertified gives there: nothing is proven of them.
 
     Args:
         model: certified on some lattice; on others it is transferred, which is said once.
-        points: a lattice, or with allow_uncertified scattered points.
-        transfer: False refuses lattices that the model itself is not certified on.
+        points: a lattice or scattered points, which a lattice of half their spacing carries.
+        quadrature_degree: of the polynomials that the weights are exact for.
+        transfer: False refuses what the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
+        device: where the kernels run, as for Bonds.
 
-    Raises InputError for a point set that does not carry the horizon, scattered points, or an
-    uncertified spacing without a transfer.
+    Attributes:
+        model: the one that is used.
+        bonds: of the lattice that L is taken on.
+        carrier: T; None on a lattice.
+
+    Raises InputError for a point set that does not carry the horizon (on scattered points as
+    Carrier does), or an uncertified spacing without a transfer.
+
+    ``op(u)`` takes u [Å] of shape [N, 2] or [S, N, 2] on all nodes and returns shape [I, 2] or
+    [S, I, 2]: NumPy in, NumPy out; torch in, differentiable torch out.
     """
 
     @renamed(box="part of Points(…, box=…)", outside="part of Points(…, outside=…)")
@@ -37,7 +58,15 @@ class LPSOperator(lps.LPSOperator):
         allow_uncertified: bool = False,
         device: str = DEVICE,
     ) -> None:
-        here = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
+        self.carrier: Carrier | None = None
+        self._interior = points.interior
+        if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
+            self.carrier = Carrier(model, points)
+            here, points = self.carrier.model, self.carrier.lattice
+            self._onto = _tensor(self.carrier.T, device)
+            self._back = _tensor(sp.csr_array(self.carrier.unknown.T), device)
+        else:
+            here = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
         super().__init__(
             here,
             points,
@@ -45,3 +74,54 @@ class LPSOperator(lps.LPSOperator):
             allow_uncertified=allow_uncertified,
             device=device,
         )
+
+    @overload
+    def __call__(self, u: np.ndarray) -> np.ndarray: ...
+    @overload
+    def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
+    def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
+        if self.carrier is None:
+            return super().__call__(u)
+        if isinstance(u, torch.Tensor):
+            self._check(u)
+            return _applied(self._back, super().__call__(_applied(self._onto, u)))
+        field = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
+        return self(field).cpu().numpy()
+
+    def _check(self, u: torch.Tensor) -> None:
+        """Raises InputError for fields that are not on the nodes."""
+        device, nodes = torch.device(self.bonds.device), self._onto.shape[1]
+        fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2)
+        if not fits or u.dtype != torch.float64 or u.device != device:
+            raise InputError(
+                f"u: expected float64 of shape [S, {nodes}, 2] or [{nodes}, 2] on {device}, got "
+                f"{u.dtype} of shape {list(u.shape)} on {u.device}"
+            )
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
+
+        Args:
+            b: at the nodes, shape [N, 2] or [S, N, 2]; on scattered points also at the places of
+                the lattice, shape [S, Y, 2], as Carrier.load takes it.
+        """
+        if self.carrier is None:
+            return np.asarray(b[..., self._interior, :])
+        carried = self.carrier.load(b.reshape(-1, *b.shape[-2:]))
+        return carried.reshape(*b.shape[:-2], *carried.shape[-2:])
+
+
+def _tensor(matrix: sp.csr_array, device: str) -> torch.Tensor:
+    """A sparse matrix for torch."""
+    entries = sp.coo_array(matrix)
+    place = torch.from_numpy(np.stack(entries.coords).astype(np.int64))
+    values = torch.from_numpy(entries.data)
+    sparse: torch.Tensor = torch.sparse_coo_tensor(place, values, entries.shape, device=device)
+    return sparse.coalesce()
+
+
+def _applied(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+    """A matrix by the nodes of fields, shape [..., N, 2] to [..., Y, 2]."""
+    columns = field.movedim(-2, 0)
+    product: torch.Tensor = torch.sparse.mm(matrix, columns.reshape(len(columns), -1))
+    return product.reshape(-1, *columns.shape[1:]).movedim(0, -2).contiguous()

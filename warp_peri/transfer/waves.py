@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_peri.losses.reduced import ReducedLoss, class_pairs, symbol_rows, with_rows
+from warp_peri.losses.reduced import ReducedLoss, class_pairs, symbol_rows
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import BondClasses, bond_classes
@@ -16,14 +16,14 @@ DIRECTIONS = 7
 """Of the waves that an error is looked for in, over an eighth of the circle."""
 
 
-def wave_vectors(largest: float) -> np.ndarray:
-    """Wave vectors [1/Å] of |k| up to `largest`, shape [WAVES, 2].
+def wave_vectors(largest: float, count: int = WAVES) -> np.ndarray:
+    """Wave vectors [1/Å] of |k| up to `largest`, shape [count, 2].
 
     |k| is spread evenly, so that long waves weigh as much as short ones; directions go on by the
     golden angle.
     """
-    number = np.arange(WAVES) + 0.5
-    size, angle = largest * number / WAVES, GOLDEN_ANGLE * number
+    number = np.arange(count) + 0.5
+    size, angle = largest * number / count, GOLDEN_ANGLE * number
     return np.stack([size * np.cos(angle), size * np.sin(angle)], axis=1)
 
 
@@ -45,20 +45,22 @@ def dispersion(model: Model, spacing: float, k: np.ndarray) -> np.ndarray:
     return np.asarray(entries.reshape(*k.shape[:-1], 2, 2))
 
 
-def wave_loss(target: np.ndarray, k: np.ndarray, classes: BondClasses) -> ReducedLoss:
+def wave_loss(
+    target: np.ndarray, k: np.ndarray, classes: BondClasses, weight: np.ndarray | None = None
+) -> ReducedLoss:
     """The loss (M3) of a lattice against D₀(k), shape [K, 2, 2], at wave vectors k, [K, 2].
 
     Mean over waves and polarisations of |D₀⁻¹ D e − e|²: the square of the relative error of
-    displacement, to first order.
+    displacement, to first order. With weights of the waves, shape [K], their sum instead.
     """
     d11, d22, d12 = symbol_rows(classes, k).transpose(1, 0, 2)
     D = np.stack([d11, d12, d12, d22], axis=1).reshape(len(k), 2, 2, -1)
     answer = np.einsum("kab,kbcf->kacf", np.linalg.inv(target), D)
     wanted = np.broadcast_to(np.eye(2)[..., None], (len(k), 2, 2, 1))
-    rows = np.concatenate([answer, -wanted], axis=3).reshape(4 * len(k), -1)
-    empty = np.zeros((rows.shape[1], rows.shape[1]))
-    factor = with_rows(empty, rows / np.sqrt(2 * len(k)))
-    return ReducedLoss(classes, factor, class_pairs(len(classes.r)))
+    share = np.full(len(k), 1 / len(k)) if weight is None else weight
+    rows = np.sqrt(share / 2)[:, None, None, None] * np.concatenate([answer, -wanted], axis=3)
+    factor = np.linalg.qr(rows.reshape(4 * len(k), -1), mode="r")  # few waves, few rows
+    return ReducedLoss(classes, np.asarray(factor), class_pairs(len(classes.r)))
 
 
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
