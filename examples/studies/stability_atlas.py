@@ -36,6 +36,7 @@ from examples.studies import (
     atlas_nonlinear,
     atlas_points,
     atlas_solves,
+    atlas_transfer,
 )
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
@@ -64,6 +65,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "degree": lambda: atlas_kernels.large_degrees(data),
         "lame": lambda: atlas_solves.lame_parameters(data),
         "scattered": atlas_points.scattered_points,
+        "transfer": lambda: atlas_transfer.transfers(model()),
         "surfaces": atlas_points.free_surfaces,
         "bodies": lambda: atlas_bodies.cut_families(model()),
         "time-step": lambda: atlas_motion.critical_step(model()),

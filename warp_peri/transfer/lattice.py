@@ -36,7 +36,7 @@ ZETA = 0.01
 """c [TPa] that is asked for, or what is proven at home where that is less."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 3
+RECIPE = 4
 """Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""
@@ -214,13 +214,12 @@ def _fitted(
     terms = len(classes.r) + 1
     two = not np.array_equal(home.model.D, home.model.dilatation)
     start = Parameters(home.model.lam / unit, 1.0, 1.0, np.ones(terms))
-    best = constrained_optimum(
-        [loss],
-        start,
-        [LatticeConditions(classes, Conditions(zeta=home.zeta / unit))],
-        Optimum(smoothness=SMOOTHNESS),
-        two_functions=two,
-    )
+    asked_of = [LatticeConditions(classes, Conditions(zeta=home.zeta / unit))]
+    method = Optimum(smoothness=SMOOTHNESS)
+    best = constrained_optimum([loss], start, asked_of, method)
+    if two:  # from the best single function: from plain ones the search can stop far above it
+        start = dataclasses.replace(best.parameters, D_dilatation=best.parameters.D)
+        best = constrained_optimum([loss], start, asked_of, method, two_functions=True)
     if not best.converged:
         return None
     parameters = best.parameters
