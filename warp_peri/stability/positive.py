@@ -31,4 +31,5 @@ def positive_factors(K: sp.csc_matrix) -> Any:
     if K.shape[0] > DENSE:
         return definite_factors(K)
     factor, fault = lapack.dpotrf(K.toarray(order="F"), lower=1, overwrite_a=1, clean=0)
-    return None if fault else FullFactors(factor)
+    # LAPACK need not call numbers that are none a fault
+    return None if fault or not np.isfinite(factor.diagonal()).all() else FullFactors(factor)
