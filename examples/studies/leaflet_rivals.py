@@ -7,6 +7,7 @@ training frames. Its elements take displacement on one ring of nodes around the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,14 @@ from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
 from tools.hyperelastic_energies import Energy, Family, Fung, plane_stress_hgo
 from warp_peri.errors import InputError
 from warp_peri.points.samples import Samples
+
+
+@dataclass(frozen=True)
+class Uneven:
+    """A sheet whose thickness varies: exp(a·p), p = x, y, x², y² from −1 to 1 over the window."""
+
+    energy: Energy
+    numbers: np.ndarray
 
 
 class Window:
@@ -33,16 +42,24 @@ class Window:
         places = np.rint(self.mesh.x / frames.spacing).astype(int).tolist()
         self.nodes = np.array([number[tuple(place)] for place in places])
         self.free = frames.interior[self.nodes]
+        place = self.mesh.quadrature / (0.5 * np.ptp(self.mesh.x, axis=0)) - 1
+        self.powers = np.concatenate([place, place**2], axis=-1)
+        self.areas = self.mesh.dx
         fixed = np.flatnonzero(~self.free)
         self.fixed = np.sort(np.concatenate([2 * fixed, 2 * fixed + 1]))
 
     def solve(
-        self, energy: Energy, u: np.ndarray, near: np.ndarray | None = None
+        self, sheet: Energy | Uneven, u: np.ndarray, near: np.ndarray | None = None
     ) -> np.ndarray | None:
         """Displacement of the interior from that of the ring, [I, 2]; None where not found.
 
         The search begins at the displacement `near` of the interior, at that of u where none is.
         """
+        if isinstance(sheet, Uneven):
+            energy, thickness = sheet.energy, np.exp(self.powers @ sheet.numbers)
+        else:
+            energy, thickness = sheet, np.ones(())
+        self.mesh.dx = self.areas * thickness
         given = u[self.nodes].ravel()
         nothing = np.zeros_like(given)
         start = u[self.nodes]
@@ -59,11 +76,11 @@ class Window:
             return field.reshape(-1, 2)[self.free]
         return None
 
-    def errors(self, energy: Energy, frames: Samples, truth: np.ndarray) -> np.ndarray:
+    def errors(self, sheet: Energy | Uneven, frames: Samples, truth: np.ndarray) -> np.ndarray:
         """Relative errors against the truth, NaN where not solved, shape [S]."""
         errors = []
         for u, expected in zip(frames.u, truth):
-            solved, target = self.solve(energy, u), expected[self.nodes][self.free]
+            solved, target = self.solve(sheet, u), expected[self.nodes][self.free]
             gap = np.nan if solved is None else np.linalg.norm(solved - target)
             errors.append(gap / np.linalg.norm(target))
         return np.array(errors)
@@ -71,6 +88,10 @@ class Window:
 
 def neo_hookean(_: np.ndarray) -> Energy:
     return plane_stress_hgo(1.0)
+
+
+def uneven(x: np.ndarray) -> Uneven:
+    return Uneven(plane_stress_hgo(1.0), x)
 
 
 def one_family(x: np.ndarray) -> Energy:
@@ -83,7 +104,7 @@ def two_families(x: np.ndarray) -> Energy:
     )
 
 
-RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy], Sequence[Sequence[float]]]] = {
+RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequence[float]]]] = {
     "neo-Hookean": (neo_hookean, [[]]),
     "Fung": (
         lambda x: Fung(x.tolist()),
@@ -91,13 +112,14 @@ RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy], Sequence[Sequence[float]
     ),
     "HGO, one family": (one_family, [[1.5, 1.0, -0.7], [1.5, 1.0, 0.7]]),
     "HGO, two families": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
+    "neo-Hookean, uneven": (uneven, [[0.0, 0.0, 0.0, 0.0]]),
 }
 """Energies by their numbers, and where the fits begin; the best of a rival's starts counts."""
 
 
 def fit(
     window: Window,
-    make: Callable[[np.ndarray], Energy],
+    make: Callable[[np.ndarray], Energy | Uneven],
     start: np.ndarray,
     frames: Samples,
     *,

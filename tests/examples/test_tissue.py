@@ -83,6 +83,21 @@ def test_a_rival_recovers_its_own_numbers():
     assert window.solve(plane_stress_hgo(1.0), u) is not None
 
 
+def test_an_uneven_sheet_is_seen_as_one():
+    points = square(3)
+    window = Window(Samples(points, np.zeros((1, len(points.x), 2))))
+    make, starts = RIVALS["neo-Hookean, uneven"]
+    truth = np.array([0.3, -0.2, 0.1, 0.2])
+    u = points.x @ np.array([[0.2, 0.05], [0.1, 0.15]])
+    even = u.copy()
+    u[window.nodes[window.free]] = window.solve(make(truth), u)
+    numbers, left = fit(window, make, np.array(starts[0]), Samples(points, u[None]))
+    assert left < 1e-5
+    np.testing.assert_allclose(numbers, truth, atol=0.02)
+    still = window.solve(make(0 * truth), even)
+    np.testing.assert_allclose(still, even[window.nodes[window.free]], atol=1e-8)
+
+
 def test_the_network_sees_no_turn_and_no_shift():
     torch.manual_seed(1)
     model = PeridynamicOperator(8, 8)
