@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as sl
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 
@@ -216,6 +217,26 @@ def greedy(Z: np.ndarray, count: int) -> np.ndarray:
         chosen.append(i)
         left[chosen] = -1
     return np.array(chosen)
+
+
+def gathered(
+    Z: np.ndarray, chosen: np.ndarray, parts: np.ndarray, weight: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means over the inputs that are nearest to each chosen one: all data count, few are kept.
+
+    Args:
+        Z: inputs in lengths of a kernel, shape [n, d].
+        chosen: numbers of some of them, shape [m].
+        parts: what is averaged, shape [n, p].
+        weight: of each, shape [n]; equal if not given.
+
+    Returns the means [m, p] and the sums of the weights [m].
+    """
+    nearest = cKDTree(Z[chosen]).query(Z)[1]
+    weight = np.ones(len(Z)) if weight is None else weight
+    total = np.bincount(nearest, weight, len(chosen))
+    sums = [np.bincount(nearest, weight * part, len(chosen)) for part in parts.T]
+    return np.stack(sums, axis=-1) / total[:, None], total
 
 
 def _matrix(noise: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
-from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, greedy
+from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, gathered, greedy
 from warp_peri.flow.planar import (
     IDENTITY,
     carried,
@@ -195,5 +195,6 @@ def learn_spring(
         chosen = greedy(process.standard(X), points)
         if len(chosen) < 2:
             break
-        process = fit_process(X[chosen], y[chosen], **options)
+        means, _ = gathered(process.standard(X), chosen, np.column_stack([X, y]))
+        process = fit_process(means[:, :3], means[:, 3], **options)
     return SpringLaw(process, outside)

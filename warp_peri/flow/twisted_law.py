@@ -16,7 +16,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import homogeneous
-from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, greedy
+from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, gathered, greedy
 from warp_peri.flow.laws import FENEP
 from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame
 from warp_peri.flow.protocols import Record
@@ -26,6 +26,8 @@ LARGEST = 0.9
 """Of S₁₂/√(S₁ S₂), which keeps S positive."""
 SMALLEST = 0.03
 """|P₁₂|/√(P₁ P₂) below which a sample says nothing about ν."""
+FLOOR = 0.02
+"""Least standard deviation taken for a mean of ν."""
 ABSOLUTE, RELATIVE = 0.004, 0.05
 """Standard deviation taken for a sample of S₁₂/√(S₁ S₂), and of the part that grows with it."""
 
@@ -136,5 +138,7 @@ def learn_twisted(
     process = fit_process(inputs[chosen], (turned / by)[chosen], noise=noise[chosen])
     for _ in range(2):
         chosen = greedy(process.standard(inputs), turns)
-        process = fit_process(inputs[chosen], (turned / by)[chosen], noise=noise[chosen])
+        parts = np.column_stack([inputs, turned / by])
+        means, sure = gathered(process.standard(inputs), chosen, parts, 1 / noise)
+        process = fit_process(means[:, :3], means[:, 3], noise=np.maximum(1 / sure, FLOOR**2))
     return TwistedSpringLaw(law, process, b)
