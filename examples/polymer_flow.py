@@ -105,7 +105,7 @@ def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, Chan
         return channel(Closure(drawn.tabulated(), DE, n), flow)[0].centre()
 
     spread = band(law, centre, count=6, seed=seed)
-    numbers["learned law"]["2 sd of the band at the centre"] = float(2 * spread.deviation.max())
+    numbers["learned law"]["2 sd of the band at the centre"] = float(spread.half_width().max())
     return numbers, runs, spread
 
 
@@ -145,7 +145,7 @@ def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
         order = np.argsort(run.x[-1, :, 1])
         right.plot(run.v[-1, order, 0], run.x[-1, order, 1], style)
     t = runs["exact law"].t
-    low, high = spread.value - 2 * spread.deviation, spread.value + 2 * spread.deviation
+    low, high = spread.value - spread.half_width(), spread.value + spread.half_width()
     left.fill_between(t, low, high, color="C1", alpha=0.3, label="learned, ± 2 sd")
     left.set(xlabel="t / t0", ylabel="u / U in the middle")
     right.set(xlabel=f"u / U at t = {t[-1]:g}", ylabel="y / L")

@@ -7,9 +7,9 @@ from warp_peri import InputError
 from warp_peri.flow.closure import Closure, homogeneous
 from warp_peri.flow.closure_error import corrected_run, missing_stress
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.gaussian_process import fit_process
+from warp_peri.flow.gaussian_process import _unlikelihood, curvature_of, fit_process
 from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell
-from warp_peri.flow.paths import band, draw
+from warp_peri.flow.paths import Band, band, draw, varied
 from warp_peri.flow.planar import shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
 from warp_peri.flow.protocols import held, simulate
@@ -27,6 +27,38 @@ def test_drawn_functions_have_the_mean_and_spread_of_the_process(kernel):
     sd = process.deviation(new)
     assert np.abs(drawn.mean(0) - process(new)).max() < 5 * sd.max() / np.sqrt(300)
     assert np.allclose(drawn.std(0), sd, rtol=0.25, atol=0.02)
+
+
+def test_hyperparameters_are_drawn_as_sharply_as_the_data_say():
+    random = np.random.default_rng(0)
+    X = random.uniform(-1, 1, (40, 2))
+    y = np.sin(3 * X[:, 0]) + X[:, 1] + 0.1 * random.standard_normal(40)
+    process = fit_process(X, y, noise=np.full(40, 0.01))
+    theta, curvature = curvature_of(process)
+    Z, f = (X - process.centre) / process.scale, (y - process.mean) / process.size
+    rest = [process.log_pairs, 0.0]
+    noise = process.noise / process.size**2
+    value = lambda t: _unlikelihood(np.append(t, rest), Z, f, "product", noise)[0]
+    step = 1e-2 * np.eye(3)
+    second = [
+        [
+            value(theta + a + b)
+            - value(theta + a - b)
+            - value(theta - a + b)
+            + value(theta - a - b)
+            for a in step
+        ]
+        for b in step
+    ]
+    assert np.allclose(curvature - np.eye(3), np.array(second) / 4e-4, rtol=0.02, atol=0.02)
+    drawn = varied(process, 400, random)
+    sample = np.cov([[p.log_amplitude, *p.log_lengths] for p in drawn], rowvar=False)
+    assert np.allclose(sample, np.linalg.inv(curvature), atol=0.25 * np.linalg.inv(curvature).max())
+
+
+def test_few_drawn_laws_make_a_wider_band():
+    widths = [Band(np.zeros(1), np.ones((n, 1))).half_width()[0] for n in (4, 16, 1000)]
+    assert widths[0] > widths[1] > widths[2] == pytest.approx(2.0, rel=0.01)
 
 
 def test_a_process_with_products_two_by_two_is_not_drawn():

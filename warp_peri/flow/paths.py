@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
+from scipy import stats
 
 from warp_peri.errors import InputError
-from warp_peri.flow.gaussian_process import GaussianProcess
+from warp_peri.flow.gaussian_process import LENGTHS, GaussianProcess, curvature_of
 from warp_peri.flow.rate_law import RateLaw
 
 COSINES = 512
@@ -74,12 +75,29 @@ def draw(process: GaussianProcess, random: np.random.Generator) -> PathProcess:
     return replace(path, pull=sl.cho_solve((process.factor, True), wanted))
 
 
-def drawn_law(law: Any, random: np.random.Generator) -> Any:
-    """A learned law whose processes are drawn; tables are not used."""
+def varied(process: GaussianProcess, count: int, random: np.random.Generator) -> list[Any]:
+    """Processes of the same data with hyperparameters drawn about the likeliest (F38)."""
+    theta, curvature = curvature_of(process)
+    L = np.linalg.inv(np.linalg.cholesky(curvature)).T
+    drawn = theta + random.standard_normal((count, len(theta))) @ L.T
+    d = len(process.log_lengths)
+    return [
+        replace(
+            process,
+            log_amplitude=float(t[0]),
+            log_lengths=np.clip(t[1 : 1 + d], *LENGTHS),
+        )
+        for t in drawn
+    ]
+
+
+def drawn_laws(law: Any, count: int, random: np.random.Generator) -> list[Any]:
+    """Learned laws whose processes are drawn, hyperparameters first; tables are not used."""
+    processes = law.processes if isinstance(law, RateLaw) else [law.process]
+    functions = [[draw(p, random) for p in varied(process, count, random)] for process in processes]
     if isinstance(law, RateLaw):
-        processes = tuple(draw(process, random) for process in law.processes)
-        return RateLaw(processes, law.kinematics, law.outside)  # type: ignore[arg-type]
-    return replace(law, process=draw(law.process, random))
+        return [RateLaw((f, g, h), law.kinematics, law.outside) for f, g, h in zip(*functions)]
+    return [replace(law, process=function) for function in functions[0]]
 
 
 @dataclass(frozen=True)
@@ -94,10 +112,19 @@ class Band:
         """Standard deviation of the drawn fields about the value."""
         return np.asarray(np.sqrt(np.mean((self.drawn - self.value) ** 2, axis=0)))
 
+    def half_width(self, times: float = 2.0) -> np.ndarray:
+        """Of the band that holds as much as `times` deviations of a normal number do.
+
+        A deviation that comes of few drawn laws is itself uncertain: Student's factor.
+        """
+        probability = 2 * stats.norm.cdf(times) - 1
+        factor = stats.t.ppf((1 + probability) / 2, len(self.drawn))
+        return np.asarray(factor * self.deviation)
+
     def covers(self, truth: np.ndarray, times: float = 2.0) -> float:
         """Fraction of places, of those that moved at all, where the truth is inside the band."""
         moved = self.deviation > 1e-6 * np.abs(self.value).max()
-        inside = np.abs(truth - self.value) < times * self.deviation
+        inside = np.abs(truth - self.value) < self.half_width(times)
         return float(inside[moved].mean())
 
 
@@ -111,4 +138,4 @@ def band(law: Any, run: Callable[[Any], np.ndarray], count: int = 8, seed: int =
         seed: of the draws.
     """
     random = np.random.default_rng(seed)
-    return Band(run(law), np.array([run(drawn_law(law, random)) for _ in range(count)]))
+    return Band(run(law), np.array([run(drawn) for drawn in drawn_laws(law, count, random)]))
