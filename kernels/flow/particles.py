@@ -57,16 +57,24 @@ def gather(
 
 
 @wp.kernel(enable_backward=False)
-def with_pressure(
+def total_stress(
     sigma: wp.array(dtype=wp.vec4d),
+    kappa: wp.array(dtype=wp.vec4d),
     rho: wp.array(dtype=wp.float64),
     sound2: wp.float64,
+    solvent: wp.float64,
     stress: wp.array(dtype=wp.vec4d),
 ):
-    """The polymer's stress in the plane, and beside it Cs² (ρ − 1) (F27)."""
+    """The polymer's stress in the plane with the solvent's (F10), and beside it Cs² (ρ − 1)."""
     i = wp.tid()
     s = sigma[i]
-    stress[i] = wp.vec4d(s[0], s[1], s[2], sound2 * (rho[i] - wp.float64(1.0)))
+    k = kappa[i]
+    stress[i] = wp.vec4d(
+        s[0] + wp.float64(2.0) * solvent * k[0],
+        s[1] + solvent * (k[1] + k[2]),
+        s[2] + wp.float64(2.0) * solvent * k[3],
+        sound2 * (rho[i] - wp.float64(1.0)),
+    )
 
 
 @wp.kernel(enable_backward=False)

@@ -69,6 +69,37 @@ def test_runs_resume_with_the_same_bits_and_go_to_paraview(tmp_path):
         run_channel(flow, fluid(), 0.02, 5e-5, checkpoint=file)
 
 
+def test_a_run_that_fails_leaves_its_last_record(tmp_path):
+    class Breaking(Closure):
+        def advance(self, kappa, dt):
+            if self.steps == 25:
+                raise InputError("broken")
+            return super().advance(kappa, dt)
+
+    flow, file = ChannelFlow(1e-2, across=20, smoothing=1.2), tmp_path / "run.npz"
+    n = Particles(flow).fluid
+    fluid = Breaking(UpperConvectedMaxwell(), 1e-2, n)
+    with pytest.raises(InputError, match="broken"):
+        run_channel(flow, fluid, 5e-3, 1e-4, every=2, checkpoint=file)
+    kept = np.load(file)
+    assert kept["done"] == 24
+    fluid = Closure(UpperConvectedMaxwell(), 1e-2, n)
+    resumed = run_channel(flow, fluid, 5e-3, 1e-4, every=2, checkpoint=file)
+    fluid = Closure(UpperConvectedMaxwell(), 1e-2, n)
+    assert np.array_equal(resumed.v, run_channel(flow, fluid, 5e-3, 1e-4, every=2).v)
+    resumed.save_csv(tmp_path / "u.csv", bins=20)
+    table = np.loadtxt(tmp_path / "u.csv", delimiter=",")
+    assert np.allclose(table[-1, 1:], resumed.v[-1, :, 0].reshape(20, -1).mean(axis=1))
+
+
+def test_a_solvent_adds_its_viscosity():
+    flow = ChannelFlow(1e-3, across=20, smoothing=1.2, solvent=1.0)
+    record = run(flow, 0.006)
+    y = record.x[-1, :, 1]
+    steady = flow.force / 4 * y * (1 - y)  # half of that without it
+    assert np.linalg.norm(record.v[-1, :, 0] - steady) < 0.03 * np.linalg.norm(steady)
+
+
 def test_dumbbells_in_every_particle():
     flow = ChannelFlow(1e-2, across=16, smoothing=1.2, length=0.6)
     n = Particles(flow).fluid

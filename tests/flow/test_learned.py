@@ -64,6 +64,8 @@ def test_increments_belong_to_the_start_of_their_window(shears):
         if name == "start":
             rest = pairs.rate[:, 1] - A @ [1, -1]
             assert rest.std() == pytest.approx(np.sqrt(pairs.noise[:, 1].mean()), rel=0.05)
+    with pytest.raises(InputError, match="dumbbells would do"):
+        start_pairs(shears, 2, largest=0.01)
     assert slopes["start"] == pytest.approx(-1, abs=0.2)
     assert slopes["mean"] > -0.6  # biased by what both have in common
 

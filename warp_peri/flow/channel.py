@@ -39,6 +39,7 @@ class ChannelFlow:
         across: particles from wall to wall.
         length: of the period along x, in widths.
         smoothing: length of the bell, in spacings.
+        solvent: its viscosity β over that of the polymer (Oldroyd-B and the like).
 
     Raises InputError for numbers that are not positive, fewer than 10 particles across, or a period
     shorter than twice the reach.
@@ -51,10 +52,12 @@ class ChannelFlow:
     across: int = 30
     length: float = 0.6
     smoothing: float = 1.5
+    solvent: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = (self.De, self.Re, self.sound, self.length, self.smoothing)
-        if not (all(math.isfinite(n) and n > 0 for n in numbers) and self.across >= 10):
+        positive = all(math.isfinite(n) and n > 0 for n in numbers) and self.solvent >= 0
+        if not (positive and self.across >= 10):
             raise InputError(
                 f"channel: expected numbers above 0 and 10 particles across, got {self}"
             )
@@ -69,9 +72,10 @@ class ChannelFlow:
 
     @property
     def longest_step(self) -> float:
-        """Δt beyond which sound and shear waves outrun a spacing."""
+        """Δt beyond which sound, shear waves or the solvent's diffusion outrun a spacing."""
         wave = self.sound**2 / self.Re + 2 / (self.De * self.Re)
-        return self.spacing / math.sqrt(wave)
+        diffusion = 4 * self.solvent / (self.Re * self.spacing**2)
+        return 1 / (math.sqrt(wave) / self.spacing + diffusion)
 
 
 class Particles:
@@ -176,17 +180,13 @@ class Particles:
         near, bonds = [self._row, self._neighbour], [self._bond, self._inverse]
         fields = [*near, self._x, self._v, shape, self._mass]
         pushed = [*near, *bonds, self._stress, shape, self._mass, numbers]
+        parts = [self._sigma, self._kappa, self._rho, flow.sound**2, flow.solvent]
         mirrored, behind = [*images, self._x, flow.force], len(self._parent)
         self._sweeps = {
             "places": recorded(kernels.place_images, behind, images, [self._x]),
             "images": recorded(kernels.image_fields, behind, mirrored, [self._v, self._stress]),
             "gather": recorded(kernels.gather, fluid, fields, [*bonds, self._kappa, self._rho]),
-            "pressure": recorded(
-                kernels.with_pressure,
-                fluid,
-                [self._sigma, self._rho, flow.sound**2],
-                [self._stress],
-            ),
+            "pressure": recorded(kernels.total_stress, fluid, parts, [self._stress]),
             "push": recorded(kernels.acceleration, fluid, pushed, [self._a]),
         }
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import whole_file
+from warp_peri.files.whole import whole_file, write_text
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.closure import Stress
 
@@ -40,6 +40,21 @@ class ChannelRecord:
         gap = np.abs(self.x[:, :, 1] - 0.5)
         near = gap < gap.min(axis=1, keepdims=True) + 1e-3
         return np.asarray((self.v[:, :, 0] * near).sum(axis=1) / near.sum(axis=1))
+
+    def profile(self, bins: int) -> tuple[np.ndarray, np.ndarray]:
+        """Heights of equal bins [bins], and the mean u of the particles in them [T, bins]."""
+        heights = (np.arange(bins) + 0.5) / bins
+        place = np.clip((self.x[:, :, 1] * bins).astype(int), 0, bins - 1)
+        count = [np.bincount(row, minlength=bins) for row in place]
+        total = [np.bincount(row, v[:, 0], bins) for row, v in zip(place, self.v)]
+        return heights, np.array(total) / np.maximum(count, 1)
+
+    def save_csv(self, path: str | os.PathLike[str], bins: int = 30) -> None:
+        """A line a time: t, then the mean u in bins from wall to wall."""
+        heights, u = self.profile(bins)
+        head = "# time in t0 = L/U; u in U at y = " + ",".join(f"{y:.6g}" for y in heights)
+        rows = [",".join(f"{x:.12g}" for x in (t, *now)) for t, now in zip(self.t, u)]
+        write_text(path, "\n".join([head, *rows]) + "\n")
 
     def save_vtu(self, folder: str | os.PathLike[str]) -> list[Path]:
         """One file a time, flow_0000.vtu and so on. Raises InputError without meshio."""
@@ -77,8 +92,8 @@ def run_channel(
         until: time at the end [t0].
         dt: time step [t0].
         every: steps between two records.
-        checkpoint: file written at every tenth record, and when a run fails; a run that finds its
-            own goes on from it.
+        checkpoint: file written at every tenth record, and with the last record when a run fails; a
+            run that finds its own goes on from it.
         progress: whether to show a bar.
 
     Raises InputError for a time step beyond `flow.longest_step`, a checkpoint of another run, and
@@ -93,22 +108,30 @@ def run_channel(
     if checkpoint is not None and Path(checkpoint).exists():
         first, kept = _resume(checkpoint, key, particles, stress)
 
-    def keep(done: int) -> None:
-        if checkpoint is not None:
-            content = {name: np.array(rows) for name, rows in kept.items()}
-            content |= {f"particles_{k}": v for k, v in particles.state().items()}
-            content |= {"stress": stress.state(), "done": np.array(done), "key": np.array(key)}
-            _write(checkpoint, content)
+    def state(done: int) -> dict[str, Any]:
+        content = {name: np.array(rows) for name, rows in kept.items()}
+        content |= {f"particles_{k}": v for k, v in particles.state().items()}
+        return content | {"stress": stress.state(), "done": np.array(done), "key": np.array(key)}
 
+    good = state(first) if checkpoint is not None else {}
     bar = tqdm(range(first, steps), disable=not progress, desc="channel", initial=first)
-    for n in bar:
-        particles.step(stress, dt)
-        if (n + 1) % every == 0:
+    try:
+        for n in bar:
+            particles.step(stress, dt)
+            if (n + 1) % every:
+                continue
             row = (particles.t, particles.x, particles.v, particles.sigma, particles.rho)
             for name, value in zip(kept, row):
                 kept[name].append(np.array(value))
+            if checkpoint is None:
+                continue
+            good = state(n + 1)
             if (n + 1) % (10 * every) == 0 or n + 1 == steps:
-                keep(n + 1)
+                _write(checkpoint, good)
+    except InputError:
+        if checkpoint is not None:
+            _write(checkpoint, good)
+        raise
     return ChannelRecord(*(np.array(rows) for rows in kept.values()))
 
 

@@ -59,10 +59,16 @@ class Pairs:
         )  # fmt: skip
 
 
-def start_pairs(record: Record, window: int) -> Pairs:
+def start_pairs(record: Record, window: int, *, largest: float | None = None) -> Pairs:
     """Increments over `window` intervals, one after another, each with the stress at its start.
 
-    Only windows under one gradient count. Raises InputError for a window longer than the record.
+    Args:
+        record: of dumbbells; only windows under one gradient count.
+        window: intervals.
+        largest: standard deviation of the rate of s_xy that is asked for, in the mean over pairs.
+
+    Raises InputError for a window longer than the record, or too few dumbbells for the noise asked,
+    with the number that would do.
     """
     first, K, s, rate = _windows(record, window)
     A = np.maximum(s[first] + IDENTITY, 1e-3)
@@ -70,6 +76,13 @@ def start_pairs(record: Record, window: int) -> Pairs:
     xx, yy, zz = A[..., 0], A[..., 2], A[..., 3]
     count = record.count if record.count else np.inf
     noise = np.stack([4 * xx, xx + yy, 4 * yy, 4 * zz], axis=-1) / (count * time)
+    deviation = float(np.sqrt(noise[..., 1].mean()))
+    if largest is not None and deviation > largest:
+        wanted = int(np.ceil(record.count * (deviation / largest) ** 2))
+        raise InputError(
+            f"noise: expected a deviation of at most {largest:.3g}, got {deviation:.3g} with "
+            f"{record.count} dumbbells and windows of {time:g}; {wanted} dumbbells would do"
+        )
     parts = [part.reshape(-1, 4) for part in (K, s[first], rate, noise)]
     return Pairs(parts[0], parts[1], parts[2], parts[3], time)
 
