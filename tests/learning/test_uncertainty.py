@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from warp_peri.learning.output_error import as_model, output_optimum
 from warp_peri.learning.response import WaveResponse
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.losses.full import sample_weights
+from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import reduce
 from warp_peri.operator.symbol import moduli, stiffnesses
 from warp_peri.points.families import bond_classes
@@ -170,16 +172,81 @@ def test_what_it_cannot_do_is_refused():
         )
 
 
-def by_residual(data, zeta=0.01):
-    """The fit by the residual alone, without the stages and proofs around it."""
+def by_residual(data, noise=None, zeta=0.01, horizon=HORIZON, name="positive"):
+    """The fit by the residual, corrected where noise is given, without the stages and proofs."""
     (weight,) = sample_weights([data], normalise=True)
-    asked = [LatticeConditions(CLASSES, Conditions(zeta=zeta))]
-    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    asked = [LatticeConditions(bond_classes(1.0, horizon), Conditions(zeta=zeta))]
+    true = kernel(name, horizon, lam=-0.1, mu=0.7)
     start = Parameters(true.lam, true.mu, true.alpha, true.D)
-    optimum = constrained_optimum([reduce(data, HORIZON, weight)], start, asked)
+    loss = reduce(data, horizon, weight)
+    if noise is not None:
+        loss = corrected(loss, noise_loss(noise, data, horizon, weight))
+    optimum = constrained_optimum([loss], start, asked)
     settings = Settings(asked, normalise=True, two_functions=False, moduli=None)
-    model = as_model(optimum.parameters, HORIZON)
-    return Fit(model, [], [], [], {}, LossChoice("residual", ""), settings)
+    model = as_model(optimum.parameters, horizon)
+    choice = LossChoice("residual" if noise is None else "corrected", "")
+    return Fit(model, [], [], [], {}, choice, settings)
+
+
+def coverage(size, replicates, quantities=constants, horizon=HORIZON, name="positive", **extent):
+    """How often 90 % bands of the corrected loss hold the truth, and their width over the scatter.
+
+    Shapes [Q].
+    """
+    true = kernel(name, horizon, lam=-0.1, mu=0.7)
+    clean = waves(true, **extent)
+    values, deviations = [], []
+    for replicate in range(replicates):
+        data = noisy(clean, size, seed=2 * replicate)
+        noise = fluctuation(clean, 12, size, seed=2 * replicate + 1)
+        result = by_residual(data, noise, horizon=horizon, name=name)
+        values.append(quantities(result.model))
+        deviations.append(fit_uncertainty(result, data, noise).deviation(quantities))
+    off = np.abs(np.array(values) - quantities(true))
+    width = np.sqrt(np.mean(np.square(deviations), axis=0)) / np.std(values, axis=0)
+    return (off <= 1.6449 * np.array(deviations)).mean(axis=0), width
+
+
+def test_bands_of_the_corrected_loss_hold_the_truth_as_often_as_they_say():
+    held, width = coverage(2e-4, 60, cells=4, highest=3)
+    assert held.min() >= 0.80, held
+    assert held.max() <= 0.97, held
+    assert 0.8 < width.min() < width.max() < 1.5, width
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-4, 3e-4, 5e-4])
+def test_so_they_do_up_to_the_noise_that_is_warned_about(size):
+    held, _ = coverage(size, 200, cells=4, highest=3)
+    assert held.min() >= 0.80, held
+    assert held.max() <= 0.97, held
+
+
+@pytest.mark.slow
+def test_a_direction_that_hardly_matters_does_not_widen_the_bands_of_constants():
+    """α beside five coefficients: one deviation along it is far outside what is linear."""
+
+    def moduli_of(model):
+        return np.array([model.lam, model.mu, model.E])
+
+    held, width = coverage(
+        5e-5, 100, moduli_of, horizon=4.0, name="sign-changing", cells=6, highest=4
+    )
+    assert held.min() >= 0.80, held
+    assert held.max() <= 0.97, held
+    assert width.max() < 1.5, width
+
+
+@pytest.mark.parametrize(("size", "warned"), [(2e-4, False), (1e-3, True)])
+def test_noise_that_hides_the_curvature_is_warned_about(size, warned):
+    true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
+    clean = waves(true, cells=4, highest=3)
+    data, noise = noisy(clean, size, seed=0), fluctuation(clean, 12, size, seed=1)
+    result = by_residual(data, noise)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        fit_uncertainty(result, data, noise)
+    assert any("curvature of the loss" in str(warning.message) for warning in caught) == warned
 
 
 def test_bands_that_noise_pulls_off_the_truth_are_warned_about():

@@ -80,10 +80,27 @@ def test_the_corrected_form_never_turns_negative(model, clean):
     R = noise_loss(fluctuation(clean, 3, 2 * SIZE, seed=2), clean, HORIZON, weight)
     assert np.linalg.eigvalsh(loss.R.T @ loss.R - R.T @ R).min() < 0
     less = corrected(loss, R)
-    # Never more than before, either.
-    before = np.linalg.eigvalsh(loss.R.T @ loss.R - less.R.T @ less.R)
-    assert before.min() > -1e-10 * before.max()
-    assert 0 <= square(less, model) <= square(loss, model)
+    before = np.linalg.eigvalsh((loss.R.T @ loss.R - less.R.T @ less.R)[:-1, :-1])
+    assert before.min() > -1e-10 * before.max()  # of what the model does, never more than before
+    assert np.isfinite(less.R).all()
+
+
+def test_the_corrected_form_has_the_minimum_of_the_difference(clean):
+    """At the minimum noise is all that is left, so that the difference itself is below zero."""
+    random = np.random.default_rng(1)
+    loss = reduce(clean, HORIZON, np.ones(len(clean)))
+    width = loss.R.shape[1] - 1
+    F, c = random.normal(size=(3 * width, width)), random.normal(size=width)
+    data = np.column_stack([F, 0.1 * random.normal(size=3 * width) - F @ c])
+    loss = dataclasses.replace(loss, R=np.linalg.qr(data, mode="r"))
+    R = np.zeros_like(loss.R)
+    R[:, :-1] = random.normal(size=(width + 1, width)) / 2
+    difference = loss.R.T @ loss.R - R.T @ R
+    inside, load = difference[:-1, :-1], difference[:-1, -1]
+    assert np.linalg.eigvalsh(inside).min() > 0 > np.linalg.eigvalsh(difference).min()
+    less = corrected(loss, R).R
+    lowest = np.linalg.lstsq(less[:, :-1], -less[:, -1], rcond=None)[0]
+    np.testing.assert_allclose(inside @ lowest, -load, atol=1e-9 * np.abs(load).max())
 
 
 def misfit(model, points):

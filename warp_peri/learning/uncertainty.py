@@ -37,8 +37,12 @@ SAME = 1e-3
 """Conditions at neighbouring wave vectors whose gradients differ by less than this are one."""
 SMALLER = (1.0, 0.25, 0.05, 0.01, 1e-3, 1e-5)
 """Parts of a standard deviation that are tried, one after the other."""
+BENT = 0.5
+"""Second difference of the residual along a step, relative to the first, that is too large."""
 PULLED = 0.3
 """Bias in standard deviations that is warned about; a 90 % band then covers 87 %."""
+HIDDEN = 0.3
+"""Uncertainty of the loss's curvature by noise, relative to it, that is warned about."""
 DETERMINED = 1e-9
 """Directions in which the data bend the loss less than this of the most do not count."""
 
@@ -78,9 +82,10 @@ def fit_uncertainty(
     """What noise makes of a fit.
 
     Samples of one `seed` (an array of the set) carry the same noise; without it each carries its
-    own. Bands hold noise alone, no error of the model. Those of the output-error loss are
-    calibrated, those of "corrected" are rough (docs/noise.md). Noise pulls the "residual" loss to
-    one side, by more than its bands are wide unless there is next to none: a warning says how far.
+    own. Bands hold noise alone, no error of the model. Those of "output" and "corrected" are
+    calibrated (docs/noise.md); where noise hides the curvature of the corrected loss itself, they
+    are too narrow, and a warning says so. Noise pulls the "residual" loss to one side, by more than
+    its bands are wide unless there is next to none: a warning says how far.
 
     Args:
         found: the fit, by any loss except "output" on loads that are not single waves.
@@ -101,20 +106,23 @@ def fit_uncertainty(
     coordinates = coordinates_of(lattices, optimum, two_functions=settings.two_functions)
     problem = Problem(losses, settings.conditions, coordinates, settings.moduli)
     y = coordinates.start(optimum)
-    pushes = []
+    pushes, bends = [], []
     slopes = problem.product_slopes(coordinates.point(y))
     for samples, unloaded, weight, slope in zip(sets, fields, weights, slopes):
         if found.loss.name == "output":
             pushes.append(_response_pushes(model, samples, unloaded, slope))
         else:
-            pushes.append(
-                _residual_pushes(model, samples, unloaded, weight, slope, found.loss.name)
-            )
-    follow = _compliance(problem, y)
+            sweep = _swept(model, samples, unloaded, weight, slope)
+            pushes.append(_residual_pushes(sweep, estimated=found.loss.name == "corrected"))
+            bends.append(_curvatures(sweep))
+    step = _steps(problem, y)
+    follow = step @ step.T
     axes, deviation, _ = np.linalg.svd(follow @ np.concatenate(pushes, axis=1))
     if found.loss.name == "residual":
         pull = sum(_pull(model, *each) for each in zip(sets, fields, weights, slopes))
         _warn_of_bias(axes.T @ (follow @ pull), deviation)
+    if found.loss.name == "corrected":
+        _warn_of_curvature(step.T @ np.concatenate(bends) @ step)
 
     def beside(step: np.ndarray) -> tuple[Model, Model, float]:
         for off in SMALLER:
@@ -125,21 +133,30 @@ def fit_uncertainty(
                 )
             except InputError:  # μ or λ + μ is not above zero there
                 continue
-            return above, below, off
+            if off == SMALLER[-1] or _is_straight(problem, y, off * step):
+                return above, below, off
         raise InputError("noise: it is so strong that nothing can be said of this fit")
 
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
     return Uncertainty([beside(step) for step in steps])
 
 
-def _compliance(problem: Problem, y: np.ndarray) -> np.ndarray:
-    """How far the optimum moves against a gradient, −dy by gradient, shape [Y, Y]."""
+def _steps(problem: Problem, y: np.ndarray) -> np.ndarray:
+    """X with X Xᵗ how far the optimum moves against a gradient, −dy by gradient, shape [Y, T]."""
     free = _tangent(problem, y)
     size, right = np.linalg.svd(problem.slopes(y, problem.coordinates.point(y)) @ free)[1:]
     kept = size > DETERMINED * size[0]
-    follow = free @ (right[: len(size)][kept].T / (2 * size[kept] ** 2))
-    moved: np.ndarray = follow @ right[: len(size)][kept] @ free.T
-    return moved
+    steps: np.ndarray = free @ (right[: len(size)][kept].T / (np.sqrt(2) * size[kept]))
+    return steps
+
+
+def _is_straight(problem: Problem, y: np.ndarray, step: np.ndarray) -> bool:
+    """Whether the residual changes along a step as its derivative says, about."""
+    above, here, below = (
+        problem.values(moved, problem.coordinates.point(moved)) for moved in (y + step, y, y - step)
+    )
+    bend = np.linalg.norm(above + below - 2 * here)
+    return bool(bend <= BENT * np.linalg.norm(above - below))
 
 
 def _pull(
@@ -189,18 +206,33 @@ def _response_pushes(
     return _by_seed(points, each)
 
 
-def _residual_pushes(
-    model: Model,
-    points: Samples,
-    noise: Samples,
-    weight: np.ndarray,
-    slope: np.ndarray,
-    loss: str,
-) -> np.ndarray:
-    """Gradients of a residual loss by noise: columns whose outer products add up to Cov.
+@dataclass(frozen=True)
+class _Sweep:
+    """A set and its noise through the operator, and through its derivative to the coordinates.
 
-    With "corrected" they hold also what the estimate of the noise is unsure of.
+    Attributes:
+        seeds, weight: of the samples, shape [S].
+        left, own: residuals of the samples, [S, n], and their derivatives, [S, n, Y].
+        force, bend: L e of the noise, [E, n], and its derivative, [E, n, Y].
     """
+
+    seeds: np.ndarray
+    weight: np.ndarray
+    left: np.ndarray
+    own: np.ndarray
+    force: np.ndarray
+    bend: np.ndarray
+
+    @property
+    def joint(self) -> float:
+        """Σ of squared weights of seeds: samples of one seed share their noise."""
+        groups = (self.weight[self.seeds == seed].sum() for seed in np.unique(self.seeds))
+        return float(sum(size**2 for size in groups))
+
+
+def _swept(
+    model: Model, points: Samples, noise: Samples, weight: np.ndarray, slope: np.ndarray
+) -> _Sweep:
     features = Features(points, model.horizon)
     c = products(model, features.classes)[:-1]
 
@@ -209,17 +241,79 @@ def _residual_pushes(
         return rows @ c, rows @ slope[:-1]
 
     force, bend = (np.stack(part) for part in zip(*(swept(u) for u in noise.u)))
-    each = []
-    for u, b, size in zip(points.u, points.loads, weight):
-        own, own_bend = swept(u)
-        residual = own - b[points.interior].ravel()
-        each.append(2 * size * (own_bend.T @ force.T + np.einsum("eny,n->ye", bend, residual)))
-    columns = _by_seed(points, np.stack(each))
-    if loss == "residual":
+    own, own_bend = (np.stack(part) for part in zip(*(swept(u) for u in points.u)))
+    left = own - points.loads[:, points.interior].reshape(len(points), -1)
+    seeds = np.asarray(points.arrays.get("seed", np.arange(len(points))))
+    return _Sweep(seeds, weight, left, own_bend, force, bend)
+
+
+def _residual_pushes(sweep: _Sweep, *, estimated: bool) -> np.ndarray:
+    """Gradients of a residual loss by noise: columns whose outer products add up to Cov.
+
+    With `estimated` they hold also what the estimate of the noise is unsure of.
+    """
+    columns = np.concatenate(
+        [
+            sum(
+                2 * sweep.weight[s] * (sweep.own[s].T @ sweep.force.T + bent)
+                for s in np.flatnonzero(sweep.seeds == seed)
+                for bent in [np.einsum("eny,n->ye", sweep.bend, sweep.left[s])]
+            )
+            for seed in np.unique(sweep.seeds)
+        ],
+        axis=1,
+    ) / np.sqrt(len(sweep.force))
+    columns = _squares_once(columns, sweep)
+    if not estimated:
         return columns
-    added = 2 * weight.sum() * np.einsum("eny,en->ye", bend, force)
+    added = 2 * sweep.weight.sum() * np.einsum("eny,en->ye", sweep.bend, sweep.force)
     spread = added - added.mean(axis=1, keepdims=True)
-    return np.concatenate([columns, spread / np.sqrt(len(noise) * (len(noise) - 1))], axis=1)
+    number = len(sweep.force)
+    return np.concatenate([columns, spread / np.sqrt(number * (number - 1))], axis=1)
+
+
+def _squares_once(columns: np.ndarray, sweep: _Sweep) -> np.ndarray:
+    """The columns with squares of noise counted once (theory.md, 39).
+
+    A field put on a sample meets the noise that is there already: 2 eᵗM e′ has twice the variance
+    of eᵗM e, which the sample itself has. Pairs of fields say how much of Cov that is.
+    """
+    number = len(sweep.force)
+    pairs = np.einsum("eny,fn->efy", sweep.bend, sweep.force)
+    pairs = 2 * (pairs + pairs.transpose(1, 0, 2))[~np.eye(number, dtype=bool)]
+    scale = np.linalg.norm(columns, axis=1, keepdims=True)
+    scale[scale == 0] = 1
+    axes, size, _ = np.linalg.svd(columns / scale, full_matrices=False)
+    kept = size > np.sqrt(np.finfo(float).eps) * size[0]
+    axes, size = axes[:, kept], size[kept]
+    whitened = (pairs / scale.T) @ axes / size * np.sqrt(sweep.joint / len(pairs))
+    part, turn = np.linalg.svd(whitened)[1:]
+    half = np.ones(len(size))
+    half[: len(part)] -= np.minimum(part**2, 1) / 2
+    once: np.ndarray = scale * (axes * size) @ turn.T * np.sqrt(half)
+    return once
+
+
+def _curvatures(sweep: _Sweep) -> np.ndarray:
+    """Deviations of the loss's Hessian by noise: matrices whose squares add up, [E, Y, Y]."""
+    number = len(sweep.bend)
+    each = 2 * np.einsum("eny,enz->eyz", sweep.bend, sweep.bend)
+    spread = (sweep.joint + sweep.weight.sum() ** 2 / number) / (number - 1)
+    curvatures: np.ndarray = (each - each.mean(axis=0)) * np.sqrt(spread)
+    return curvatures
+
+
+def _warn_of_curvature(relative: np.ndarray) -> None:
+    """Warn when noise makes the curvature itself uncertain, [E, T, T] in units of it."""
+    doubt = np.sqrt((np.linalg.norm(relative, 2, axis=(1, 2)) ** 2).sum())
+    if doubt > HIDDEN:
+        warnings.warn(
+            f"noise: it makes the curvature of the loss uncertain by {100 * doubt:.0f} % in some "
+            f"direction, and beyond {100 * HIDDEN:.0f} % bands are too narrow: of 90 % bands, some "
+            "held the truth less than 80 times in 100; fit with loss='output', or take more "
+            "samples",
+            stacklevel=3,
+        )
 
 
 def _by_seed(points: Samples, each: np.ndarray) -> np.ndarray:

@@ -14,6 +14,9 @@ from warp_peri.errors import InputError
 from warp_peri.losses.reduced import ReducedLoss, reduce, with_rows
 from warp_peri.points.samples import Samples
 
+KNOWN = 0.1
+"""Directions of which a larger part of the data's squares than 1 − KNOWN is noise are left out."""
+
 
 def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarray) -> np.ndarray:
     """Factor R_e of what the noise adds to a reduced loss: ‖R_e c‖² is its expectation.
@@ -36,19 +39,27 @@ def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarr
 
 
 def corrected(loss: ReducedLoss, R_noise: np.ndarray) -> ReducedLoss:
-    """The loss less what the noise adds to it, never below zero.
+    """The loss less what the noise adds to it: a square and a constant, both not below zero.
 
-    With R_e R⁻¹ = U √ν Vᵗ the difference is ‖√(1−ν) Vᵗ R c‖². Where ν > 1 all that is known is
-    noise; such directions count nothing, so that the form stays positive semidefinite. No squares
-    are subtracted, so that digits are kept.
+    Loads carry no noise, so that ‖F c + l‖² − ‖R_e c‖² is a quadratic form of the products c that
+    has the minimum of ‖√(1−ν) Vᵗ F c + (1−ν)^(−½) Uᵗ l‖² (theory.md, 37). Directions of which
+    less than KNOWN is not noise count nothing. No squares are subtracted, so that digits are kept.
     """
-    size, right = np.linalg.svd(loss.R)[1:]
-    kept = size > np.finfo(float).eps * len(size) * size[0]
-    whitened = (R_noise @ right[kept].T) / size[kept]
-    root, axes = np.linalg.svd(whitened)[1:]
+    load, width = loss.R[:, -1], loss.R.shape[1] - 1
+    left, size, right = np.linalg.svd(loss.R[:, :-1], full_matrices=False)
+    kept = size > np.finfo(float).eps * width * size[0]
+    left, size, right = left[:, kept], size[kept], right[kept]
+    root, axes = np.linalg.svd((R_noise[:, :-1] @ right.T) / size)[1:]
     share = np.zeros(len(axes))
     share[: len(root)] = root**2
-    form = np.sqrt(np.maximum(0, 1 - share))[:, None] * (axes * size[kept]) @ right[kept]
+    along = axes @ (left.T @ load)
+    known = 1 - share > KNOWN
+    gain = np.sqrt(1 - share[known])
+    form = np.zeros((len(gain) + 1, width + 1))
+    form[:-1, :-1] = gain[:, None] * (axes[known] * size) @ right
+    form[:-1, -1] = along[known] / gain
+    rest = load @ load - (form[:-1, -1] ** 2).sum()  # a constant: of no weight in the minimum
+    form[-1, -1] = np.sqrt(max(0.0, rest))
     return dataclasses.replace(loss, R=with_rows(np.zeros_like(loss.R), form))
 
 
