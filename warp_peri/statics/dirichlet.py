@@ -21,6 +21,8 @@ from warp_peri.statics.strip import Strip
 MOST_ITERATIONS = 1500
 RESTARTS = 2
 """Times that a solve goes on from where the true residual was found too large."""
+STRIP, EDGE = 2, 2
+"""Widths of the strip that is eliminated: with λ ≫ μ in reaches, beside multigrid in nodes."""
 SINGULAR = 1e-13
 """A bound of the smallest eigenvalue below this fraction of the largest is no bound."""
 
@@ -52,8 +54,8 @@ class Dirichlet:
     Args:
         domain: where the nodes lie.
         A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1], on the processor.
-        method: a name in PRECONDITIONERS; "sine" is for rectangles, "strip" eliminates the nodes
-            near the edge first.
+        method: a name in PRECONDITIONERS; "sine" is for rectangles; "strip" and "multigrid"
+            eliminate the nodes near the edge first.
 
     Raises InputError for an operator that is not proven positive definite: singular or indefinite.
     """
@@ -66,7 +68,8 @@ class Dirichlet:
         self.symbol = domain.torus.symbol(A)
         self.check_definite()
         self.filtered = PRECONDITIONERS[method](domain, A)
-        self.strip = Strip(domain, A) if method == "strip" else None
+        width = {"strip": STRIP * (A.shape[-1] // 2), "multigrid": EDGE}.get(method, 0)
+        self.strip = Strip(domain, A, width) if width else None
 
     def check_definite(self) -> None:
         """Raise InputError unless the symbol proves that L_II is positive definite."""

@@ -1,8 +1,8 @@
-"""Nodes near the edge of a domain, solved for exactly: what λ ≫ μ needs beside the filter.
+"""Nodes near the edge of a domain, solved for exactly beside the filter (docs/solves.md).
 
 Far from the edge the inverse symbol on a torus is the inverse, whatever λ is. At the edge it cuts
-a displacement off whose dilatation costs λ. So the nodes within STRIP reaches of the edge are
-eliminated by LU, and conjugate gradients run on the rest (docs/solves.md).
+off a displacement whose dilatation costs λ. So the nodes of a strip along the edge are eliminated
+by LU, and conjugate gradients run on the rest.
 """
 
 from __future__ import annotations
@@ -15,9 +15,6 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.statics.domain import Domain
 
-STRIP = 2
-"""Width of the strip in reaches of the operator."""
-
 
 class Strip:
     """z = E A_ss⁻¹ Eᵗ r on the strip s of a domain.
@@ -25,12 +22,13 @@ class Strip:
     Args:
         domain: where the nodes lie.
         A: the stencil of the model [TPa/Å²], shape [2, 2, 2R + 1, 2R + 1], on the processor.
+        width: of the strip, in nodes.
     """
 
-    def __init__(self, domain: Domain, A: torch.Tensor) -> None:
+    def __init__(self, domain: Domain, A: torch.Tensor, width: int) -> None:
         mask = domain.mask.cpu().numpy()
         depth = distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1]
-        near = mask & (depth <= STRIP * (A.shape[-1] // 2))
+        near = mask & (depth <= width)
         self.place = torch.from_numpy(np.flatnonzero(near)).to(domain.mask.device)
         # symmetric and positive definite: no pivots
         self.factors = splu(
