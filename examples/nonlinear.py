@@ -22,13 +22,17 @@ from matplotlib.figure import Figure
 
 import warp_peri
 from examples.train_graphene import DATA, make_data
-from warp_peri import Bernstein, Dataset, Optimum, Smoothing
+from warp_peri import Bernstein, Dataset, Nonlinear, Optimum, Smoothing
 from warp_peri.errors import InputError
 from warp_peri.files.whole import locked, whole_file, write_json
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
 OUT = ROOT / "runs" / "nonlinear"
-FORMS = {"energy": None, "filtered": Smoothing(), "exact": Smoothing(ridge=0.0)}
+FORMS = {
+    "energy": Nonlinear(),
+    "filtered": Nonlinear(Smoothing()),
+    "exact": Nonlinear(Smoothing(ridge=0.0)),
+}
 SETS = ("train", "val", "test", "val_4", "test_4", "val_6", "test_6")
 
 
@@ -43,8 +47,10 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     linear = warp_peri.fit(train, given.horizon, kernel, method=method, normalise=True).model
     numbers: dict[str, Any] = {"truth": truth, "horizon": given.horizon}
     numbers["linear"] = {"seconds": time.perf_counter() - begin, **errors(linear, data, larger)}
-    for name, smoothing in FORMS.items():
-        learned = warp_peri.fit_nonlinear(train, given.horizon, kernel, smoothing=smoothing)
+    for name, form in FORMS.items():
+        learned = warp_peri.fit(
+            train, given.horizon, kernel, method=method, normalise=True, nonlinear=form
+        )
         model = learned.model
         table = errors(model, data, larger)
         guarantee = model.proven.get(f"{train.spacing:g}", {})

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.fit import fit
     from warp_peri.learning.methods import Bernstein, Constrained, TwoStage
-    from warp_peri.learning.nonlinear import NonlinearFit, fit_nonlinear
+    from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit
     from warp_peri.learning.result import Fit
     from warp_peri.learning.sweep import Sweep, sweep
     from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
@@ -74,6 +74,7 @@ __all__ = [
     "Mesh",
     "Model",
     "Motion",
+    "Nonlinear",
     "NonlinearFit",
     "NonlinearModel",
     "NonlinearOperator",
@@ -99,7 +100,6 @@ __all__ = [
     "equilibrium",
     "evaluate",
     "fit",
-    "fit_nonlinear",
     "fit_uncertainty",
     "load_dataset",
     "load_mesh",
@@ -133,7 +133,7 @@ _NAMES = {
     "learning.methods": ("Bernstein", "Constrained", "TwoStage"),
     "regression.settings": ("Optimum",),
     "learning.result": ("Fit",),
-    "learning.nonlinear": ("NonlinearFit", "fit_nonlinear"),
+    "learning.nonlinear": ("Nonlinear", "NonlinearFit"),
     "learning.sweep": ("Sweep", "sweep"),
     "learning.uncertainty": ("Uncertainty", "fit_uncertainty"),
     "models.lps": ("Model", "load_model"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,7 +16,16 @@ from tools.make_graphene import graphene_bodies, point_set
 from tools.make_strained import strained, strained_file
 from tools.samples import Sample, _statics, read_sample, write_record
 from tools.statics import ConvergenceError
-from warp_peri import Bernstein, Dataset, Model, NonlinearModel, Optimum, Samples, Smoothing
+from warp_peri import (
+    Bernstein,
+    Dataset,
+    Model,
+    Nonlinear,
+    NonlinearModel,
+    Optimum,
+    Samples,
+    Smoothing,
+)
 from warp_peri.errors import InputError
 
 STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16)
@@ -27,12 +37,13 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     """E_u of a patch load against the largest bond strain."""
     sets = _patches(cache)
     train, kernel = data["train"], Bernstein(10, two_functions=True)
-    method = Optimum(moduli="isotropic")
-    energy = warp_peri.fit_nonlinear(train, 20.0, kernel).model
+    options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
+    filtered = Nonlinear(Smoothing())
+    energy = warp_peri.fit(train, 20.0, kernel, nonlinear=Nonlinear(), **options).model
     models: dict[str, Model | NonlinearModel] = {
-        "linear": warp_peri.fit(train, 20.0, kernel, method=method, normalise=True).model,
+        "linear": warp_peri.fit(train, 20.0, kernel, **options).model,
         "energy form": energy,
-        "filtered form": warp_peri.fit_nonlinear(train, 20.0, kernel, smoothing=Smoothing()).model,
+        "filtered form": warp_peri.fit(train, 20.0, kernel, nonlinear=filtered, **options).model,
     }
     errors: dict[str, list[float]] = {name: [] for name in models}
     with warnings.catch_warnings():

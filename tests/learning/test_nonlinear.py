@@ -7,7 +7,16 @@ import pytest
 
 from tests.support.nonlinear import CONSTANTS, FORMS, solid
 from tests.support.problems import lattice, smooth
-from warp_peri import Bernstein, InputError, Optimum, Samples, TwoStage, evaluate, fit_nonlinear
+from warp_peri import (
+    Bernstein,
+    InputError,
+    Nonlinear,
+    Optimum,
+    Samples,
+    TwoStage,
+    evaluate,
+    fit,
+)
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.nonlinear import NonlinearOperator
 
@@ -34,12 +43,13 @@ def learned(request):
     known = solid(request.param, HORIZON)
     known = replace(known, linear=replace(known.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
     train = samples_of(known, 0.02)
-    result = fit_nonlinear(
+    result = fit(
         train,
         HORIZON,
         Bernstein(3, two_functions=True),
-        smoothing=known.smoothing,
-        axis=known.axis,
+        method=Optimum(moduli="isotropic"),
+        normalise=True,
+        nonlinear=Nonlinear(known.smoothing, known.axis),
     )
     return known, train, result
 
@@ -62,9 +72,22 @@ def test_what_made_the_data_is_found_again(learned):
 
 def test_what_cannot_be_learned_from_is_refused(learned):
     _, train, _ = learned
-    with pytest.raises(InputError, match=r"method: expected Optimum\(…\), got TwoStage"):
-        fit_nonlinear(train, HORIZON, method=TwoStage())
+    three = Nonlinear()
+    with pytest.raises(InputError, match=r"method: expected Optimum\(…\) .* got TwoStage"):
+        fit(train, HORIZON, method=TwoStage(), nonlinear=three)
     with pytest.raises(InputError, match="kernel: expected Bernstein"):
-        fit_nonlinear(train, HORIZON, kernel=3)
+        fit(train, HORIZON, kernel=3, nonlinear=three)
+    with pytest.raises(InputError, match=r"nonlinear: expected Nonlinear\(…\)"):
+        fit(train, HORIZON, nonlinear="energy")
+    with pytest.raises(InputError, match="loss: a nonlinear solid has 'residual' only"):
+        fit(train, HORIZON, loss="output", nonlinear=three)
+    with pytest.raises(InputError, match="noise: expected none"):
+        fit(train, HORIZON, noise=train, nonlinear=three)
+    scattered = replace(train.points, spacing=0.0)
+    with pytest.raises(InputError, match=r"lattices of one spacing, got \[0.0\]"):
+        fit(Samples(scattered, train.u, train.b), HORIZON, nonlinear=three)
     with pytest.raises(InputError, match="loads are not known"):
-        fit_nonlinear(replace(train, b=None), HORIZON, method=Optimum())
+        fit(replace(train, b=None), HORIZON, nonlinear=three)
+    for wrong in ({"smoothing": 10.0}, {"axis": np.nan}):
+        with pytest.raises(InputError, match="expected (Smoothing|an angle)"):
+            Nonlinear(**wrong)

@@ -119,7 +119,8 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     """Three more numbers, and up to which strain solutions are unique."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a linear law made the data
-        fit = warp_peri.fit_nonlinear(train, HORIZON, warp_peri.Bernstein(1))
+        kernel = warp_peri.Bernstein(1, two_functions=True)
+        fit = warp_peri.fit(train, HORIZON, kernel, nonlinear=warp_peri.Nonlinear())
     model = assert_type(assert_type(fit, warp_peri.NonlinearFit).model, warp_peri.NonlinearModel)
     assert_type(warp_peri.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
     figures = assert_type(warp_peri.uniqueness(model, spacing=SPACING), warp_peri.Uniqueness)

@@ -6,6 +6,7 @@ import dataclasses
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
+from typing import overload
 
 import numpy as np
 
@@ -13,6 +14,12 @@ from warp_peri.errors import InputError, renamed
 from warp_peri.learning.checks import check_explained, warn_of_bounds
 from warp_peri.learning.loss_choice import LossChoice, choose_loss
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
+from warp_peri.learning.nonlinear import (
+    Nonlinear,
+    NonlinearFit,
+    check_nonlinear,
+    with_constants,
+)
 from warp_peri.learning.oracle import Oracle
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.result import Fit, Settings
@@ -38,6 +45,38 @@ PROBED_EXPONENT = 2.0
 """Of the one from which the share of noise is found."""
 
 
+@overload
+def fit(
+    samples: Samples | Dataset | Sequence[Samples],
+    horizon: float,
+    kernel: Kernel = ...,
+    *,
+    method: Method = ...,
+    conditions: Conditions = ...,
+    loss: str = ...,
+    noise: Samples | Sequence[Samples] | None = ...,
+    normalise: bool = ...,
+    nonlinear: None = ...,
+    progress: bool | None = ...,
+) -> Fit: ...
+
+
+@overload
+def fit(
+    samples: Samples | Dataset | Sequence[Samples],
+    horizon: float,
+    kernel: Kernel = ...,
+    *,
+    method: Method = ...,
+    conditions: Conditions = ...,
+    loss: str = ...,
+    noise: Samples | Sequence[Samples] | None = ...,
+    normalise: bool = ...,
+    nonlinear: Nonlinear,
+    progress: bool | None = ...,
+) -> NonlinearFit: ...
+
+
 @renamed(
     degree="kernel=Bernstein(degree)",
     influence="kernel",
@@ -61,8 +100,9 @@ def fit(
     loss: str = "auto",
     noise: Samples | Sequence[Samples] | None = None,
     normalise: bool = False,
+    nonlinear: Nonlinear | None = None,
     progress: bool | None = None,
-) -> Fit:
+) -> Fit | NonlinearFit:
     """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
@@ -83,14 +123,36 @@ def fit(
             "corrected" for others.
         noise: fields of noise alone on the nodes of each training set, their loads of no account.
         normalise: divide each sample by ‖b‖ in the residual.
+        nonlinear: learn third-order constants with the linear solid, by Optimum and Bernstein
+            polynomials on lattices of one spacing; a NonlinearFit is returned.
         progress: show a bar for each stage; None shows it on a terminal and in a notebook.
 
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
+    sets, quiet = listed(samples), listed(noise)
+    if nonlinear is not None:
+        check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
+    linear = _linear(sets, horizon, kernel, method, conditions, loss, quiet, normalise, progress)
+    if nonlinear is None:
+        return linear
+    return with_constants(linear, sets, _second(method), nonlinear)
+
+
+def _linear(
+    sets: list[Samples],
+    horizon: float,
+    kernel: Kernel,
+    method: Method,
+    conditions: Conditions,
+    loss: str,
+    quiet: list[Samples],
+    normalise: bool,
+    progress: bool | None,
+) -> Fit:
+    """The linear solid; arguments as for `fit`, sets and fields of noise as lists."""
     shapes = check_choices(kernel, method, conditions)
-    sets, quiet, on = listed(samples), listed(noise), _carrier(method)
-    given = sets, horizon, conditions, quiet, on
+    given = sets, horizon, conditions, quiet, _carrier(method)
     data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes)
     held, method = _second(method).moduli, scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None

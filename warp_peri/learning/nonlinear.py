@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.fit import fit
-from warp_peri.learning.methods import Bernstein
+from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.response import products
 from warp_peri.learning.result import Fit
@@ -25,9 +24,8 @@ from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
-from warp_peri.regression.settings import ISOTROPIC, Optimum
+from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
-from warp_peri.stability.conditions import Conditions
 from warp_peri.stability.uniqueness import uniqueness
 
 MOST_PASSES, SETTLED = 30, 1e-7
@@ -35,6 +33,32 @@ MOST_PASSES, SETTLED = 30, 1e-7
 no more than this, relative."""
 AGREEMENT, ROUNDING = 1e-8, 1e-10
 """Largest departures of the reduced residual from the full one: relative, and of the loads."""
+
+
+@dataclass(frozen=True)
+class Nonlinear:
+    """Third-order constants t3, tq2, q3 on the linear solid, to be learned with it.
+
+    They follow long waves: moduli held isotropic, two influence functions and normalised samples
+    are the better choice beside them. Geometric terms are held at 1.
+
+    Attributes:
+        smoothing: of the data, for the filtered form; None learns the energy form.
+        axis: angle of the crystal's zigzag direction from the x axis of the points [rad].
+
+    Raises InputError for what is no smoothing, or an angle that is not finite.
+    """
+
+    smoothing: Smoothing | None = None
+    axis: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.smoothing is None or isinstance(self.smoothing, Smoothing)):
+            raise InputError(
+                f"smoothing: expected Smoothing(…) or None, got {self.smoothing!r:.60}"
+            )
+        if not (isinstance(self.axis, (int, float, np.number)) and np.isfinite(self.axis)):
+            raise InputError(f"axis: expected an angle [rad], got {self.axis!r:.60}")
 
 
 @dataclass(frozen=True)
@@ -56,53 +80,54 @@ class NonlinearFit:
     seconds: float
 
 
-def fit_nonlinear(
-    samples: Samples | Sequence[Samples],
-    horizon: float,
-    kernel: Bernstein = Bernstein(10, two_functions=True),  # noqa: B008 (a frozen value)
-    *,
-    smoothing: Smoothing | None = None,
-    axis: float = 0.0,
-    method: Optimum = Optimum(moduli=ISOTROPIC),  # noqa: B008
-    conditions: Conditions = Conditions(),  # noqa: B008
-    normalise: bool = True,
-    progress: bool | None = None,
-) -> NonlinearFit:
-    """Learn a nonlinear solid: λ, μ, the kernels and t3, tq2, q3 from the same samples.
+def check_nonlinear(
+    nonlinear: Nonlinear,
+    sets: Sequence[Samples],
+    kernel: Kernel,
+    method: Method,
+    loss: str,
+    noise: Sequence[Samples],
+) -> None:
+    """InputError for what the nonlinear solid is not learned from or with."""
+    for name, given, kind in (
+        ("nonlinear", nonlinear, Nonlinear),
+        ("kernel", kernel, Bernstein),
+        ("method", method, Optimum),
+    ):
+        if not isinstance(given, kind):
+            raise InputError(
+                f"{name}: expected {kind.__name__}(…) for a nonlinear solid, got {given!r:.60}"
+            )
+    if loss not in ("auto", "residual"):
+        raise InputError(f"loss: a nonlinear solid has 'residual' only, got {loss!r}")
+    if noise:
+        raise InputError("noise: expected none for a nonlinear solid, whose residual it misleads")
+    spacings = sorted({points.spacing for points in sets})
+    if len(spacings) != 1 or not spacings[0] > 0:
+        raise InputError(
+            f"samples: a nonlinear solid is learned on lattices of one spacing, got {spacings}"
+        )
 
-    The linear optimum comes first; its λ and μ, and in the energy form its dilatation's weights,
-    are those of Ψ in the next, until they settle. Geometric terms are held at 1.
+
+def with_constants(
+    linear: Fit, sets: Sequence[Samples], method: Optimum, nonlinear: Nonlinear
+) -> NonlinearFit:
+    """Learn t3, tq2, q3, and λ, μ and the kernels anew beside them, from the linear optimum on.
+
+    Its λ and μ, and in the energy form its dilatation's weights, are those of Ψ in the next
+    optimum, until they settle.
 
     Args:
-        samples: training samples, one set or several on lattices of one spacing.
-        horizon: δ [Å].
-        kernel: Bernstein polynomials.
-        smoothing: of the data, for the filtered form; None learns the energy form.
-        axis: angle of the crystal's zigzag direction from the x axis of the points [rad].
-        method, conditions, normalise, progress: as for `fit`; the constants follow long waves, so
-            that moduli held isotropic and normalised samples are the better choice.
+        linear: fit of the linear solid to the residual.
+        sets: its training samples.
+        method: its search.
+        nonlinear: form and axis.
 
-    Raises InputError for input that cannot be used, RuntimeError when an optimum does not keep its
-    conditions, or the reduced loss departs from the full one.
+    Raises RuntimeError when an optimum does not keep its conditions, or the reduced loss departs
+    from the full one.
     """
-    sets = [samples] if isinstance(samples, Samples) else list(samples)
-    for name, given, kind in (("kernel", kernel, Bernstein), ("method", method, Optimum)):
-        if not isinstance(given, kind):
-            raise InputError(f"{name}: expected {kind.__name__}(…), got {given!r:.60}")
-    if len({points.spacing for points in sets}) != 1:
-        raise InputError("samples: expected training sets on lattices of one spacing")
-    linear = fit(
-        sets,
-        horizon,
-        kernel,
-        method=method,
-        conditions=conditions,
-        loss="residual",
-        normalise=normalise,
-        progress=progress,
-    )
     begin = time.perf_counter()
-    task = _Task(sets, horizon, smoothing, axis, linear, method)
+    task = _Task(linear, sets, method, nonlinear)
     model, passes = task.settle()
     model = _certified(model, sets, linear.model.versions)
     error = task.check(model)
@@ -130,19 +155,13 @@ def _certified(
 
 
 class _Task:
-    """Samples, what they are to be fitted with, and the linear fit to begin with."""
+    """The linear fit to begin with, its samples, and what they are to be fitted with."""
 
     def __init__(
-        self,
-        sets: Sequence[Samples],
-        horizon: float,
-        smoothing: Smoothing | None,
-        axis: float,
-        linear: Fit,
-        method: Optimum,
+        self, linear: Fit, sets: Sequence[Samples], method: Optimum, nonlinear: Nonlinear
     ) -> None:
-        self.method = method
-        self.sets, self.horizon, self.smoothing, self.axis = sets, horizon, smoothing, axis
+        self.sets, self.method, self.horizon = sets, method, linear.model.horizon
+        self.smoothing, self.axis = nonlinear.smoothing, nonlinear.axis
         self.settings, self.start = linear.settings, linear.history[-1].parameters
         self.classes = linear.settings.conditions[0].classes
         self.weights = sample_weights(sets, normalise=linear.settings.normalise)
