@@ -182,6 +182,7 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
         command=command,
         error_table=error_table(numbers),
         disks=disks_line(numbers),
+        beside=nonlinear_line(numbers.get("nonlinear")),
         constants=constants_table(numbers),
         moduli_text=", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items()),
         potential=potential_line(numbers["truth"]),
@@ -203,11 +204,27 @@ def error_table(numbers: dict[str, Any]) -> str:
     columns += [("E_u", role) for role in roles]
     first = f"this run, δ = {numbers['horizon']:g} Å, M = {numbers['degree']}"
     rows = [[first, *(f"{100 * numbers[error][role]:.2f}" for error, role in columns)]]
+    if beside := numbers.get("nonlinear"):
+        name = f"beside it: three more numbers, {beside['seconds']['learning']:.1f} s to learn"
+        rows.append([name, *(f"{100 * beside[error][role]:.2f}" for error, role in columns)])
     for name, printed in (PAPER if numbers["temperature"] == 0 else PAPER_300K).items():
         values = [printed[error].get(role) for error, role in columns]
         cells = ("–" if value is None else f"{value:.2f}" for value in values)
         rows.append([f"{name} (as printed)", *cells])
     return table(["", *(f"{error} {ROLES[role]}" for error, role in columns)], rows)
+
+
+def nonlinear_line(row: dict[str, Any] | None) -> str:
+    """What the nonlinear model beside the linear one is, where it was learned."""
+    if row is None:
+        return ""
+    constants = ", ".join(f"{name} = {value:.3f}" for name, value in row["constants"].items())
+    return (
+        f"\nBeside it: the nonlinear solid in the energy form, {constants} TPa on top of a linear "
+        "part with two influence functions; at most one solution has "
+        f"|H| ≤ {100 * row['proven_strain']:.1f} %. {row['seconds']['all']:.1f} s with what it "
+        "predicts (`nonlinear.json`).\n"
+    )
 
 
 def disks_line(numbers: dict[str, Any]) -> str:

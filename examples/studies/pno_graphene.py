@@ -3,8 +3,9 @@
 The peridynamic neural operator as printed (Jafarzadeh et al. 2024, 3.3–3.11: a network of the bond
 length for ω, one of ω, dilatation, extension and length for the scalar force state, rectifiers,
 relative ℓ2 error of b, Adam), and a monotone form of it: T = k(r) g(s) + k_d(r) g_d(θ) with
-g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths and minutes
-of training are options: the printed widths are 256, 512 and 512, 512.
+g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths, rates and
+samples in a step are chosen by short trainings, as the paper chooses: by the error of training and
+validation loads. The best setting is then trained anew. Leaves pno.json and pno.md.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -25,17 +27,40 @@ from tqdm import tqdm
 
 import warp_peri
 from examples.nonlinear import OUT, STRAINED
+from examples.prose import table
 from examples.studies.pno_rival import network
 from examples.train_graphene import DATA
 from warp_peri import NonlinearModel, NonlinearOperator, Samples
 from warp_peri.errors import InputError
-from warp_peri.files.whole import write_json
+from warp_peri.files.whole import write_json, write_text
 from warp_peri.points.families import families_of
 from warp_peri.statics.nonlinear import anderson, linear_solver
 
 HORIZON, STRAIN = 20.0, 0.02
 """δ [Å], and the scale of the networks' inputs."""
-BATCH, SOLVED = 7, 1e-5
+FIRST, SOLVED = 7, 1e-5
+"""Samples that the size of a network's force is set by, and the tolerance of solves."""
+
+
+class Setting(NamedTuple):
+    """Widths of the hidden layers of the two networks, Adam's rate, samples in a step."""
+
+    first: tuple[int, int]
+    second: tuple[int, int]
+    rate: float
+    batch: int
+
+
+SMALL, MIDDLE, WIDE = ((16, 16), (32, 32)), ((32, 64), (64, 64)), ((64, 64), (128, 128))
+"""Widths; those in the middle are printed for measured tissue."""
+TRIED = (
+    Setting(*MIDDLE, 1e-3, 1),
+    Setting(*MIDDLE, 3e-3, 1),
+    Setting(*MIDDLE, 3e-3, 7),
+    Setting(*MIDDLE, 1e-2, 7),
+    Setting(*SMALL, 3e-3, 1),
+    Setting(*WIDE, 1e-3, 1),
+)
 
 
 class Bonds:
@@ -129,21 +154,21 @@ def errors_of(net: torch.nn.Module, bonds: Bonds, some: torch.Tensor) -> torch.T
 
 
 def train(
-    net: Any, bonds: Bonds, val: Bonds, minutes: float, rate: float, quiet: bool
+    net: Any, bonds: Bonds, val: Bonds, setting: Setting, minutes: float, quiet: bool
 ) -> dict[str, Any]:
     """Adam with a falling rate; the weights of least training and validation error count."""
     everything, unseen = torch.arange(len(bonds.b)), torch.arange(len(val.b))
     with torch.no_grad():
-        size = bonds.force(net(bonds.e[:BATCH], bonds.r), bonds.M[:BATCH]).norm()
-        net.scale = float(bonds.b[:BATCH].norm() / size)
-    adam = torch.optim.Adam(net.parameters(), lr=rate)
+        size = bonds.force(net(bonds.e[:FIRST], bonds.r), bonds.M[:FIRST]).norm()
+        net.scale = float(bonds.b[:FIRST].norm() / size)
+    adam = torch.optim.Adam(net.parameters(), lr=setting.rate)
     began, best, epochs, kept = time.process_time(), np.inf, 0, net.state_dict()
     bar = tqdm(total=round(60 * minutes), unit="s", disable=quiet or None, leave=False)
     while (part := (time.process_time() - began) / (60 * minutes)) < 1:
         for group in adam.param_groups:
-            group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
+            group["lr"] = setting.rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
         total = 0.0
-        for some in everything[torch.randperm(len(everything))].split(BATCH):
+        for some in everything[torch.randperm(len(everything))].split(setting.batch):
             adam.zero_grad()
             loss = errors_of(net, bonds, some).mean()
             loss.backward()
@@ -159,7 +184,8 @@ def train(
         bar.set_postfix(both=f"{100 * score:.2f} %")
     net.load_state_dict(kept)
     numbers = sum(p.numel() for p in net.parameters())
-    return {"epochs": epochs, "numbers": numbers, "minutes": minutes, "rate": rate}
+    record = {"epochs": epochs, "numbers": numbers, "minutes": minutes, "score": best}
+    return record | setting._asdict()
 
 
 def solved(net: Any, bonds: Bonds, model: NonlinearModel) -> dict[str, float]:
@@ -193,29 +219,75 @@ def solved(net: Any, bonds: Bonds, model: NonlinearModel) -> dict[str, float]:
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
-    """Both networks on every set."""
-    torch.manual_seed(given.seed)
+    """Both networks: settings tried, the best one trained, its errors on every set."""
     torch.set_num_threads(1)
     data, larger = warp_peri.load_dataset(DATA), warp_peri.load_dataset(STRAINED)
     named = {name: data[name] for name in ("train", "val", "test")}
     named |= {name: larger[name] for name in larger}
     sets = {name: Bonds(samples) for name, samples in named.items()}
     model = warp_peri.load_nonlinear(given.models / "energy.json")
-    first, second = tuple(given.first), tuple(given.second)
-    tables: dict[str, Any] = {}
+    tables: dict[str, dict[str, Any]] = {}
     for name, kind in (("printed", Printed), ("monotone", Monotone)):
-        net = kind(first, second)
-        tables[name] = train(net, sets["train"], sets["val"], given.minutes, given.rate, given.json)
+        entry: dict[str, Any] = {"tried": []}
+        tables[name] = entry
+        for setting in TRIED[: given.settings]:
+            _, record = trained(kind, sets, setting, given.try_minutes, given)
+            entry["tried"].append(record)
+            write_json(given.models / "pno.json", tables)
+        scores = [record["score"] for record in entry["tried"]]
+        setting = TRIED[int(np.argmin(scores))]
+        net, record = trained(kind, sets, setting, given.minutes, given)
+        entry |= record
+        entry["E_res"] = {}
         with torch.no_grad():
-            tables[name]["E_res"] = {
-                key: float(errors_of(net, bonds, torch.arange(len(bonds.b))).mean())
-                for key, bonds in sets.items()
-            }
-        answers = {key: solved(net, bonds, model) for key, bonds in sets.items()}
-        tables[name]["E_u"] = {key: answer["E_u"] for key, answer in answers.items()}
-        tables[name]["converged"] = {key: answer["converged"] for key, answer in answers.items()}
+            for key, bonds in sets.items():
+                errors = errors_of(net, bonds, torch.arange(len(bonds.b)))
+                entry["E_res"][key] = float(errors.mean())
         write_json(given.models / "pno.json", tables)
+        answers = {key: solved(net, bonds, model) for key, bonds in sets.items()}
+        entry["E_u"] = {key: answer["E_u"] for key, answer in answers.items()}
+        entry["converged"] = {key: answer["converged"] for key, answer in answers.items()}
+        write_json(given.models / "pno.json", tables)
+    write_text(given.models / "pno.md", page(tables))
     return tables
+
+
+def trained(
+    kind: Callable[..., torch.nn.Module],
+    sets: dict[str, Bonds],
+    setting: Setting,
+    minutes: float,
+    given: argparse.Namespace,
+) -> tuple[torch.nn.Module, dict[str, Any]]:
+    """A new network of a setting, trained for so long."""
+    torch.manual_seed(given.seed)
+    net = kind(setting.first, setting.second)
+    record = train(net, sets["train"], sets["val"], setting, minutes, given.json)
+    return net, record
+
+
+def page(tables: dict[str, Any]) -> str:
+    """Errors on every set, and what was tried, as Markdown."""
+    names, text = list(tables), ""
+    heads = [f"{error} {name}" for name in names for error in ("E_res", "E_u", "solved")]
+    rows = []
+    for key in tables[names[0]]["E_res"]:
+        cells = [
+            f"{100 * tables[name][error][key]:.{digits}f}"
+            for name in names
+            for error, digits in (("E_res", 2), ("E_u", 2), ("converged", 0))
+        ]
+        rows.append([key, *cells])
+    text += table(["%", *heads], rows) + "\n"
+    heads = ["widths", "rate", "samples a step", "numbers", "epochs", "minutes", "train + val [%]"]
+    for name in names:
+        rows = []
+        for record in (*tables[name]["tried"], tables[name]):
+            widths = f"{record['first']}, {record['second']}"
+            cells = [record[key] for key in ("rate", "batch", "numbers", "epochs", "minutes")]
+            rows.append([widths, *(str(cell) for cell in cells), f"{100 * record['score']:.2f}"])
+        text += f"\n{name}:\n\n" + table(heads, rows) + "\n"
+    return text
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -223,10 +295,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--minutes", type=float, default=10.0, help="of processor time, each")
-    parser.add_argument("--first", type=int, nargs=2, default=(32, 64), help="widths of ω")
-    parser.add_argument("--second", type=int, nargs=2, default=(64, 64), help="widths of σ")
-    parser.add_argument("--rate", type=float, default=3e-3, help="of Adam")
+    parser.add_argument("--minutes", type=float, default=6.0, help="processor time of the best one")
+    parser.add_argument("--try-minutes", type=float, default=1.0, help="of each setting tried")
+    parser.add_argument("--settings", type=int, default=len(TRIED), help="how many are tried")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
@@ -239,10 +310,7 @@ def main(arguments: list[str] | None = None) -> int:
     if given.json:
         print(json.dumps(tables))
         return 0
-    for name, table in tables.items():
-        for key in ("E_res", "E_u"):
-            cells = "  ".join(f"{role} {100 * value:.2f}" for role, value in table[key].items())
-            print(f"{name}, {table['numbers']} numbers: {key} in %: {cells}")
+    print(page(tables))
     return 0
 
 

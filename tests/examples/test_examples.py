@@ -42,6 +42,10 @@ def test_main_job_on_a_small_setting(small_run):
     assert errors[2] < errors[0]
     assert np.ptp(list(numbers["starts"].values())) < 1e-6
     assert {"data", "learning", "all"} <= set(numbers["seconds"])
+    beside = json.loads((small_run / "nonlinear.json").read_text())["errors"]
+    assert beside == {key: numbers["nonlinear"][key] for key in ("E_res", "E_u")}
+    assert numbers["nonlinear"]["E_u"]["test"] < 0.9 * numbers["E_u"]["test"]
+    assert "three more numbers" in (small_run / "report.md").read_text()
 
 
 def test_defaults_reach_the_figures_of_the_readme(graphene, tmp_path):
@@ -62,14 +66,23 @@ def test_defaults_reach_the_figures_of_the_readme(graphene, tmp_path):
     measured = [percent["E_res"][r] for r in ("train", "val")]
     measured += [percent["E_u"][r] for r in ("train", "val", "test")]
     assert printed == pytest.approx(measured, abs=0.02)
+    beside = numbers["nonlinear"]
+    assert 100 * beside["E_u"]["test"] <= 0.34
+    assert 100 * beside["E_u"]["val"] <= 0.36
+    assert beside["proven_strain"] >= 0.05
+    row = re.search(r"\| three more numbers \|(.*)\|", (ROOT / "README.md").read_text())[1]
+    measured = [100 * beside["E_res"][r] for r in ("train", "val")]
+    measured += [100 * beside["E_u"][r] for r in ("train", "val", "test")]
+    assert [float(cell) for cell in row.split("|")] == pytest.approx(measured, abs=0.02)
 
 
 def test_two_stage_method_stops_before_the_optimum(graphene, tmp_path):
-    arguments = ["--horizon", "12.5", "--degree", "3", "--method", "two-stage"]
+    arguments = ["--horizon", "12.5", "--degree", "3", "--method", "two-stage", "--linear"]
     assert train_graphene.main([*arguments, "--data", str(graphene), "--out", str(tmp_path)]) == 0
     numbers = json.loads((tmp_path / "metrics.json").read_text())
     assert [stage["name"][0] for stage in numbers["stages"]] == ["1", "2"]
     assert numbers["starts"] == {}
+    assert "nonlinear" not in numbers
 
 
 def test_validate_disks(small_run, graphene, tmp_path, capsys):
