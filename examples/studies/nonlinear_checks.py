@@ -12,7 +12,7 @@ import statistics
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,14 @@ import torch
 import warp_peri
 from examples.nonlinear import OUT
 from examples.train_graphene import DATA
-from tools.make_graphene import on_nodes, read_samples
+from tools.make_graphene import (
+    REACH,
+    SMOOTHING_RADIUS,
+    graphene_bodies,
+    on_nodes,
+    read_samples,
+)
+from tools.samples import Sample
 from warp_peri import NonlinearModel, NonlinearOperator, Points, Samples
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
@@ -64,16 +71,20 @@ def turned_body(model: NonlinearModel, samples: Samples) -> dict[str, float]:
     }
 
 
-def turned_crystal(model: NonlinearModel, cache: Path) -> dict[str, float]:
-    """E_u on disks whose atoms lie at an angle to the nodes; also with the axis forgotten."""
-    body, _, disks = read_samples(cache, "test")
+def turned_crystal(model: NonlinearModel, cache: Path, role: str) -> dict[str, float]:
+    """E_u where the crystal and its loads lie at an angle to the nodes; also with axis forgotten.
+
+    Patches are taken from the sheet's periodic images, their interior is a disk.
+    """
+    body, _, samples = read_samples(cache, role)
+    reference, displacement, force = images(body.box, samples)
     turn, out = rotation(CRYSTAL), {}
     for name, by in (("straight", np.eye(2)), ("turned", turn)):
         nodes = on_nodes(
-            body,
-            disks[0].reference @ by.T,
-            np.stack([disk.displacement for disk in disks]) @ by.T,
-            np.stack([disk.force for disk in disks]) @ by.T,
+            graphene_bodies()[1],
+            reference @ by.T,
+            displacement @ by.T,
+            force @ by.T,
             spacing=5.0,
         )
         solid = model
@@ -81,7 +92,26 @@ def turned_crystal(model: NonlinearModel, cache: Path) -> dict[str, float]:
             solid = dataclasses.replace(model, axis=model.axis + np.deg2rad(CRYSTAL))
             out["axis_forgotten"] = warp_peri.evaluate(model, nodes)["E_u"]
         out[name] = warp_peri.evaluate(solid, nodes)["E_u"]
+        out[f"{name}_linear"] = warp_peri.evaluate(model.linear, nodes)["E_u"]
     return out
+
+
+def images(
+    box: tuple[float, float] | None, samples: Sequence[Sample]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, displacements and forces of the atoms, periodic images with them."""
+    x = samples[0].reference
+    displacement = np.stack([sample.displacement for sample in samples])
+    force = np.stack([sample.force for sample in samples])
+    if box is None:
+        return x, displacement, force
+    reach = REACH + SMOOTHING_RADIUS
+    most = [int(np.ceil(reach / side)) + 1 for side in box]
+    steps = np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in most)), axis=-1).reshape(-1, 1, 2)
+    far = (x + steps * np.array(box)).reshape(-1, 2)
+    near = np.hypot(*far.T) < reach
+    copies = (1, len(steps), 1)
+    return far[near], np.tile(displacement, copies)[:, near], np.tile(force, copies)[:, near]
 
 
 def costs(model: NonlinearModel) -> dict[str, float]:
@@ -141,14 +171,15 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     numbers: dict[str, Any] = {}
     try:
-        data = warp_peri.load_dataset(given.data)
+        data, cache = warp_peri.load_dataset(given.data), given.data.with_suffix(".cache")
         for name in ("energy", "filtered"):
             model = warp_peri.load_nonlinear(given.models / f"{name}.json")
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)
                 numbers[name] = {
                     "turned_body": turned_body(model, data["val"]),
-                    "turned_crystal": turned_crystal(model, given.data.with_suffix(".cache")),
+                    "turned_disks": turned_crystal(model, cache, "test"),
+                    "turned_patches": turned_crystal(model, cache, "val"),
                     "cost": costs(model),
                 }
         write_json(given.models / "checks.json", numbers)
