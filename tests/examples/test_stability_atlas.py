@@ -12,8 +12,8 @@ from examples.studies.atlas_entry import words
 DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
-    "surfaces", "bodies", "time-step", "energy", "dispersion", "strain", "larger-strains", "float32",
-    "compression", "noise-of-its-own", "broken", "stretch", "long-steps",
+    "surfaces", "bodies", "time-step", "energy", "dispersion", "strain", "larger-strains",
+    "float32", "compression", "noise-of-its-own", "broken", "stretch", "long-steps",
 )  # fmt: skip
 
 
