@@ -34,7 +34,7 @@ from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
 from warp_peri.models.solid import Solid
-from warp_peri.operator.adjoint import BLOCKS
+from warp_peri.operator.blocks import BLOCKS
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence_inputs
 from warp_peri.operator.lps import lps_force

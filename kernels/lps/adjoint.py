@@ -235,8 +235,8 @@ def _table_adjoint(of, structs):
 
     @wp.kernel(enable_backward=False)
     def table_adjoint(
-        block: wp.int32,
-        span: wp.vec3i,
+        first: wp.int32,
+        spans: wp.array(dtype=wp.vec3i),
         nodes: wp.array(dtype=wp.int32),
         bonds: BondArrays,
         r: wp.array(dtype=scalar),
@@ -247,11 +247,14 @@ def _table_adjoint(of, structs):
         kd_bar: wp.array(dtype=scalar),
         parts: wp.array2d(dtype=scalar),
     ):
-        """∂/∂(K W) of the bonds of nodes begin ≤ t < end, one after another, (45–47).
+        """∂/∂(K W) of the bonds of a block's nodes begin ≤ t < end, one after another, (45–47).
 
-        span is (base, begin, end). kw_bar and kd_bar hold the numbers p − base of the pattern; with
-        one table both sums go to kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of, (47).
+        A span is (base, begin, end). kw_bar and kd_bar hold the bonds p of the pattern at p − base;
+        with one table both sums go to kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of,
+        (47).
         """
+        block = first + wp.tid()
+        span = spans[block]
         base = span[0]
         shears, bulks = scalar(0.0), scalar(0.0)
         volumes, volumes_d = scalar(0.0), scalar(0.0)
@@ -278,8 +281,8 @@ def _table_adjoint(of, structs):
         if bonds.lattice == 1:
             for p in range(bonds.pattern.shape[0]):
                 square = scalar(1.0) / bonds.pattern[p][2]
-                add_at(kw_bar, p, volumes * square)
+                add_at(kw_bar, p - base, volumes * square)
                 if one_table == 0:
-                    add_at(kd_bar, p, volumes_d * square)
+                    add_at(kd_bar, p - base, volumes_d * square)
 
     return table_adjoint

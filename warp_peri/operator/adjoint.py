@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,10 @@ import warp as wp
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
 from warp_peri.launch import at_once, empty, launch, launch_slices
+from warp_peri.operator.blocks import BLOCKS
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import Evaluation, filled, influence_inputs
 from warp_peri.operator.rows import Rows
-
-BLOCKS = 8
-"""Parts in which the nodes are summed over."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ def gradient(
         return Gradient(u_bar)
     fields = filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
     tables = _Tables(bonds, law, fields, alpha, coefficients)
-    at_once([tables.job(block) for block in range(BLOCKS)])
+    tables.run()
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
     by_D, by_alpha = tables.gradients()
     return Gradient(u_bar, -2 * bulk, 2 * bulk - 16 * shear, by_alpha, *by_D)
@@ -153,42 +150,44 @@ class _Tables:
         self.bonds, self.law, self.fields = bonds, law, fields
         self.alpha, self.coefficients = alpha, coefficients
         self.parts = bonds.zeros(BLOCKS, 2)
-        nodes, row = bonds.full.numpy(), bonds.families.row
-        self.ends = [len(nodes) * n // BLOCKS for n in range(BLOCKS + 1)]
-        self.spans = [(0, len(bonds.families.pattern))] * BLOCKS  # bonds of each block
-        if not bonds.lattice:
-            bounds = [row[nodes[min(end, len(nodes) - 1)]] for end in self.ends]
-            bounds[-1] = row[-1]
-            self.spans = list(pairwise(bounds))
+        self.blocks = bonds.blocks
         self.kernel = adjoints(bonds.scalar).table_adjoint
-        self.kernel.module.load(wp.get_device(bonds.device))
         self.backwards, self.sums = [], []
         for D in coefficients:
             kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)
-            kernel.module.load(wp.get_device(bonds.device))
             self.backwards.append((kernel, influence_inputs(bonds, len(D) - 1), D))
             self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
-        self.by_pattern = [np.zeros((BLOCKS, len(bonds.families.pattern))) for _ in coefficients]
+        self.bars: list[wp.array[Any]] = []
 
-    def job(self, block: int) -> Callable[[], None]:
-        """One block: ∂/∂(K W) of its bonds; on scattered points onwards to α and D."""
-        begin, end = self.ends[block : block + 2]
-        first, last = (int(value) for value in self.spans[block])
+    def run(self) -> None:
+        """All blocks: ∂/∂(K W) of their bonds; on scattered points onwards to α and D."""
+        bonds, blocks = self.bonds, self.blocks
+        if bonds.lattice:
+            size = BLOCKS * len(bonds.families.pattern)
+            self.bars = [bonds.zeros(size) for _ in self.coefficients]
+            outputs = (self.bars[0], self.bars[-1], self.parts)
+            weight = max(len(bonds.full) // BLOCKS, 1)
+            launch_slices(self.kernel, BLOCKS, self._inputs(), outputs, weight=weight)
+            return
+        for kernel in (self.kernel, *(kernel for kernel, *_ in self.backwards)):
+            kernel.module.load(wp.get_device(bonds.device))  # not from two threads at once
+        at_once([self._job(n) for n in range(BLOCKS) if blocks.ends[n] < blocks.ends[n + 1]])
+
+    def _inputs(self) -> tuple[Any, ...]:
+        bonds = self.bonds
+        reads = (bonds.full, bonds.arrays, bonds.r, self.law, self.fields)
+        return (self.blocks.spans, *reads, int(len(self.coefficients) == 1))
+
+    def _job(self, block: int) -> Callable[[], None]:
+        """One block of scattered points, whose bonds take memory while it runs."""
+        first, last = self.blocks.bonds[block]
 
         def run() -> None:
-            if begin == end:
-                return
-            bonds = self.bonds
-            bars = [bonds.zeros(last - first) for _ in self.coefficients]
-            span, one_table = wp.vec3i(first, begin, end), int(len(bars) == 1)
-            reads = (bonds.full, bonds.arrays, bonds.r, self.law, self.fields)
-            inputs = (block, span, *reads, one_table)
-            launch(self.kernel, 1, inputs, (bars[0], bars[-1], self.parts))
+            bars = [self.bonds.zeros(last - first) for _ in self.coefficients]
+            outputs = (bars[0], bars[-1], self.parts)
+            launch(self.kernel, 1, (block, *self._inputs()), outputs)
             for n, bar in enumerate(bars):
-                if bonds.lattice:
-                    self.by_pattern[n][block] = bar.numpy()
-                else:
-                    self._backward(n, block, first, last, bar)
+                self._backward(n, block, first, last, bar)
 
         return run
 
@@ -201,7 +200,7 @@ class _Tables:
         bonds, by_D, by_alpha = self.bonds, [], 0.0
         for n, sums in enumerate(self.sums):
             if bonds.lattice:
-                bars = self.by_pattern[n].sum(axis=0)
+                bars = self.bars[n].numpy().reshape(BLOCKS, -1).sum(axis=0, dtype=float)
                 by_class = np.bincount(bonds.families.classes.bond_class, bars)
                 self._backward(n, 0, 0, len(by_class), bonds.floats(by_class))
             total = sums.numpy().sum(axis=0, dtype=float)

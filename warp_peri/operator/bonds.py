@@ -11,6 +11,7 @@ import warp as wp
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import bonds
 from warp_peri.launch import DEVICE, floats, ints, known_device, zeros
+from warp_peri.operator.blocks import Blocks, blocks_of
 from warp_peri.operator.rows import Rows, rows_of
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
@@ -112,6 +113,11 @@ class Bonds:
         if not self.lattice or self.device != DEVICE or self.bond_based:
             return None
         return rows_of(self.families, *self._places, self.scalar)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """Parts of the nodes `full` in which gradients are summed."""
+        return blocks_of(self.families, self.full.numpy(), self.device)
 
     def floats(self, values: np.ndarray) -> wp.array[Any]:
         """A Warp array in this precision, where the bonds are."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,16 @@ class Evaluation:
     Lu: wp.array[Any]
 
 
+@cache
+def _binomials(degree: int) -> np.ndarray:
+    """Of the Bernstein polynomials; SciPy takes longer than a sweep over a thousand nodes."""
+    coefficients: np.ndarray = comb(degree, np.arange(degree + 1))
+    return coefficients
+
+
 def influence_inputs(bonds: Bonds, degree: int) -> tuple[Any, ...]:
     """What the influence kernels of a degree read before α and D."""
-    binomial = bonds.floats(comb(degree, np.arange(degree + 1)))
+    binomial = bonds.floats(_binomials(degree))
     return (bonds.scalar(bonds.horizon), binomial, bonds.r, bonds.weight)
 
 
