@@ -14,7 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.lps import adjoint as lps_adjoint
 from warp_peri.kernels.lps import force as lps
 from warp_peri.kernels.lps import influence as influence_kernels
-from warp_peri.launch import launch, launch_slices
+from warp_peri.launch import empty, launch, launch_slices
 from warp_peri.models.influence import CANCELLED
 from warp_peri.models.lps import Model
 from warp_peri.operator.bonds import Bonds
@@ -146,7 +146,7 @@ def evaluate(
     inputs: tuple[Any, ...]
     kw, m = influence(bonds, alpha, D, gradient=gradient)
     kd, md = kw, m
-    Lu = bonds.zeros(samples, len(bonds.rows), dtype=bonds.vec, gradient=gradient)
+    Lu = _forces(bonds, samples, gradient=gradient)
     if bonds.bond_based:
         inputs = (bonds.rows, arrays, kw, m, mu, u)
         _launch(gradient, kernels.bond_force, len(bonds.rows), inputs, Lu, samples)
@@ -168,6 +168,13 @@ def evaluate(
     inputs = (bonds.rows, arrays, kw, m, kd, md, lam, mu, u, theta)
     _launch(gradient, kernels.force, len(bonds.rows), inputs, Lu, samples)
     return Evaluation(kw, m, kd, md, theta, Lu)
+
+
+def _forces(bonds: Bonds, samples: int, *, gradient: bool) -> wp.array[Any]:
+    """Memory for L u; that of a gradient begins with zeros."""
+    if gradient:
+        return bonds.zeros(samples, len(bonds.rows), dtype=bonds.vec, gradient=True)
+    return empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
 
 
 def filled(struct: Any, *values: wp.array[Any]) -> Any:

@@ -9,7 +9,7 @@ import warp as wp
 
 from warp_peri.kernels.lps import force as lps
 from warp_peri.kernels.lps.tables import tables
-from warp_peri.launch import launch_slices
+from warp_peri.launch import empty, launch_slices
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence, surface_shape
@@ -48,7 +48,7 @@ class Tabulated:
                 kernel = lps.sweeps(bonds.scalar).surface_dilatation
                 inputs = (bonds.cut, bonds.arrays, *self._dilatational, u)
                 launch_slices(kernel, len(bonds.cut), inputs, (theta,), samples=samples)
-        Lu = bonds.zeros(samples, len(bonds.rows), dtype=bonds.vec)
+        Lu = empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
         self._launch(self.kernels.force, bonds.rows, (lam, mu, u, theta), Lu)
         return Lu
 
