@@ -1,7 +1,7 @@
 """Speed and memory of the LPS operator beside other ways of computing it, all in one run.
 
     python tools/benchmark.py operator [--quick] [--threads 1]
-    python tools/benchmark.py roofline
+    python tools/benchmark.py roofline [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
@@ -341,11 +341,11 @@ def operator(*, quick: bool, threads: int = 2) -> None:
         setting_up(1000, forward)
 
 
-def ceilings() -> None:
+def ceilings(*, quick: bool) -> None:
     """The rooflines of the lattice, on one core."""
     set_threads(1)
     bandwidth = copy_bandwidth()
-    for side in (200, 1000):
+    for side in (200,) if quick else (200, 1000):
         points, _ = problem("lattice", side)
         u = np.random.default_rng(1).normal(size=points.x.shape)
         for precision in ("float64", "float32"):
@@ -367,7 +367,7 @@ def main(arguments: list[str] | None = None) -> int:
     if given.what == "solve":
         solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "roofline":
-        ceilings()
+        ceilings(quick=given.quick)
     else:
         operator(quick=given.quick, threads=given.threads)
     return 0

@@ -1,13 +1,23 @@
 """The rivals of the benchmark compute what the library computes."""
 
 import importlib.util
+import re
 
 import numpy as np
 import pytest
 import torch
 
 from tools import benchmark, rivals
+from warp_peri import set_threads
+from warp_peri.launch import threads
 from warp_peri.operator.bonds import Bonds
+
+
+@pytest.fixture(autouse=True)
+def _threads():
+    before = threads()
+    yield
+    set_threads(before)
 
 
 @pytest.mark.parametrize("kind", ["lattice", "scattered"])
@@ -23,6 +33,7 @@ def test_rivals_agree(kind):
         )
     )
     forward["csr"] = rivals.scipy_csr(t)
+    forward["fixed"] = benchmark.ours_fixed(bonds, fields[0])
     for candidates in (forward, both):
         seconds = benchmark.interleaved(candidates, rounds=1, tolerance=1e-9)
         assert seconds.keys() == candidates.keys()
@@ -40,3 +51,11 @@ def test_the_whole_benchmark_runs(capsys):
     assert "Numba parallel" in said
     assert "of copy bandwidth" in said
     assert "LAMMPS peri/lps" in said
+
+
+@pytest.mark.slow
+def test_no_sweep_is_faster_than_the_arithmetic_it_does(capsys):
+    assert benchmark.main(["roofline", "--quick"]) == 0
+    shares = [int(share) for share in re.findall(r"(\d+) % of the arith", capsys.readouterr().out)]
+    assert len(shares) == 4
+    assert all(20 < share < 100 for share in shares)

@@ -16,6 +16,8 @@ SPARE = 2
 """Largest rectangle, in places a node: beyond that the nodes are better left in their lists."""
 SHORT = 4
 """Least mean length of a piece that is worth it."""
+KEPT = 2**25
+"""Most numbers that planes keep between evaluations: 256 MB in double precision."""
 FASTER = 4
 """How much less a thread has to do with a node here than in its list of neighbours."""
 
@@ -75,8 +77,9 @@ class Rows:
         return vectors, numbers
 
     def give_back(self, use: str, vectors: wp.array[Any], numbers: wp.array[Any]) -> None:
-        """Keep the planes for the next evaluation of as many samples."""
-        self._spare.setdefault(use, []).append((vectors, numbers))
+        """Keep the planes, if they are not too large, for the next evaluation of as many samples."""
+        if vectors.size + numbers.size <= KEPT:
+            self._spare.setdefault(use, []).append((vectors, numbers))
 
     def lay_out(
         self,
