@@ -28,7 +28,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import numba_rival, rivals, roofline, solve_study
+from tools import numba_rival, numba_rows, rivals, roofline, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import set_threads
 from warp_peri.kernels.lps.influence import influence
@@ -218,6 +218,8 @@ def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision
     for name, fast in (("Numba parallel", False), ("Numba parallel, fastmath", True)):
         dtype = getattr(np, precision)
         forward[name], both[name] = numba_rival.numba_parallel(t, dtype, fastmath=fast)
+    if len(t.r) < len(t.neighbour):
+        forward["Numba by rows"] = numba_rows.numba_rows(t, getattr(np, precision))
 
 
 def memory(bonds: Bonds, size: int) -> int:

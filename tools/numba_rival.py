@@ -92,6 +92,25 @@ def numba_parallel(t: Tables, dtype: Any, *, fastmath: bool) -> tuple[Callable, 
     return forward, both
 
 
+def influence_loop(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
+    """K·W of every class, computed at every call."""
+    import numba
+
+    degree, parts = len(t.D) - 1, numba.get_num_threads()
+    jit = numba.njit(parallel=True)
+    lam, mu, horizon = dtype(t.lam), dtype(t.mu), dtype(t.horizon)
+    loops = Loops(jit, numba.prange, dtype, True, 1, lam, mu, horizon, parts)
+    influence = _influence(loops)
+    r, weight, D = (np.asarray(v, dtype) for v in (t.r, t.weight, t.D))
+    binomial, kw = comb(degree, np.arange(degree + 1)).astype(dtype), np.empty(len(r), dtype)
+
+    def call() -> np.ndarray:
+        influence(r, weight, binomial, dtype(t.alpha), D, kw)
+        return kw
+
+    return call
+
+
 def _volume(loops):
     """Weighted volume of every node, or of one where all are alike."""
     dtype, pattern, prange, volumes = loops.dtype, loops.pattern, loops.prange, loops.volumes

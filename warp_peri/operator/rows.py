@@ -77,7 +77,7 @@ class Rows:
         return vectors, numbers
 
     def give_back(self, use: str, vectors: wp.array[Any], numbers: wp.array[Any]) -> None:
-        """Keep the planes, if they are not too large, for the next evaluation of as many samples."""
+        """Keep planes that are not too large for the next evaluation of as many samples."""
         if vectors.size + numbers.size <= KEPT:
             self._spare.setdefault(use, []).append((vectors, numbers))
 
