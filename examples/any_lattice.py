@@ -36,12 +36,15 @@ from warp_peri.files.whole import locked, whole_file, write_json, write_text
 from warp_peri.transfer import kept
 from warp_peri.transfer.lattice import new_lattice
 from warp_peri.transfer.many import one_kernel
+from warp_peri.transfer.waves import dispersion, rings, wave_errors
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))
 """Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
 TURNS = (15.0, 30.0, 45.0)
 """Of a lattice of 4 Å [degrees]."""
 REDUCED = ((5.0, 15.0), (5.0, 20.0), (2.5, 7.5))
+SYMBOL_TO = 0.25
+"""|k| [1/Å] that one kernel for many lattices is compared to."""
 SETS = {"disks": "test", "smooth": "val", "short": "train"}
 
 
@@ -163,12 +166,23 @@ def many(model: Model, atoms: Atoms) -> dict[str, Any]:
     """One influence function for lattices of h/δ from 0.11 to 0.3."""
     kernel = one_kernel(model, horizon=20.0)
     record = kernel.provenance["many_lattices"]
+    waves = rings(SYMBOL_TO * (np.arange(12) + 1) / 12)
+    target = dispersion(model, record["from_spacing"], waves)
+    symbol = [
+        100 * float(wave_errors(dispersion(kernel, 20.0 * ratio, waves), target).mean())
+        for ratio in record["h_over_horizon"]
+    ]
     rows = {f"{h:g}": float("nan") for h in (5.0, 4.0, 2.5)}
     for h in rows:
         points = atoms.on(lattice(float(h)), "test")
-        table = warp_peri.evaluate(kernel, points, allow_uncertified=True)
-        rows[h] = 100 * table["E_u"]
-    return {**record, "disks": rows}
+        rows[h] = 100 * warp_peri.evaluate(kernel, points, allow_uncertified=True)["E_u"]
+    return {**record, "symbol": symbol, "disks": rows}
+
+
+def rich_model(data: warp_peri.Dataset) -> Model:
+    """To be reduced. Isotropic at long waves: of four rich ones the best on smooth loads."""
+    isotropic = warp_peri.Optimum(moduli="isotropic")
+    return warp_peri.fit(data["train"], 25.0, Bernstein(15), method=isotropic).model
 
 
 def measure(
@@ -177,7 +191,7 @@ def measure(
     """All tables; `part` keeps each as it is finished."""
     atoms = Atoms(cache)
     nodes = lattice(5.0)
-    rich = functools.cache(lambda: warp_peri.fit(data["train"], 25.0, Bernstein(15)).model)
+    rich = functools.cache(lambda: rich_model(data))
     return {
         "home": part("home", lambda: {"horizon": model.horizon, **errors(model, atoms, nodes)}),
         "lattices": [
@@ -200,6 +214,7 @@ def measure(
             for name, points in clouds().items()
         ],
         "one_kernel": part("one_kernel", many, model, atoms),
+        "one_kernel_rich": part("one_kernel_rich", lambda: many(rich(), atoms)),
     }
 
 
@@ -231,12 +246,14 @@ def report(tables: dict[str, Any]) -> str:
     for name in ("lattices", "turned_4", "reduced", "scattered"):
         lines += [f"**{name}**", "", table(tables[name]), ""]
     lines += [f"- {row['agreement']}" for row in tables["lattices"]]
-    kernel = tables["one_kernel"]
-    rows = zip(kernel["h_over_horizon"], kernel["mean_error"], kernel["largest_error"])
-    lines += ["", "**one kernel for many lattices**, error of the response in %", ""]
-    lines.append(table([{"h/δ": h, "mean": 100 * a, "largest": 100 * b} for h, a, b in rows]))
-    disks = ", ".join(f"{e:.2f} at {h} Å" for h, e in kernel["disks"].items())
-    return "\n".join([*lines, "", f"Disks: {disks}.", ""])
+    for name, home in (("one_kernel", "home"), ("one_kernel_rich", "rich_teacher")):
+        kernel = tables[name]
+        rows = zip(kernel["h_over_horizon"], kernel["symbol"])
+        lines += ["", f"**one kernel for many lattices, of {home}**", ""]
+        lines.append(table([{"h/δ": ratio, f"|k| ≤ {SYMBOL_TO}": error} for ratio, error in rows]))
+        disks = ", ".join(f"{e:.2f} at {h} Å" for h, e in kernel["disks"].items())
+        lines += ["", f"Mean {np.mean(kernel['symbol']):.2f}. Disks: {disks}."]
+    return "\n".join([*lines, ""])
 
 
 def figure(model: Model, file: Path) -> None:

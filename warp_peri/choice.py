@@ -91,8 +91,16 @@ def _measured(
         else:
             method = "sine" if scene.rectangle else "multigrid"
             seconds = table["seconds_per_node"][method] * nodes
-        measured.append((seconds, row[f"{name}_error"], row, method, nodes))
+        error = row[f"{name}_error"]
+        if name == "disks" and "agrees" in row:
+            error = max(error, _agreement(row["agrees"], scene.shortest_wave))
+        measured.append((seconds, error, row, method, nodes))
     return measured
+
+
+def _agreement(pairs: list[list[float]], wave: float) -> float:
+    """The level that a transfer agrees with home to on a wave; pairs of level and length [Å]."""
+    return min((level for level, length in pairs if length <= wave), default=math.inf)
 
 
 def choose_model(
@@ -112,10 +120,13 @@ def choose_model(
             and on it the fewest bonds, that answer waves as long as the scene's shortest within
             the tolerance, against the model at home. Costs are those of the table's solvers.
 
-    Loads at least as long as `long_wave` of the table are held to the errors on the disks, shorter
-    ones to those on the short waves. Costs are the measured ones: of LU grown with
-    the power 1.5 of the unknowns, of conjugate gradients in proportion to them from a large domain,
-    where the horizon hardly matters. Of two that cost the same the more accurate is taken.
+    The table holds models learned on a lattice, and transfers of some of them from 2.5 to 10 Å
+    (`kind` of a row, which the reason names). Loads at least as long as `long_wave` of the table
+    are held to the errors on the disks, shorter ones to those on the short waves; a transfer has
+    at least the error that it agrees with home to at the scene's shortest wave. Costs are the
+    measured ones: of LU grown with the power 1.5 of the unknowns, of conjugate gradients in
+    proportion to them from a large domain, where the horizon hardly matters. Of two that cost the
+    same the more accurate is taken.
 
     Raises InputError for a wave shorter than any that was measured, or a tolerance that nothing in
     the table keeps.
@@ -141,9 +152,10 @@ def choose_model(
     seconds, error, row, method, nodes = min(good, key=lambda way: way[:2])
     kind = "short waves" if short else "long waves"
     reason = (
-        f"h = {row['spacing']:g} Å, δ = {row['horizon']:g} Å, M = {row['degree']} by {method} is "
-        f"the cheapest of {len(good)} measured ways within {100 * tolerance:g} % on {kind}: "
-        f"{100 * error:.2g} %, about {seconds:.2g} s for {nodes:.0f} nodes."
+        f"h = {row['spacing']:g} Å, δ = {row['horizon']:.4g} Å, M = {row['degree']} "
+        f"({row['kind']}) by {method} is the cheapest of {len(good)} measured ways within "
+        f"{100 * tolerance:g} % on {kind}: {100 * error:.2g} %, about {seconds:.2g} s for "
+        f"{nodes:.0f} nodes."
     )
     return Choice(row["spacing"], row["horizon"], row["degree"], method, error, seconds, reason)
 

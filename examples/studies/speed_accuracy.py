@@ -19,7 +19,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,6 @@ from warp_peri import Bernstein
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.sparse as sp
 import torch
@@ -38,25 +34,43 @@ from scipy.sparse.linalg import splu
 
 from examples.studies.fem_rival import elastic_solver
 from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positive_model
+from examples.studies.speed_chart import chart, markdown
 from tools import make_graphene as making
-from warp_peri import Model, Samples, fit, load_dataset, load_model
+from warp_peri import Model, Optimum, Samples, fit, load_dataset, load_model, on_lattice
 from warp_peri.files.whole import whole_file, write_json
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.points import Points
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
+from warp_peri.transfer.lattice import agrees_to
 
 DEGREE = 10
 CASES = (
     *((5.0, horizon, DEGREE, "learned") for horizon in (12.5, 15.0, 20.0, 25.0)),
+    *((5.0, horizon, DEGREE, "two functions") for horizon in (12.5, 15.0, 20.0)),
     (4.0, 16.0, DEGREE, "learned"),
     (2.5, 12.5, DEGREE, "learned"),
     (5.0, 20.0, DEGREE, "positive kernel"),
     (5.0, 20.0, 0, "λ, μ, α only"),
 )
 """Spacing and horizon [Å], degree, and kind of the models."""
-SUFFIX = {5.0: "", 4.0: "_four", 2.5: "_fine"}
+RICH = {
+    "from δ = 25": (5.0, 25.0, 15, "rich"),
+    "from two functions": (5.0, 20.0, DEGREE, "two functions"),
+}
+"""Models that cheaper ones are fitted to, both isotropic at long waves for the smooth loads."""
+TRANSFERS = (
+    *(("transferred", h, d) for h, d in ((2.5, None), (4.0, None), (7.5, 22.5), (10.0, 25.0))),
+    *((kind, 5.0, d) for kind in RICH for d in (12.5, 15.0, 20.0)),
+    *((kind, h, None) for kind in RICH for h in (4.0, 2.5)),
+)
+"""Kind, spacing and horizon (None for the fewest bonds within the tolerance)."""
+SUFFIX = {5.0: "", 4.0: "_four", 2.5: "_fine", 7.5: "_coarse", 10.0: "_coarsest"}
+MADE = (4.0, 7.5, 10.0)
+"""Spacings [Å] that the data file does not hold."""
+LEVELS = (0.005, 0.01, 0.02, 0.05)
+"""Of agreement with the model at home, by wavelength."""
 ROUNDS = 3
 
 
@@ -140,13 +154,24 @@ def timed(prepare: Callable[[], Solver], points: Samples, samples: np.ndarray) -
     return {"setup": min(setup), "solve": min(each), "error": float(np.mean(errors))}
 
 
+def smooth_error(points: Samples, prepare: Callable[[Samples], Solver]) -> float:
+    """Mean error on the smooth loads of the validation set."""
+    solver, inside = prepare(points), points.interior
+    errors = [
+        np.linalg.norm(solver(b, u) - u[inside]) / np.linalg.norm(u[inside])
+        for b, u in zip(points.loads, points.u)
+    ]
+    return float(np.mean(errors))
+
+
 def point_sets(file: Path) -> tuple[dict[str, Samples], dict[str, float]]:
     """The sets of the data file and those on nodes 4 Å apart, and the true λ and μ [TPa]."""
     data = load_dataset(file)
     sets = dict(data.sets)
-    for name in ("train", "test"):
+    for name in ("train", "val", "test"):
         samples = making.read_samples(file.with_suffix(".cache"), name)
-        sets[name + SUFFIX[4.0]] = making.point_set(*samples, spacing=4.0)
+        for h in MADE:
+            sets[name + SUFFIX[h]] = making.point_set(*samples, spacing=h)
     truth = data.provenance["truth"]
     return sets, {"lam": truth["lambda"], "mu": truth["mu"]}
 
@@ -155,8 +180,9 @@ def fitted(
     data: dict[str, Samples], out: Path, spacing: float, horizon: float, degree: int, kind: str
 ) -> Model:
     """The constrained optimum on the waves that are not held out; kept in a file."""
-    positive = kind == "positive kernel"
-    file = out / f"h{spacing:g}_d{horizon:g}_M{degree}{'_positive' if positive else ''}.json"
+    positive, two = kind == "positive kernel", kind == "two functions"
+    names = {"positive kernel": "_positive", "rich": "_isotropic", "two functions": "_two"}
+    file = out / f"h{spacing:g}_d{horizon:g}_M{degree}{names.get(kind, '')}.json"
     if file.exists():
         return load_model(file)
     train = data["train" + SUFFIX[spacing]]
@@ -165,9 +191,36 @@ def fitted(
     if positive:
         model = positive_model(train, horizon=horizon, degree=degree)
     else:
-        model = fit(train, horizon=horizon, kernel=Bernstein(degree)).model
+        method = Optimum(moduli="isotropic" if two or kind == "rich" else None)
+        kernel = Bernstein(degree, two_functions=two)
+        model = fit(train, horizon=horizon, kernel=kernel, method=method).model
     model.save(file)
-    return model
+    return load_model(file)
+
+
+def transfers(
+    data: dict[str, Samples], out: Path
+) -> Iterator[tuple[tuple[float, float, int], str, Model]]:
+    """Spacing, horizon and degree, kind, and model of each transfer."""
+    for kind, spacing, horizon in TRANSFERS:
+        home = fitted(data, out, *RICH.get(kind, (5.0, 20.0, DEGREE, "learned")))
+        model = on_lattice(home, spacing=spacing, horizon=horizon)
+        yield (spacing, model.horizon, model.degree), kind, model
+
+
+def agreement(model: Model) -> list[list[float]]:
+    """Levels, and the lengths [Å] beyond which a transfer agrees with home to them."""
+    record = model.provenance["transfer"]
+    length, error = np.array(record["wavelength"]), np.array(record["error"])
+    pairs = ((level, agrees_to(length, error, level)) for level in LEVELS)
+    return [[level, wave] for level, wave in pairs if wave is not None]
+
+
+def atoms() -> dict[str, Any]:
+    """The row of the molecular model itself, whose errors are none."""
+    row = {"label": "atoms (LAMMPS, Newton)", "kind": "atoms", "method": "atoms"}
+    exact = {f"{name}_error": 0.0 for name in ("disks", "smooth", "waves")}
+    return {**row, "spacing": 0.0, "horizon": 0.0, **exact, **molecular()}
 
 
 def molecular() -> dict[str, float]:
@@ -190,11 +243,26 @@ def molecular() -> dict[str, float]:
     return seconds_of
 
 
+def line(row: dict[str, Any]) -> str:
+    """A row as it is printed while the next is measured."""
+    return (
+        f"{row['label']:42} {100 * row['disks_error']:7.2f} % {100 * row['waves_error']:7.2f} %  "
+        f"set-up {1e3 * row['disks_setup']:8.1f} ms  solve {1e3 * row['disks_solve']:8.2f} ms"
+    )
+
+
 def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> list[dict[str, Any]]:
     """One row for each model, precision and solver."""
     rows: list[dict[str, Any]] = []
 
-    def add(label: str, kind: str, case: tuple[float, float, int], method: str, prepare: Any):
+    def add(
+        label: str,
+        kind: str,
+        case: tuple[float, float, int],
+        method: str,
+        prepare: Any,
+        **more: Any,
+    ) -> None:
         spacing, horizon, degree = case
         row: dict[str, Any] = {"label": label, "kind": kind, "spacing": spacing}
         row |= {"horizon": horizon, "method": method, "degree": degree}
@@ -204,12 +272,9 @@ def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> lis
             samples = np.arange(len(points)) if name == "disks" else high(points)
             record = timed(functools.partial(prepare, points), points, samples)
             row |= {f"{name}_{key}": value for key, value in record.items()}
-        rows.append(row)
-        print(
-            f"{label:42} {100 * row['disks_error']:7.2f} % {100 * row['waves_error']:7.2f} %  "
-            f"set-up {1e3 * row['disks_setup']:8.1f} ms  solve {1e3 * row['disks_solve']:8.2f} ms",
-            flush=True,
-        )
+        row["smooth_error"] = smooth_error(data["val" + SUFFIX[spacing]], prepare)
+        rows.append(row | more)
+        print(line(row), flush=True)
 
     for spacing, horizon, degree, kind in CASES:
         model = fitted(data, out, spacing, horizon, degree, kind)
@@ -227,6 +292,10 @@ def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> lis
             add(f"{name}, SciPy CSR and CG", kind, case, "scipy", use(by_scipy))
             if importlib.util.find_spec("numba"):
                 add(f"{name}, Numba sweeps and CG", kind, case, "numba", use(by_numba))
+    for case, kind, model in transfers(data, out):
+        name = f"{kind}, h = {case[0]:g}, δ = {case[1]:.3g}"
+        solver = functools.partial(by_lu(np.float64), model)
+        add(f"{name}, LU", kind, case, "lu", solver, agrees=agreement(model))
     finite = (
         ("FEM Q1, h = 5, true constants", 5.0, 1),
         ("FEM Q1, h = 2.5, true constants", 2.5, 1),
@@ -238,13 +307,7 @@ def measure(data: dict[str, Samples], truth: dict[str, float], out: Path) -> lis
             return elastic_solver(points, order=order, **truth)
 
         add(label, f"FEM Q{order}", (spacing, 0.0, order), f"Q{order}", elements)
-    atoms: dict[str, Any] = {
-        "label": "atoms (LAMMPS, Newton)",
-        "kind": "atoms",
-        "spacing": 0.0,
-        "horizon": 0.0,
-    }
-    rows.append(atoms | {"method": "atoms", "disks_error": 0.0, "waves_error": 0.0} | molecular())
+    rows.append(atoms())
     return rows
 
 
@@ -262,67 +325,6 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
         record = timed(functools.partial(by_cg(method), model, points), points, np.arange(1))
         costs[method] = (record["setup"] + record["solve"]) / int(mask.sum())
     return costs
-
-
-def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
-    """Rows that no other beats in both error and solve time, fastest first."""
-    best, unbeaten = np.inf, []
-    for row in sorted(rows, key=lambda row: (row[f"{name}_solve"], row[f"{name}_error"])):
-        # The same model by another solver is no better.
-        if row[f"{name}_error"] < best * (1 - 1e-3):
-            best = row[f"{name}_error"]
-            unbeaten.append(row)
-    return unbeaten
-
-
-def chart(rows: list[dict[str, Any]], file: Path) -> None:
-    """Error against the time of a solve, the Pareto front drawn and labelled."""
-    figure, axes = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
-    kinds = list(dict.fromkeys(row["kind"] for row in rows))
-    for ax, name, title in zip(
-        axes, ("disks", "waves"), ("held-out disks", "held-out short waves, periodic sheet")
-    ):
-        floor = min(row[f"{name}_error"] for row in rows if row[f"{name}_error"] > 0) / 3
-        for kind, marker in zip(kinds, "oPsDv^*"):
-            some = [row for row in rows if row["kind"] == kind]
-            y = [100 * max(row[f"{name}_error"], floor) for row in some]
-            ax.loglog([1e3 * row[f"{name}_solve"] for row in some], y, marker, label=kind)
-        best = front(rows, name)
-        x = [1e3 * row[f"{name}_solve"] for row in best]
-        y = [100 * max(row[f"{name}_error"], floor) for row in best]
-        ax.step(x, y, "k--", lw=0.8, where="post", label="Pareto front")
-        for n, (a, b) in enumerate(zip(x, y), start=1):
-            ax.annotate(str(n), (a, b), (-4, -13), textcoords="offset points", size=8)
-        names = [f"{n}  {row['label']}" for n, row in enumerate(best, start=1)]
-        ax.text(0.02, 0.02, "\n".join(names), transform=ax.transAxes, size=7)
-        ax.set(xlabel="time of one solve [ms]", ylabel="displacement error [%]", title=title)
-        ax.margins(0.1, 0.25)
-    axes[0].legend(fontsize=8)
-    figure.suptitle("Atoms have error 0 and stand on the floor of the chart", fontsize=9)
-    with whole_file(file) as path:
-        figure.savefig(path, dpi=130, format="png")
-    plt.close(figure)
-
-
-def markdown(rows: list[dict[str, Any]]) -> str:
-    """The table and what it says."""
-    lines = [
-        "| model | disks % | short waves % | set-up ms (disk) | solve ms (disk) |",
-        "|---|---|---|---|---|",
-    ]
-    for row in rows:
-        numbers = [100 * row["disks_error"], 100 * row["waves_error"]]
-        numbers += [1e3 * row["disks_setup"], 1e3 * row["disks_solve"]]
-        lines.append(f"| {row['label']} | " + " | ".join(f"{n:.3g}" for n in numbers) + " |")
-    by = {(row["kind"], row["spacing"], row["horizon"], row["method"]): row for row in rows}
-    learned, Q1 = by["learned", 5.0, 20.0, "lu"], by["FEM Q1", 5.0, 0.0, "Q1"]
-    lines += ["", "| on the same nodes, h = 5 Å | disks | short waves |", "|---|---|---|"]
-    ratios = [Q1[f"{name}_error"] / learned[f"{name}_error"] for name in ("disks", "waves")]
-    lines.append(f"| error of Q1 over that of δ = 20 Å | {ratios[0]:.2f} | {ratios[1]:.2f} |")
-    for name, said in (("disks", "disks"), ("waves", "short waves")):
-        best = ", ".join(row["label"] for row in front(rows, name))
-        lines += ["", f"Pareto front, {said}, fastest first: {best}."]
-    return "\n".join(lines) + "\n"
 
 
 def main(arguments: list[str] | None = None) -> int:

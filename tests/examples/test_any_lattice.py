@@ -58,3 +58,7 @@ def test_the_tables(graphene, tmp_path):
         assert row["short_b_on_nodes"] <= 4.5
     learned = [row["learned_disks"] for row in tables["scattered"]]
     assert all(error <= most for error, most in zip(learned, (1.3, 1.7, 1.4)))
+    for name in ("one_kernel", "one_kernel_rich"):
+        assert sum(tables[name]["symbol"]) / 10 <= 4.0
+    assert max(tables["one_kernel"]["disks"].values()) <= home["disks"] + 0.1
+    assert max(tables["one_kernel_rich"]["disks"].values()) <= 1.0
