@@ -20,6 +20,7 @@ from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples
+from warp_peri.points.unit_names import symbols
 
 if TYPE_CHECKING:
     from warp_peri.statics.body import BodySolution
@@ -90,12 +91,14 @@ def write_influence(path: str | os.PathLike[str], model: Model, spacing: float) 
         columns.append(kernel / m)
     columns.insert(2, K)
     columns.append(classes.weight)
+    length, stress = symbols(model.units)
     lines = [
-        f"# influence function, lattice of spacing {spacing:g} angstrom, "
-        f"horizon {model.horizon:g} angstrom, lambda = {model.lam:.17g}, mu = {model.mu:.17g} TPa",
+        f"# influence function, lattice of spacing {spacing:g} {length}, "
+        f"horizon {model.horizon:g} {length}, lambda = {model.lam:.17g}, "
+        f"mu = {model.mu:.17g} {stress}",
         "# m = sum over the family of K r^2 W; only K/m enters the model",
-        "r [angstrom],bonds,K,K/m [1/angstrom^4],K/m of the dilatation [1/angstrom^4],"
-        "W [angstrom^2]",
+        f"r [{length}],bonds,K,K/m [1/{length}^4],K/m of the dilatation [1/{length}^4],"
+        f"W [{length}^2]",
     ]
     lines += [",".join(f"{value:.17g}" for value in row) for row in zip(*columns)]
     write_text(path, "\n".join(lines) + "\n")
@@ -114,16 +117,17 @@ def write_kernel(path: str | os.PathLike[str], model: Model) -> Path:
     if not isinstance(record, dict):
         raise InputError("model: expected one of one_kernel, which is fitted on many lattices")
     ratios = record["h_over_horizon"]
+    length, stress = symbols(model.units)
     lines = [
         f"# one influence function for lattices of h/horizon from {ratios[0]:.3g} to "
-        f"{ratios[-1]:.3g}, horizon {model.horizon:g} angstrom, lambda = {model.lam:.17g}, "
-        f"mu = {model.mu:.17g} TPa",
-        f"# displacement against the model at {record['from_spacing']:g} angstrom, waves longer "
-        f"than {record['waves_longer_than']:.3g} angstrom; h/horizon: mean, largest error",
+        f"{ratios[-1]:.3g}, horizon {model.horizon:g} {length}, lambda = {model.lam:.17g}, "
+        f"mu = {model.mu:.17g} {stress}",
+        f"# displacement against the model at {record['from_spacing']:g} {length}, waves longer "
+        f"than {record['waves_longer_than']:.3g} {length}; h/horizon: mean, largest error",
     ]
     rows = zip(ratios, record["mean_error"], record["largest_error"])
     lines += [f"# {h:.3g}: {100 * mean:.2g} %, {100 * most:.2g} %" for h, mean, most in rows]
-    lines.append("r [angstrom],K,r^alpha K")
+    lines.append(f"r [{length}],K,r^alpha K")
     r = model.horizon * np.arange(1, KERNEL_ROWS + 1) / KERNEL_ROWS
     columns = (r, model.influence(r), r**model.alpha * model.influence(r))
     lines += [",".join(f"{value:.17g}" for value in row) for row in zip(*columns)]

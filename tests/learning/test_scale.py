@@ -7,9 +7,21 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.waves import waves
-from warp_peri import Bernstein, Conditions, InputError, Optimum, fit, load_model, solve
+from warp_peri import (
+    Bernstein,
+    Conditions,
+    InputError,
+    LPSOperator,
+    Optimum,
+    critical_time_step,
+    evaluate,
+    fit,
+    load_model,
+    solve,
+)
 from warp_peri.learning.scale import RELATIVE_ZETA, scale_of, stiffness_of
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import symbols
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)
@@ -59,6 +71,42 @@ def test_lengths_in_any_unit(data, plain, length):
     assert result.model.mu == pytest.approx(plain.model.mu, rel=1e-5)
     solved = solve(result.model, there, there.b, there.u)
     assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
+
+
+def named(samples, units):
+    return replace(samples, points=replace(samples.points, units=units))
+
+
+@pytest.mark.parametrize("units", [("nm", "GPa"), ("sigma", "epsilon/sigma^3")])
+def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, units):
+    there = named(at_scale(data, 0.1, 1000.0), units)
+    result = learned(there, 0.1)
+    length, stress = symbols(units)
+    assert result.model.units == units
+    assert result.model.mu == pytest.approx(1000 * plain.model.mu, rel=1e-5)
+    assert f"spacing 0.1 {length}, with" in result.certificate.statement
+    assert f" {stress}" in repr(result)
+    assert "TPa" not in repr(result)
+    assert "Å" not in repr(result)
+    assert solve(result.model, there, there.b, there.u).shape == there.u.shape
+    for use in (
+        lambda: solve(result.model, data, data.b, data.u),
+        lambda: evaluate(plain.model, there),
+        lambda: LPSOperator(plain.model, there),
+    ):
+        with pytest.raises(InputError, match=r"units: the model is in .*in_units\(.* converts"):
+            use()
+    with pytest.raises(InputError, match="units: expected the same for all sets"):
+        learned(data, noise=there)
+    if units == ("nm", "GPa"):
+        converted = result.model.in_units(("angstrom", "TPa"))
+        assert evaluate(converted, data)["E_u"] < 1e-4
+        assert critical_time_step(result.model, spacing=0.1, density=2200.0) == pytest.approx(
+            critical_time_step(converted, spacing=1.0, density=2200.0)
+        )
+    else:
+        with pytest.raises(InputError, match="no factor leads"):
+            critical_time_step(result.model, spacing=0.1, density=2200.0)
 
 
 def test_moduli_to_be_held_are_those_of_the_data(data):

@@ -100,8 +100,8 @@ BAD_FILES = {
     "format": ("format", "other", "format: expected 'warp_peri.model', got 'other'"),
     "version": ("version", 2, "version: expected 1, got 2"),
     "no version": ("version", None, "version: expected 1, got None"),
-    "length unit": ("length_unit", "nm", "length_unit: expected 'angstrom', got 'nm'"),
-    "stress unit": ("stress_unit", "GPa", "stress_unit: expected 'TPa', got 'GPa'"),
+    "length unit": ("length_unit", "mile", "length_unit: expected one of angstrom, .*got 'mile'"),
+    "stress unit": ("stress_unit", "GPa", "sha256: the contents are not what was written"),
     "unknown key": ("colour", "red", "unknown keys: colour"),
     "missing key": ("alpha", None, "missing keys: alpha"),
     "alpha": ("alpha", 3.5, "alpha: expected less than 3, got 3.5"),
@@ -170,3 +170,28 @@ def test_spacings_without_certificate_are_refused_or_warned_about():
         MODEL.check_spacing(2.5, allow_uncertified=True)
     with pytest.raises(InputError, match="certified on no spacing, not on 5 Å"):
         replace(MODEL, certified_on=()).check_spacing(5.0)
+
+
+def test_a_file_that_names_no_units_is_in_angstrom_and_terapascal(path):
+    content = json.loads(path.read_text())
+    del content["length_unit"], content["stress_unit"], content["sha256"]
+    path.write_text(json.dumps(content))
+    with pytest.warns(UserWarning, match="names no units: taken as Å and TPa"):
+        assert load_model(path).units == ("angstrom", "TPa")
+
+
+def test_a_model_carries_its_units_and_converts(path, tmp_path):
+    model = load_model(path)
+    there = model.in_units(("nm", "GPa"))
+    assert there.mu == pytest.approx(1000 * model.mu)
+    assert there.horizon == pytest.approx(model.horizon / 10)
+    assert there.certified_on == pytest.approx([h / 10 for h in model.certified_on])
+    there.save(tmp_path / "there.json")
+    assert json.loads((tmp_path / "there.json").read_text())["length_unit"] == "nm"
+    again = load_model(tmp_path / "there.json", units=("angstrom", "TPa"))
+    assert (again.mu, again.lam) == pytest.approx((model.mu, model.lam))
+    assert again.units == ("angstrom", "TPa")
+    with pytest.raises(InputError, match="no factor leads from"):
+        model.in_units(("sigma", "epsilon/sigma^3"))
+    with pytest.raises(InputError, match="length_unit: expected one of"):
+        model.in_units(("mile", "TPa"))

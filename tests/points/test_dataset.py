@@ -1,5 +1,6 @@
 """Data sets in memory and in HDF5."""
 
+import dataclasses
 from dataclasses import replace
 
 import h5py
@@ -105,9 +106,9 @@ BAD_FILES = {
     "no format": (attribute("format", None), "format: expected 'warp_peri.dataset', got None"),
     "version": (attribute("version", 2), "version: expected 1, got .*2"),
     "versions": (attribute("version", [1, 1]), "version: expected 1, got"),
-    "length unit": (attribute("length_unit", "nm"), "length_unit: expected 'angstrom', got 'nm'"),
-    "stress unit": (attribute("stress_unit", "GPa"), "stress_unit: expected 'TPa', got 'GPa'"),
-    "no unit": (attribute("stress_unit", None), "stress_unit: expected 'TPa', got None"),
+    "length unit": (attribute("length_unit", "nm"), "sha256: the contents are not"),
+    "stress unit": (attribute("stress_unit", "bar"), "stress_unit: expected one of TPa"),
+    "no unit": (attribute("stress_unit", None), "stress_unit: expected one of TPa, .*got None"),
     "no thickness": (attribute("thickness", None), "'thickness' is missing"),
     "thickness": (attribute("thickness", 0.0), "thickness: expected a number > 0, got 0.0"),
     "thickness NaN": (attribute("thickness", np.nan), "thickness: expected a number > 0, got nan"),
@@ -272,9 +273,11 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path, units):
     length = {"nm": 10.0, "m": 1e10, "angstrom": 1.0}[units[0]]
     stress = {"GPa": 1e-3, "Pa": 1e-12, "eV/angstrom^3": 0.1602176634}[units[1]]
     save_dataset(path, before, units=units)
-    with pytest.raises(InputError, match=r"_unit: expected '.*converts"):
-        load_dataset(path)
+    own = load_dataset(path)
+    assert own.units == units
+    np.testing.assert_array_equal(own["train"].x, before["train"].x)
     converted = load_dataset(path, units=("angstrom", "TPa"))
+    assert converted.units == ("angstrom", "TPa")
     assert converted.thickness == pytest.approx(before.thickness * length)
     assert converted.density == before.density
     for name in before:
@@ -290,3 +293,27 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path, units):
         load_dataset(path, units=("mile", "TPa"))
     with pytest.raises(InputError, match=r"units: expected \(length, stress\), got 'nm!'"):
         save_dataset(path, before, units="nm!")
+
+
+def test_reduced_units_are_carried_and_lead_nowhere(tmp_path):
+    path = tmp_path / "data.h5"
+    save_dataset(path, DATA, units=("sigma", "epsilon/sigma^3"))
+    assert load_dataset(path).units == ("sigma", "epsilon/sigma^3")
+    with pytest.raises(InputError, match="no factor leads from sigma and epsilon/sigma"):
+        load_dataset(path, units=("angstrom", "TPa"))
+
+
+def test_a_file_that_names_no_units_is_in_angstrom_and_terapascal(tmp_path):
+    path = tmp_path / "data.h5"
+    save_dataset(path, DATA)
+    with h5py.File(path, "r+") as file:
+        del file.attrs["length_unit"], file.attrs["stress_unit"]
+    with pytest.warns(UserWarning, match="names no units: taken as Å and TPa"):
+        assert load_dataset(path).units == ("angstrom", "TPa")
+
+
+def test_sets_of_one_file_are_in_the_same_units():
+    points = dataclasses.replace(LOADS.points, units=("nm", "GPa"))
+    other = dataclasses.replace(LOADS, points=points)
+    with pytest.raises(InputError, match="same for all sets, got a in angstrom and TPa, b in nm"):
+        Dataset({"a": LOADS, "b": other}, 3.35, 2200.0)

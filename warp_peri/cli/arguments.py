@@ -44,13 +44,26 @@ def coarse_grain(command: ArgumentParser) -> None:
     command.add_argument("--iota", type=float, help="ι of the smoothing in time; default: average")
 
 
+def units(command: ArgumentParser) -> None:
+    """Other units than those that the file carries."""
+    command.add_argument(
+        "--units",
+        nargs=2,
+        metavar=("LENGTH", "STRESS"),
+        help="convert the data, as: nm GPa; default: as they are",
+    )
+
+
 def train(command: ArgumentParser) -> None:
     """Data, kernel, method and conditions of a fit."""
     command.add_argument("data", type=Path, metavar="DATA.h5")
     command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
     command.add_argument("--set", default="train", help="what to learn from")
     command.add_argument("--noise", help="set with fields of noise alone")
-    command.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
+    units(command)
+    command.add_argument(
+        "--horizon", type=float, help="δ in the data's unit of length; default: 20 Å"
+    )
     command.add_argument("--degree", type=int, help="M of the Bernstein polynomials; default: 10")
     command.add_argument(
         "--influence",
@@ -159,6 +172,7 @@ def sweep(command: ArgumentParser) -> None:
     command.add_argument("--val", default="val", help="validation set")
     command.add_argument("--test", help="reported; takes no part in the choice")
     command.add_argument("--noise", help="set with fields of noise alone")
+    units(command)
     command.add_argument("--horizons", type=float, nargs="+", default=list(HORIZONS), help="δ [Å]")
     command.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES), help="M")
     command.add_argument("--conditions", choices=("direct", "paper"), default="direct")

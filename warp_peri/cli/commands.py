@@ -24,7 +24,7 @@ from warp_peri.models.nonlinear import NonlinearModel, load_any
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.units import USUAL
+from warp_peri.points.unit_names import LENGTHS, symbols
 from warp_peri.sources.coarse_graining import smoothing_matrix
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 Result = dict[str, Any]
 
-DEGREE = 10
-"""M of the Bernstein polynomials that are learned where nothing else was asked for."""
+HORIZON, DEGREE = 20.0, 10
+"""δ [Å] and M of the Bernstein polynomials that are learned where nothing else was asked for."""
 
 SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
@@ -127,13 +127,26 @@ def _take_sheet(given: argparse.Namespace) -> Dataset | None:
     return before
 
 
+def _dataset(given: argparse.Namespace) -> Dataset:
+    """The data in their own units, or those asked for; the usual horizon in their unit of length.
+
+    Raises InputError where the units are reduced ones, which have no usual horizon.
+    """
+    data = load_dataset(given.data, units=tuple(given.units) if given.units else None)
+    if getattr(given, "horizon", 0.0) is None:
+        if data.units[0] not in LENGTHS:
+            raise InputError(f"horizon: expected one in {data.units[0]}, the data's unit; got none")
+        given.horizon = HORIZON / LENGTHS[data.units[0]]
+    return data
+
+
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
     from warp_peri.learning import methods
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.run import train
 
-    data = load_dataset(given.data, units=USUAL)
+    data = _dataset(given)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
     kernel: warp_peri.Bernstein | warp_peri.InfluenceFunction
     kernel = warp_peri.Bernstein(DEGREE if given.degree is None else given.degree)
@@ -168,6 +181,7 @@ def training_metrics(run: Run) -> Result:
     """Constants, certificate and errors of a training run."""
     model = run.fit.model
     metrics: Result = {
+        "units": list(model.units),
         "certified": bool(model.certified_on),
         "statement": run.fit.certificate.statement,
         "loss": f"{run.fit.loss.name} ({run.fit.loss.reason})",
@@ -201,20 +215,23 @@ def run_certify(given: argparse.Namespace) -> Result:
     proven = {}
     for spacing in spacings:
         certificate = warp_peri.certify(model, spacing=spacing)
-        proven[f"{spacing:g} Å"] = {
+        name = f"{spacing:g} {symbols(model.units)[0]}"
+        proven[name] = {
             "holds": certificate.holds,
             "statement": certificate.statement,
             **certificate.figures(),
         }
         if isinstance(given_model, NonlinearModel):
             proof = warp_peri.uniqueness(given_model, spacing=spacing)
-            proven[f"{spacing:g} Å"]["nonlinear"] = proof.figures()
+            proven[name]["nonlinear"] = proof.figures()
     return proven
 
 
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
-    model, data = load_any(given.model), load_dataset(given.data, units=USUAL)
+    model = load_any(given.model)
+    data = load_dataset(given.data, units=model.units)
+    given.unit = "{1}/{0}".format(*symbols(model.units))  # of E_res_abs, where it is printed
     tables: dict[str, dict[str, Any]] = {}
     for name in given.sets or data:
         points = data[name]
@@ -236,7 +253,8 @@ def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, or of a body with an outline, in a file."""
     if given.body is not None or given.data is None:
         return run_solve_body(given)
-    model, data = load_any(given.model), load_dataset(given.data, units=USUAL)
+    model = load_any(given.model)
+    data = load_dataset(given.data, units=model.units)
     points = data[given.set]
     fields = (points.loads, points.u)
     asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
@@ -274,7 +292,7 @@ def run_export(given: argparse.Namespace) -> Result:
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = load_dataset(given.data, units=USUAL)[given.set]
+        points = load_dataset(given.data, units=model.units)[given.set]
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
         if given.what == "operator" or not given.allow_uncertified:  # which solve warns of
             model = warp_peri.model_for(model, points, **asked)
@@ -299,7 +317,7 @@ def run_export(given: argparse.Namespace) -> Result:
 
 def run_sweep(given: argparse.Namespace) -> Result:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
-    data = load_dataset(given.data, units=USUAL)
+    data = _dataset(given)
     sweep = warp_peri.sweep(
         data[given.set],
         data[given.val],
@@ -333,6 +351,7 @@ def run_info(given: argparse.Namespace) -> Result:
     data = load_dataset(given.file)
     return {
         "format": "data set",
+        "units": list(data.units),
         "thickness": data.thickness,
         "density": data.density,
         "sets": {name: set_summary(data[name]) for name in data},
@@ -357,6 +376,7 @@ def model_summary(model: Model) -> Result:
     """Constants, lattices and errors of a model."""
     return {
         "format": "model",
+        "units": list(model.units),
         "lambda": model.lam,
         "mu": model.mu,
         "E": model.E,

@@ -98,14 +98,14 @@ def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
     if given.json:
         print(json.dumps(result))
     elif given.command == "evaluate":
-        _print_table(result)
+        _print_table(result, given.unit)
     else:
         print("\n".join(map(_printable, commands.lines_of(result))))
 
 
-def _print_table(tables: dict[str, dict[str, Any]]) -> None:
-    width = max(map(len, tables))
-    print(f"{'set':{width}}  samples   E_res [%]  E_res_abs [TPa/Å]   E_u [%]  E_shape [%]")
+def _print_table(tables: dict[str, dict[str, Any]], unit: str) -> None:
+    width, absolute = max(map(len, tables)), f"E_res_abs [{unit}]"
+    print(f"{'set':{width}}  samples   E_res [%]  {absolute:>17}   E_u [%]  E_shape [%]")
     for name, table in tables.items():
         if "error" in table:
             print(_printable(f"{name:{width}}  {table['error']}"))

@@ -16,6 +16,7 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
+from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.stability.proof import largest_bound
 from warp_peri.transfer.kept import model_at
 from warp_peri.transfer.operator import LPSOperator
@@ -69,7 +70,7 @@ def critical_time_step(
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     classes = bond_classes(model.nominal_spacing(spacing), model.horizon)
     stiffest = largest_bound(classes, *stiffnesses(model, classes))
-    return float(2 * np.sqrt(INERTIA * density / stiffest))
+    return float(2 * np.sqrt(inertia(density, model.units) / stiffest))
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,15 @@ class State:
     g: np.ndarray
 
 
+def inertia(density: float, units: Units) -> float:
+    """ρ in units of stress · ps² over length², of kg/m³.
+
+    Raises InputError for reduced units, which have neither kilograms nor picoseconds.
+    """
+    length, stress = factors(units, USUAL)
+    return INERTIA * density * length**2 / stress
+
+
 class Inert:
     """Interior nodes of some density under a constant load: ρ ü = b − L u.
 
@@ -101,7 +111,7 @@ class Inert:
         self, operator: LPSOperator, interior: np.ndarray, density: float, load: np.ndarray
     ) -> None:
         self.operator, self.interior, self.load = operator, interior, load
-        self.inertia = INERTIA * density
+        self.inertia = inertia(density, operator.model.units)
 
     def state(self, u: np.ndarray, v: np.ndarray) -> State:
         """The state with displacement [N, 2] and velocity [I, 2]."""

@@ -9,6 +9,7 @@ from warp_peri.errors import InputError
 from warp_peri.learning.methods import Method, TwoStage
 from warp_peri.learning.scale import Scale
 from warp_peri.learning.training_data import TrainingData
+from warp_peri.points.unit_names import symbols
 from warp_peri.regression.optimum import HEADROOM
 from warp_peri.regression.parameters import SMALLEST_MODULUS, Parameters
 
@@ -36,9 +37,10 @@ def warn_of_bounds(final: Parameters, data: TrainingData, scale: Scale, method: 
     moduli = {"μ": final.mu, "λ + μ": final.lam + final.mu}
     low = [name for name, value in moduli.items() if value <= bound * (1 + ON_BOUND)]
     if low:
+        unit = symbols(scale.units)[1]
         warnings.warn(
-            f"{' and '.join(low)} ended on the lower bound, {bound * scale.stress:.3g} TPa, where "
-            f"the data show a stiffness of {scale.stiffness:.3g} TPa: they do not determine it, or "
-            "ask for less",
+            f"{' and '.join(low)} ended on the lower bound, {bound * scale.stress:.3g} {unit}, "
+            f"where the data show a stiffness of {scale.stiffness:.3g} {unit}: they do not "
+            "determine it, or ask for less",
             stacklevel=3,
         )

@@ -281,7 +281,7 @@ def _certified(
     """The model of these parameters with its certificate on every training lattice."""
     asked = settings.conditions
     horizon = asked[0].classes.horizon
-    bare = as_model(final, horizon)
+    bare = dataclasses.replace(as_model(final, horizon), units=sets[0].points.units)
     if all(points.spacing > 0 for points in sets):
         certificates = [certify(bare, spacing=points.spacing, points=points) for points in sets]
     else:

@@ -224,5 +224,6 @@ class _Task:
     def _solid(
         self, parameters: Parameters, t3: float = 0.0, tq2: float = 0.0, q3: float = 0.0
     ) -> NonlinearModel:
-        linear = as_model(parameters, self.horizon)
+        units = self.sets[0].points.units
+        linear = dataclasses.replace(as_model(parameters, self.horizon), units=units)
         return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing, axis=self.axis)

@@ -10,6 +10,7 @@ import numpy as np
 from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.models.lps import Model
 from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.points.unit_names import symbols
 from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.certificate import Certificate
 from warp_peri.stability.conditions import LatticeConditions
@@ -71,15 +72,19 @@ class Fit:
     def rows(self) -> list[tuple[str, str]]:
         """What to know of a fit at a glance: name and value."""
         model, last = self.model, self.history[-1] if self.history else None
-        lattices = ", ".join(f"{h:g} Å" for h in model.certified_on) or "no lattice"
+        length, stress = symbols(model.units)
+        lattices = ", ".join(f"{h:g} {length}" for h in model.certified_on) or "no lattice"
         lines = [
-            ("λ, μ", f"{model.lam:.4g}, {model.mu:.4g} TPa"),
-            ("E, ν", f"{model.E:.4g} TPa, {model.nu:.3g}"),
-            ("kernel", f"M = {model.degree}, δ = {model.horizon:g} Å, α = {model.alpha:.3g}"),
+            ("λ, μ", f"{model.lam:.4g}, {model.mu:.4g} {stress}"),
+            ("E, ν", f"{model.E:.4g} {stress}, {model.nu:.3g}"),
+            (
+                "kernel",
+                f"M = {model.degree}, δ = {model.horizon:g} {length}, α = {model.alpha:.3g}",
+            ),
         ]
         for constants in self.moduli[:1]:
             numbers = ", ".join(f"{constants[key]:.4g}" for key in ("C11", "C12", "C44"))
-            lines.append(("C11, C12, C44", f"{numbers} TPa"))
+            lines.append(("C11, C12, C44", f"{numbers} {stress}"))
         if last is not None:
             lines.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
         lines.append(("loss", f"{self.loss.name} ({self.loss.reason})"))
@@ -102,6 +107,7 @@ class Fit:
 
 def _influence_svg(model: Model) -> str:
     """K(r)/max|K| as a small drawing."""
+    unit = symbols(model.units)[0]
     r = np.linspace(model.horizon / 8, model.horizon, 200)
     K = model.influence(r)
     x, y = 300 * r / model.horizon, 60 - 50 * K / np.abs(K).max()
@@ -110,5 +116,6 @@ def _influence_svg(model: Model) -> str:
         "<svg width='320' height='140' role='img' aria-label='influence function'>"
         "<line x1='0' y1='60' x2='300' y2='60' stroke='gray'/>"
         f"<polyline points='{path}' fill='none' stroke='steelblue' stroke-width='2'/>"
-        f"<text x='0' y='135' font-size='11'>K(r), r from 0 to δ = {model.horizon:g} Å</text></svg>"
+        "<text x='0' y='135' font-size='11'>K(r), r from 0 to "
+        f"δ = {model.horizon:g} {unit}</text></svg>"
     )

@@ -23,7 +23,8 @@ from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.points.units import scaled
+from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.points.units import in_units_of, scaled
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.conditions import Conditions, LatticeConditions
@@ -44,16 +45,18 @@ class Scale:
 
     Attributes:
         length, stress: of the fit, in the units of the data; powers of two.
-        stiffness: that the data show [TPa].
+        stiffness: that the data show, in their unit of stress.
+        units: names of the units of the data.
     """
 
     length: float
     stress: float
     stiffness: float
+    units: Units = USUAL
 
     def samples(self, given: Samples) -> Samples:
         """The samples in these units."""
-        return scaled(given, 1 / self.length, 1 / self.stress)
+        return in_units_of(scaled(given, 1 / self.length, 1 / self.stress), USUAL)
 
     def conditions(self, asked: Conditions) -> Conditions:
         """The conditions with their ζ [TPa]: that of the stiffness, where none was asked for."""
@@ -113,7 +116,7 @@ def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale
     """
     stiffness = stiffness_of(sets, horizon)
     length = _step(horizon / USUAL_HORIZON, 6) if lengths and horizon > 0 else 1.0
-    return Scale(length, _step(stiffness / USUAL_STIFFNESS, 4), stiffness)
+    return Scale(length, _step(stiffness / USUAL_STIFFNESS, 4), stiffness, sets[0].points.units)
 
 
 def _step(ratio: float, bits: int) -> float:
@@ -176,6 +179,9 @@ def scaled_data(
             lattice_spacing=None if lattice_spacing is None else lattice_spacing / length,
         )
 
+    named = {" and ".join(check_units(each.points.units)) for each in (*sets, *noise)}
+    if len(named) > 1:
+        raise InputError(f"units: expected the same for all sets, got {', '.join(sorted(named))}")
     try:
         scale = scale_of(sets, horizon, lengths=lengths)
     except InputError:

@@ -140,7 +140,7 @@ class Stages:
             closest = self.data.stress * min(reached.departure for reached in results)
             raise RuntimeError(
                 "stage 3: no start ended with the conditions kept; smallest margin "
-                f"{margin:.1e} TPa, moduli to be held missed by {closest:.1e} TPa or more"
+                f"{margin:.1e}, moduli to be held missed by {closest:.1e} or more"
             )
         lowest = min(reached.loss for reached in kept)
         # Equal losses are one optimum: the first start is kept, whatever the rounding.
@@ -170,8 +170,8 @@ class Stages:
             if not reached.converged:
                 margin, departure = data.stress * reached.margin, data.stress * reached.departure
                 raise RuntimeError(
-                    f"stage 4: ended with a margin of {margin:.1e} TPa, and moduli to be "
-                    f"held missed by {departure:.1e} TPa"
+                    f"stage 4: ended with a margin of {margin:.1e}, and moduli to be "
+                    f"held missed by {departure:.1e}"
                 )
             return reached.parameters
 

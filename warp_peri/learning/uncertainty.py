@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -128,7 +128,10 @@ def fit_uncertainty(
         for off in SMALLER:
             try:
                 above, below = (
-                    as_model(coordinates.parameters(y + sign * off * step, []), model.horizon)
+                    replace(
+                        as_model(coordinates.parameters(y + sign * off * step, []), model.horizon),
+                        units=model.units,
+                    )
                     for sign in (1, -1)
                 )
             except InputError:  # μ or λ + μ is not above zero there

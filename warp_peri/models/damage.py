@@ -99,7 +99,7 @@ def positive_kernel(model: Model, horizon: float) -> Model:
 
     This is how a model whose influence function changes sign goes to fracture.
     """
-    return Model(lam=model.lam, mu=model.mu, alpha=1.0, D=np.ones(1), horizon=horizon)
+    return Model(model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units)
 
 
 def continuum_stretch(model: Model, toughness: float) -> float:

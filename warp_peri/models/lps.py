@@ -18,6 +18,7 @@ from warp_peri.files.whole import plain, write_json
 from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
 from warp_peri.models.solid import Solid
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
+from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
 
 FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
@@ -67,6 +68,8 @@ class Model:
         errors: on data sets, by name.
         provenance: of the data and the fit.
         versions: of the packages.
+        units: names of the units of length and stress that all of it is in; Å and TPa where these
+            lines say so.
         file: that the model was read from; not part of its contents.
 
     Raises InputError naming the first number out of its range.
@@ -86,9 +89,12 @@ class Model:
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, Any] = field(default_factory=dict)
+    units: Units = USUAL
     file: Path | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", check_units(self.units))
+        length, stress = symbols(self.units)
         for name in ("lam", "mu", "alpha", "horizon"):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
         if self.D_dilatation is None:
@@ -110,10 +116,11 @@ class Model:
         if not self.alpha < ALPHA_BOUND:
             raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
         if not self.horizon > 0:
-            raise InputError(f"horizon: expected a length > 0 Å, got {self.horizon}")
+            raise InputError(f"horizon: expected a length > 0 {length}, got {self.horizon}")
         if not max(abs(self.lam), abs(self.mu)) <= LARGEST_MODULUS:
             raise InputError(
-                f"lambda, mu: expected at most {LARGEST_MODULUS:g} TPa, got {self.lam}, {self.mu}"
+                f"lambda, mu: expected at most {LARGEST_MODULUS:g} {stress}, got {self.lam}, "
+                f"{self.mu}"
             )
         if not (self.mu > 0 and self.lam + self.mu > 0):
             raise InputError(f"lambda, mu: expected μ > 0 and λ + μ > 0, got {self.lam}, {self.mu}")
@@ -186,8 +193,9 @@ class Model:
         """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
         if self.is_certified_on(spacing):
             return
-        known = ", ".join(f"{value:g} Å" for value in self.certified_on) or "no spacing"
-        here = f"{spacing:g} Å" if spacing else "scattered points"
+        unit = symbols(self.units)[0]
+        known = ", ".join(f"{value:g} {unit}" for value in self.certified_on) or "no spacing"
+        here = f"{spacing:g} {unit}" if spacing else "scattered points"
         message = (
             f"spacing: the model is certified on {known}, not on {here}, where its static "
             "problems may have no solution or a wrong one"
@@ -203,6 +211,32 @@ class Model:
         spacing = record.get("from_spacing") if isinstance(record, dict) else None
         return float(spacing) if isinstance(spacing, (int, float)) else None
 
+    def in_units(self, units: Units) -> Model:
+        """The same material with its numbers in other units.
+
+        K keeps its coefficients, whose common scale has no effect. Figures of the certificate and
+        records of errors and provenance stay in the units that they were made in, which the
+        provenance then names.
+
+        Raises InputError for units that are not known, or that no factor leads to.
+        """
+        length, stress = factors(self.units, units)
+        if self.units == tuple(units):
+            return self
+        shortest = self.largest_wave_number
+        return replace(
+            self,
+            lam=self.lam * stress,
+            mu=self.mu * stress,
+            horizon=self.horizon * length,
+            trained_on=tuple(spacing * length for spacing in self.trained_on),
+            certified_on=tuple(spacing * length for spacing in self.certified_on),
+            largest_wave_number=None if shortest is None else shortest / length,
+            provenance={**self.provenance, "units_before": list(self.units)},
+            units=check_units(units),
+            file=None,
+        )
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
         write_json(path, model_content(self))
@@ -213,8 +247,8 @@ def model_content(model: Model) -> dict[str, Any]:
     content: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
-        "length_unit": "angstrom",
-        "stress_unit": "TPa",
+        "length_unit": model.units[0],
+        "stress_unit": model.units[1],
     }
     content |= {key: getattr(model, name) for key, name in _NUMBERS.items()}
     content |= {"degree": model.degree, "D": model.D, "D_dilatation": model.D_dilatation}
@@ -243,15 +277,17 @@ def read_content(path: str | os.PathLike[str]) -> Any:
         raise InputError(f"{path}: not a readable JSON file ({error})") from None
 
 
-def load_model(path: str | os.PathLike[str]) -> Model:
-    """Read the file of a linear model.
+def load_model(path: str | os.PathLike[str], *, units: Units | None = None) -> Model:
+    """Read the file of a linear model, in the units that it names, or converted to others.
 
-    Raises InputError naming what is wrong: not JSON, another format, version, unit or quadrature,
-    missing or unknown keys, numbers out of range, contents that are not what was written.
+    Raises InputError naming what is wrong: not JSON, another format, version or quadrature, units
+    that are not known or cannot be converted, missing or unknown keys, numbers out of range,
+    contents that are not what was written.
     """
     content = read_content(path)
     try:
-        return replace(model_from(content), file=Path(path))
+        model = replace(model_from(content), file=Path(path))
+        return model if units is None else model.in_units(units)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -268,14 +304,16 @@ def model_from(content: Any) -> Model:
             f"kind: expected a linear model, got a {content['kind']!r:.50} one; "
             "warp_peri.load_nonlinear reads nonlinear models"
         )
+    written = content
+    if not {"length_unit", "stress_unit"} & set(content):
+        warnings.warn("the model names no units: taken as Å and TPa", stacklevel=3)
+        content = {**content, "length_unit": USUAL[0], "stress_unit": USUAL[1]}
     if missing := sorted(_KEYS - set(content)):
         raise InputError(f"missing keys: {', '.join(missing)}")
     if unknown := sorted(set(content) - _KEYS - _OPTIONAL):
         raise InputError(f"unknown keys: {', '.join(unknown)}")
-    fixed = {"length_unit": "angstrom", "stress_unit": "TPa", "quadrature": QUADRATURE}
-    for key, wanted in fixed.items():
-        if content[key] != wanted:
-            raise InputError(f"{key}: expected {wanted!r}, got {content[key]!r}")
+    if content["quadrature"] != QUADRATURE:
+        raise InputError(f"quadrature: expected {QUADRATURE!r}, got {content['quadrature']!r}")
     for key in ("D", "D_dilatation", "trained_on", "certified_on"):
         if not isinstance(content[key], list):
             raise InputError(f"{key}: expected a list, got {content[key]!r}")
@@ -290,13 +328,14 @@ def model_from(content: Any) -> Model:
         },
         trained_strain=content.get("trained_strain"),
         largest_wave_number=content.get("largest_wave_number"),
+        units=(content["length_unit"], content["stress_unit"]),
     )
     if content["degree"] != model.degree:
         raise InputError(
             f"degree: expected {model.degree} for {len(model.D)} coefficients, "
             f"got {content['degree']!r}"
         )
-    if "sha256" in content and content["sha256"] != content_hash(content):
+    if "sha256" in content and content["sha256"] != content_hash(written):
         raise InputError(
             "sha256: the contents are not what was written; remove this key to accept them"
         )

@@ -20,6 +20,7 @@ from warp_peri.models.lps import (
     read_content,
 )
 from warp_peri.models.smoothing import Smoothing
+from warp_peri.points.unit_names import Units
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
@@ -56,6 +57,11 @@ class NonlinearModel:
     proven: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress, which are the linear solid's."""
+        return self.linear.units
 
     def __post_init__(self) -> None:
         for name in (*CUBIC, "axis"):

@@ -7,6 +7,7 @@ import dataclasses
 from warp_peri.models.lps import Model
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import check_same
 
 
 def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
@@ -15,8 +16,11 @@ def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
     What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
     the certified lattice the operator is the one of the proof. Any other lattice, and scattered
     points, are returned as they are.
+
+    Raises InputError where the points are in other units than the model.
     """
     nodes = nodes_of(points)
+    check_same(model.units, nodes.units)
     spacing = model.nominal_spacing(nodes.spacing)
     if spacing == nodes.spacing:
         return nodes

@@ -11,6 +11,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_name, is_number
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +20,7 @@ class Dataset:
 
     Attributes:
         sets: samples by name, e.g. train, val, test.
-        thickness: of the sheet [Å].
+        thickness: of the sheet, in the sets' unit of length.
         density: mass per volume [kg/m³].
         provenance: how the data came to be; plain JSON values.
 
@@ -41,6 +42,17 @@ class Dataset:
         for name in self.sets:
             if not is_name(name):
                 raise InputError(f"sets: {name!r} cannot be the name of a set")
+        if len({samples.points.units for samples in self.sets.values()}) > 1:
+            named = ", ".join(
+                f"{name} in {' and '.join(samples.points.units)}"
+                for name, samples in self.sets.items()
+            )
+            raise InputError(f"units: expected the same for all sets, got {named}")
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress that all sets are in."""
+        return next(iter(self.sets.values())).points.units
 
     def __getitem__(self, name: str) -> Samples:
         """The point set called `name`; InputError lists what there is when it is missing."""

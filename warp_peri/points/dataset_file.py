@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -17,7 +19,8 @@ from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
-from warp_peri.points.units import USUAL, Units, check_units, converted
+from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.points.units import converted, in_units_of
 
 FORMAT, VERSION = "warp_peri.dataset", 1
 _NEEDED = ("x", "u", "interior")
@@ -28,18 +31,23 @@ SMALL = 2**20
 LAYOUT = ("v110", "v110")
 
 
-def save_dataset(path: str | os.PathLike[str], dataset: Dataset, *, units: Units = USUAL) -> None:
+def save_dataset(
+    path: str | os.PathLike[str], dataset: Dataset, *, units: Units | None = None
+) -> None:
     """Write `dataset` to an HDF5 file, whole or not at all.
 
-    `units` names the units of length and stress that its numbers are in, as ("nm", "GPa"): they are
-    written as they are, and the file carries the names.
+    The file carries the units of the data by name. `units`, as ("nm", "GPa"), names them where the
+    points do not: the numbers are written as they are.
 
     In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
     the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
 
     Raises InputError for a provenance that is not JSON, or units that are not known.
     """
-    length, stress = check_units(units)
+    if units is not None:
+        sets = {name: in_units_of(dataset[name], units) for name in dataset}
+        dataset = dataclasses.replace(dataset, sets=sets)
+    length, stress = dataset.units
     try:
         provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -84,6 +92,8 @@ def content_hash(dataset: Dataset) -> str:
 
     add(json.dumps(plain(dataset.provenance), sort_keys=True).encode())
     add(repr((float(dataset.thickness), float(dataset.density))).encode())
+    if dataset.units != USUAL:
+        add(*(name.encode() for name in dataset.units))
     for name in sorted(dataset.sets):
         points = dataset.sets[name]
         add(name.encode(), repr(float(points.spacing)).encode())
@@ -103,27 +113,27 @@ def content_hash(dataset: Dataset) -> str:
 def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) -> Dataset:
     """Read a data set.
 
-    With `units`, as ("angstrom", "TPa"), its numbers are converted to them from those that the file
-    carries; without, a file in others than Å and TPa is refused.
+    Its points carry the units that the file names; a file that names none is taken to be in Å and
+    TPa, with a warning. With `units`, as ("angstrom", "TPa"), the numbers are converted to them.
 
     Nothing outside the file is read: links to other files and arrays kept in other files are
     refused. Sizes are checked before memory is taken, and the contents against the hash that
     save_dataset wrote; a file without one is taken as it is.
 
-    Raises InputError naming what is wrong: not an HDF5 file, another format or version, other
-    units, a missing or misshapen array, a value that is not finite, arrays larger than the file
-    can hold, contents that are not what was written.
+    Raises InputError naming what is wrong: not an HDF5 file, another format or version, units
+    that are not known or cannot be converted, a missing or misshapen array, a value that is not
+    finite, arrays larger than the file can hold, contents that are not what was written.
     """
     try:
         with h5py.File(path, "r") as file:
             _check_sizes(file, os.path.getsize(path))
-            data, have = _read(file, USUAL if units is None else None)
+            data = _read(file)
             expected = _text(file.attrs.get("sha256"))
         if expected is not None and not (
             isinstance(expected, str) and expected == content_hash(data)
         ):
             raise InputError("sha256: the contents are not what was written; the file is damaged")
-        return data if units is None else converted(data, have, units)
+        return data if units is None else converted(data, units)
     except FileNotFoundError:
         raise InputError(f"{path}: no such data set") from None
     except InputError as error:
@@ -171,16 +181,16 @@ def _is_group(item: Any) -> bool:
     return isinstance(item, h5py.Group)
 
 
-def _read(file: h5py.File, only: Units | None) -> tuple[Dataset, Units]:
-    """What a file holds, and its units; any but `only` are refused, where that is given."""
+def _read(file: h5py.File) -> Dataset:
+    """What a file holds."""
     for key, expected in {"format": FORMAT, "version": VERSION}.items():
         value = _text(file.attrs.get(key))
         if np.shape(value) != () or value != expected:
             raise InputError(f"{key}: expected {expected!r}, got {value!r}")
     length, stress = (_text(file.attrs.get(key)) for key in ("length_unit", "stress_unit"))
-    for key, unit, usual in (("length_unit", length, USUAL[0]), ("stress_unit", stress, USUAL[1])):
-        if only is not None and (np.shape(unit) != () or unit != usual):
-            raise InputError(f"{key}: expected {usual!r}, got {unit!r}; units={USUAL} converts")
+    if length is None and stress is None:
+        warnings.warn("the file names no units: taken as Å and TPa", stacklevel=3)
+        length, stress = USUAL
     units = check_units((length, stress))
     thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
     try:
@@ -194,13 +204,13 @@ def _read(file: h5py.File, only: Units | None) -> tuple[Dataset, Units]:
         if not _is_group(group):
             raise InputError(f"{name}: expected a group (one per point set)")
         try:
-            sets[name] = _read_points(group)
+            sets[name] = _read_points(group, units)
         except InputError as error:
             raise InputError(f"set '{name}': {error}") from None
-    return Dataset(sets, thickness, density, provenance), units
+    return Dataset(sets, thickness, density, provenance)
 
 
-def _read_points(group: h5py.Group) -> Samples:
+def _read_points(group: h5py.Group, units: Units) -> Samples:
     items = dict(_members(group))
     missing = [key for key in _NEEDED if not isinstance(items.get(key), h5py.Dataset)]
     if missing:
@@ -222,6 +232,7 @@ def _read_points(group: h5py.Group) -> Samples:
         _attribute(group.attrs, "spacing"),
         box=None if box is None else _periods(box),
         outside=fields["outside"],
+        units=units,
     )
     return Samples(points, fields["u"], fields["b"], extra)
 

@@ -120,4 +120,9 @@ def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = FOR_DATA
     carried = interpolation(samples.x, y, neighbours=neighbours) @ values
     parts = np.split(carried, len(fields), axis=1)
     u, *b = (part.reshape(len(y), -1, 2).transpose(1, 0, 2) for part in parts)
-    return Samples(Points(y, interior, spacing), u, b[0] if b else None, samples.arrays)
+    return Samples(
+        Points(y, interior, spacing, units=samples.points.units),
+        u,
+        b[0] if b else None,
+        samples.arrays,
+    )

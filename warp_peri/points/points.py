@@ -8,6 +8,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.unit_names import USUAL, Units, check_units
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,7 @@ class Points:
         outside: nodes that are not part of the body, shape [N] bool, or None: they complete the
             balls that the quadrature integrates over, and bonds to them are broken (theory.md,
             40–42).
+        units: names of the units of length and stress that these nodes and their fields are in.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
     Periods are held against a horizon where there is one.
@@ -34,6 +36,7 @@ class Points:
     spacing: float
     box: tuple[float, float] | None = None
     outside: np.ndarray | None = None
+    units: Units = USUAL
 
     def __post_init__(self) -> None:
         for name, kind in (("x", float), ("interior", bool)):
@@ -47,6 +50,7 @@ class Points:
             raise InputError("interior: expected at least one interior node, got none")
         if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
             raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
+        object.__setattr__(self, "units", check_units(self.units))
         if self.outside is not None:
             outside = np.asarray(self.outside)
             wrong = outside.shape != (n,) or outside.dtype != bool

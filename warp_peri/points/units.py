@@ -1,55 +1,35 @@
-"""Units that data files are written in, and what converts them."""
+"""Data in other units."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeAlias
+from typing import Any
 
-from warp_peri.errors import InputError
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
-
-LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
-"""Units of length [Å]."""
-STRESSES = {"TPa": 1.0, "GPa": 1e-3, "MPa": 1e-6, "Pa": 1e-12, "eV/angstrom^3": 0.1602176634}
-"""Units of stress [TPa]."""
-
-Units: TypeAlias = tuple[str, str]
-"""Names of a unit of length and of one of stress."""
-USUAL: Units = ("angstrom", "TPa")
-"""What everything is in unless something else is said."""
+from warp_peri.points.unit_names import Units, check_units, factors
 
 
-def check_units(units: Any) -> Units:
-    """The units, if they are known by name; InputError with the names that are."""
-    try:
-        length, stress = units
-    except (TypeError, ValueError):
-        raise InputError(f"units: expected (length, stress), got {units!r:.60}") from None
-    for key, name, known in (
-        ("length_unit", length, LENGTHS),
-        ("stress_unit", stress, STRESSES),
-    ):
-        if not (isinstance(name, str) and name in known):
-            raise InputError(f"{key}: expected one of {', '.join(known)}, got {name!r:.60}")
-    return length, stress
-
-
-def converted(dataset: Dataset, have: Units, want: Units) -> Dataset:
-    """The data set with its numbers, which are in the units `have`, in the units `want`.
+def converted(dataset: Dataset, want: Units) -> Dataset:
+    """The data set with its numbers in other units.
 
     x, u, spacings, boxes and the thickness are lengths, b a stress over a length, wave vectors one
     over a length; other arrays and the mass density stay as they are.
 
-    Raises InputError for units that are not known.
+    Raises InputError for units that are not known, or that no factor leads to.
     """
-    have, want = check_units(have), check_units(want)
-    if have == want:
+    want = check_units(want)
+    if dataset.units == want:
         return dataset
-    length = LENGTHS[have[0]] / LENGTHS[want[0]]
-    stress = STRESSES[have[1]] / STRESSES[want[1]]
-    sets = {name: scaled(dataset[name], length, stress) for name in dataset}
+    length, stress = factors(dataset.units, want)
+    sets = {name: in_units_of(scaled(dataset[name], length, stress), want) for name in dataset}
     return dataclasses.replace(dataset, sets=sets, thickness=dataset.thickness * length)
+
+
+def in_units_of(samples: Samples, units: Units) -> Samples:
+    """The samples, whose numbers are in these units, with their names."""
+    points = dataclasses.replace(samples.points, units=check_units(units))
+    return dataclasses.replace(samples, points=points)
 
 
 def scaled(samples: Samples, length: float, stress: float) -> Samples:

@@ -14,6 +14,7 @@ from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
+from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.stability.proof import proven_bound
 
@@ -37,6 +38,7 @@ class Certificate:
         inf_sup_rank: number of its eigenvalues that are not zero.
         gamma_minus_2phi_min: Λmin(Γ − 2ΦᵗΦ) [Å⁻²].
         gamma_max: Λmax(Γ − 2ΦᵗΦ) [Å⁻²], which sets what zero means for the one above.
+        units: names of the units of length and stress of these figures.
     """
 
     spacing: float
@@ -47,6 +49,7 @@ class Certificate:
     inf_sup_rank: int | None = None
     gamma_minus_2phi_min: float | None = None
     gamma_max: float | None = None
+    units: Units = USUAL
 
     @property
     def holds(self) -> bool:
@@ -59,13 +62,15 @@ class Certificate:
     @property
     def statement(self) -> str:
         """What the certificate proves, in one sentence."""
+        length, stress = symbols(self.units)
         if not self.symbol_bound > 0:
-            return f"Nothing is proven on the lattice of spacing {self.spacing:g} Å."
+            return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
         return (
             f"Every static problem on any finite set of nodes of the square lattice of spacing "
-            f"{self.spacing:g} Å, with displacement given out to twice the horizon around it, has "
-            f"exactly one solution, and the operator's smallest eigenvalue is at least "
-            f"{self.symbol_bound:.6g} TPa times that of the 5-point Laplacian on the same nodes."
+            f"{self.spacing:g} {length}, with displacement given out to twice the horizon around "
+            f"it, has exactly one solution, and the operator's smallest eigenvalue is at least "
+            f"{self.symbol_bound:.6g} {stress} times that of the 5-point Laplacian on the same "
+            "nodes."
         )
 
     @property
@@ -84,8 +89,10 @@ class Certificate:
         return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_max
 
     def figures(self) -> dict[str, Any]:
-        """The figures as plain values, and the statement."""
-        return asdict(self) | {"statement": self.statement}
+        """The figures as plain values, in the units of the model they belong to; the statement."""
+        figures = asdict(self) | {"statement": self.statement}
+        del figures["units"]
+        return figures
 
 
 def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -> Certificate:
@@ -112,7 +119,7 @@ def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -
     smallest = float(search.worst(v, z, kappa)[0][0]) + zeta
     bound = proven_bound(classes, v, z, kappa, smallest)
     if points is None:
-        return Certificate(spacing, smallest, bound)
+        return Certificate(spacing, smallest, bound, units=model.units)
 
     parts = matrices(model, points)
     unknown = np.repeat(points.interior, 2)
@@ -126,6 +133,5 @@ def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -
         values = eigh(phi.T @ phi, gamma, eigvals_only=True)
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
-    return Certificate(
-        spacing, smallest, bound, gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
-    )
+    dense = (gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1]))
+    return Certificate(spacing, smallest, bound, *dense, units=model.units)

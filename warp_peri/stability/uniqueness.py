@@ -16,6 +16,7 @@ import numpy as np
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.symbol import long_wave_moduli, stiffnesses, symbol, zone_wedge
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.stability.proof import ROUNDING, affine_part, second_derivative, slowest
 
 DIRECTIONS = 400
@@ -39,6 +40,7 @@ class Uniqueness:
         kappa_in, kappa_out: proven bounds of κ [TPa^(−1/2)].
         curvature: the bound C(ε*) of Ψ″ [TPa].
         largest_parts: M_d, bounds of the homogeneous parts of Ψ of degree 3 to 6 at |H| = 1 [TPa].
+        units: names of the units of length and stress.
     """
 
     spacing: float
@@ -47,21 +49,25 @@ class Uniqueness:
     kappa_out: float
     curvature: float
     largest_parts: tuple[float, ...]
+    units: Units = USUAL
 
     @property
     def statement(self) -> str:
         """What is proven, in one sentence."""
+        length = symbols(self.units)[0]
         if not self.strain > 0:
-            return f"Nothing is proven on the lattice of spacing {self.spacing:g} Å."
+            return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
         return (
-            f"On any finite set of nodes of the square lattice of spacing {self.spacing:g} Å, with "
-            "displacement given out to twice the horizon around it, for every load, at most one "
-            f"solution has |H| ≤ {self.strain:.4f} at every node within the horizon of an unknown."
+            f"On any finite set of nodes of the square lattice of spacing {self.spacing:g} "
+            f"{length}, with displacement given out to twice the horizon around it, for every "
+            f"load, at most one solution has |H| ≤ {self.strain:.4f} at every node within the horizon of an unknown."
         )
 
     def figures(self) -> dict[str, Any]:
         """The figures as plain values, and the statement."""
-        return asdict(self) | {"statement": self.statement}
+        figures = asdict(self) | {"statement": self.statement}
+        del figures["units"]
+        return figures
 
 
 def uniqueness(model: NonlinearModel, *, spacing: float) -> Uniqueness:
@@ -88,7 +94,7 @@ def uniqueness(model: NonlinearModel, *, spacing: float) -> Uniqueness:
             low, high = (middle, high) if small else (low, middle)
         strain = low
     bound = curvature_bound(parts, strain)
-    return Uniqueness(spacing, strain, kappa_in, kappa_out, bound, tuple(parts))
+    return Uniqueness(spacing, strain, kappa_in, kappa_out, bound, tuple(parts), model.units)
 
 
 def curvature_bound(parts: Sequence[float], strain: float) -> float:

@@ -189,7 +189,7 @@ def solve_body(
         model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     stiff = long_wave(model, spacing)
     overlap = _overlap(model, mesh, coupling)
-    lattice = bulk_points(mesh, spacing, model.horizon)
+    lattice = bulk_points(mesh, spacing, model.horizon, units=model.units)
     collar = 2 * model.horizon + MARGIN * spacing
     depth = mesh.distance(mesh.x, spacing / 10)
     kept = _rim_triangles(mesh, depth < collar + overlap, lattice)

@@ -13,6 +13,7 @@ from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
+from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.statics.definite import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.dirichlet import Dirichlet
@@ -32,7 +33,9 @@ LOOSEST = 1e-3
 """Largest tolerance of an iterative solve."""
 
 
-def bulk_points(mesh: Mesh, spacing: float, horizon: float) -> tuple[Points, np.ndarray] | None:
+def bulk_points(
+    mesh: Mesh, spacing: float, horizon: float, *, units: Units = USUAL
+) -> tuple[Points, np.ndarray] | None:
     """Lattice nodes of a body, unknown where they are 2δ and a margin off the outline.
 
     Args:
@@ -51,8 +54,9 @@ def bulk_points(mesh: Mesh, spacing: float, horizon: float) -> tuple[Points, np.
     shape = np.ceil(high / spacing).astype(int) + 2 - first
     if shape.prod() > LARGEST or (high - low).max() < spacing:
         raise InputError(
-            f"mesh: {high[0] - low[0]:.3g} by {high[1] - low[1]:.3g}, expected positions in Å of a "
-            f"body that a lattice of {spacing:g} Å fills with 1 to {LARGEST:.0e} nodes"
+            f"mesh: {high[0] - low[0]:.3g} by {high[1] - low[1]:.3g}, expected positions of a "
+            f"body that a lattice of {spacing:g} {symbols(units)[0]} "
+            f"fills with 1 to {LARGEST:.0e} nodes"
         )
     axes = [spacing * (start + np.arange(n)) for start, n in zip(first, shape)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -65,7 +69,7 @@ def bulk_points(mesh: Mesh, spacing: float, horizon: float) -> tuple[Points, np.
         return None
     from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
     needed = from_unknown <= 2 * horizon * (1 + 1e-6)
-    return Points(x[needed], unknown[needed], spacing), held[needed]
+    return Points(x[needed], unknown[needed], spacing, units=units), held[needed]
 
 
 class Bulk:

@@ -20,7 +20,8 @@ from warp_peri.points.interpolation import (
     mean_spacing,
 )
 from warp_peri.points.points import Points
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import check_same
 from warp_peri.transfer.kept import model_at
 
 FINER = 2.0
@@ -65,6 +66,7 @@ class Carrier:
                 "points: scattered points that repeat or have broken bonds do not go through a "
                 "lattice; expected box=None and outside=None"
             )
+        check_same(model.units, nodes_of(points).units)
         dense = mean_spacing(points)
         if spacing is None:
             spacing = float(f"{dense / FINER:.2g}")
@@ -78,7 +80,7 @@ class Carrier:
     @property
     def lattice(self) -> Points:
         """The places, of which those with a load are the interior."""
-        return Points(self.x, self.loaded, self.spacing)
+        return Points(self.x, self.loaded, self.spacing, units=self.model.units)
 
     @cached_property
     def _for_loads(self) -> sp.csr_array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, model_content
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.unit_names import STRESSES, symbols
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -87,7 +89,7 @@ def new_lattice(
     (saying the best there is).
     """
     if not (np.isfinite(spacing) and spacing > 0):
-        raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
+        raise InputError(f"spacing: expected a lattice spacing > 0, got {spacing}")
     home = home_of(model, spacing)
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance}")
@@ -130,16 +132,17 @@ def _fewest(
             best = candidate
         if best is not None and best.error <= (tolerance or TOLERANCE):
             break
+    unit = symbols(home.model.units)[0]
     if best is None:
         raise InputError(
-            f"horizon: no kernel on the lattice of {spacing:g} Å keeps the conditions of a "
-            f"certificate within {horizons[-1]:g} Å"
+            f"horizon: no kernel on the lattice of {spacing:g} {unit} keeps the conditions of a "
+            f"certificate within {horizons[-1]:g} {unit}"
         )
     if tolerance is not None and best.error > tolerance:
         raise InputError(
-            f"tolerance: on the lattice of {spacing:g} Å waves longer than {2 * np.pi / asked:.3g} "
-            f"Å cannot be had to {100 * tolerance:g} %; the best there is is "
-            f"{100 * best.error:.2g} % at horizon {best.model.horizon:g} Å"
+            f"tolerance: on the lattice of {spacing:g} {unit} waves longer than "
+            f"{2 * np.pi / asked:.3g} {unit} cannot be had to {100 * tolerance:g} %; "
+            f"the best is {100 * best.error:.2g} % at horizon {best.model.horizon:g} {unit}"
         )
     return best
 
@@ -153,11 +156,12 @@ def home_of(model: Model, spacing: float) -> Home:
         )
     nearest = _nearest(model, spacing)
     figures = model.certificate.get(f"{nearest:g}", {})
-    proven = figures.get("symbol_bound", ZETA) if isinstance(figures, dict) else ZETA
+    usual = ZETA / STRESSES.get(model.units[1], math.inf)
+    proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
     largest = model.largest_wave_number
     if largest is None:  # an older file does not tell
         largest = SHARE * np.pi / min(model.certified_on)
-    return Home(model, nearest, largest, min(ZETA, proven) or ZETA)
+    return Home(model, nearest, largest, min(usual, proven) or max(usual, proven))
 
 
 def _nearest(model: Model, spacing: float) -> float:
@@ -171,17 +175,17 @@ def _asked(home: Home, spacing: float, shortest_wave: float) -> float:
     Raises InputError for waves that the data did not hold or the lattice does not carry.
     """
     if not (np.isfinite(shortest_wave) and shortest_wave > 0):
-        raise InputError(f"shortest_wave: expected a length > 0 Å, got {shortest_wave}")
-    k = 2 * np.pi / shortest_wave
+        raise InputError(f"shortest_wave: expected a length > 0, got {shortest_wave}")
+    k, unit = 2 * np.pi / shortest_wave, symbols(home.model.units)[0]
     if k > home.largest * (1 + 1e-9):
         raise InputError(
-            f"shortest_wave: the data held waves down to {2 * np.pi / home.largest:.3g} Å, nothing "
-            f"is known of {shortest_wave:g} Å"
+            f"shortest_wave: the data held waves down to {2 * np.pi / home.largest:.3g} {unit}, "
+            f"nothing is known of {shortest_wave:g} {unit}"
         )
     if k >= np.pi / spacing:
         raise InputError(
-            f"shortest_wave: a lattice of {spacing:g} Å carries waves longer than {2 * spacing:g} "
-            f"Å, got {shortest_wave:g} Å"
+            f"shortest_wave: a lattice of {spacing:g} {unit} carries waves longer than "
+            f"{2 * spacing:g} {unit}, got {shortest_wave:g} {unit}"
         )
     return k
 
@@ -197,8 +201,8 @@ def _horizons(spacing: float, largest: float | None) -> list[float]:
     ]
     if not kept:
         raise InputError(
-            f"horizon: a lattice of {spacing:g} Å needs one of {2 * spacing:g} Å or more, "
-            f"{largest:g} Å is the largest that fits"
+            f"horizon: a lattice of spacing {spacing:g} needs one of {2 * spacing:g} or more, "
+            f"{largest:g} is the largest that fits"
         )
     return kept
 
@@ -230,6 +234,7 @@ def _fitted(
         parameters.D,
         horizon,
         D_dilatation=parameters.D_dilatation,
+        units=home.model.units,
     )
     waves = rings(asked * (np.arange(RADII) + 1) / RADII)
     errors = wave_errors(
@@ -244,10 +249,11 @@ def _recorded(home: Home, spacing: float, band: float, candidate: _Candidate) ->
     Raises InputError when the proof does not hold.
     """
     certificate = certify(candidate.model, spacing=spacing)
+    unit = symbols(home.model.units)[0]
     if not certificate.holds:
         raise InputError(
-            f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} Å at horizon "
-            f"{candidate.model.horizon:g} Å"
+            f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} {unit} at "
+            f"horizon {candidate.model.horizon:g} {unit}"
         )
     record = _record(home, spacing, band, candidate, certificate)
     kept = home.model
@@ -274,11 +280,12 @@ def _record(
         dispersion(candidate.model, spacing, waves), dispersion(home.model, home.spacing, waves)
     ).max(axis=1)
     bonds = len(candidate.classes.steps)
+    unit = symbols(home.model.units)[0]
     parts = []
     for level in (0.005, 0.01, 0.02, 0.05):
         wave = agrees_to(2 * np.pi / sizes, errors, level)
         if wave is not None:
-            parts.append(f"{wave:.3g} Å to {100 * level:g} %")
+            parts.append(f"{wave:.3g} {unit} to {100 * level:g} %")
     agreement = f"waves longer than {', '.join(parts)}" if parts else "no wave to 5 %"
     return {
         "from_spacing": home.spacing,
@@ -291,8 +298,8 @@ def _record(
         "error": errors.tolist(),
         "symbol_bound": certificate.symbol_bound,
         "statement": (
-            f"from {home.spacing:g} Å to {spacing:g} Å (δ = {candidate.model.horizon:.4g} Å, "
-            f"{bonds} bonds): {agreement}"
+            f"from {home.spacing:g} {unit} to {spacing:g} {unit} "
+            f"(δ = {candidate.model.horizon:.4g} {unit}, {bonds} bonds): {agreement}"
         ),
     }
 

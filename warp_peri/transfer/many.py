@@ -88,6 +88,7 @@ def one_kernel(
         parameters.D,
         horizon,
         trained_on=model.trained_on,
+        units=model.units,
     )
     certificates = [
         certify(kernel, spacing=float(h)) for h in horizon * np.linspace(low, high, CERTIFIED)

@@ -1,0 +1,74 @@
+"""Units that files and values carry by name."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+from warp_peri.errors import InputError
+
+LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
+"""Units of length [Å]."""
+STRESSES = {"TPa": 1.0, "GPa": 1e-3, "MPa": 1e-6, "Pa": 1e-12, "eV/angstrom^3": 0.1602176634}
+"""Units of stress [TPa]."""
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
+SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
+"""How units are printed, where that is not by name."""
+SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
+
+Units: TypeAlias = tuple[str, str]
+"""Names of a unit of length and of one of stress."""
+USUAL: Units = ("angstrom", "TPa")
+"""What everything is in unless something else is said."""
+
+
+def check_units(units: Any) -> Units:
+    """The units, if they are known by name; InputError with the names that are."""
+    try:
+        length, stress = units
+    except (TypeError, ValueError):
+        raise InputError(f"units: expected (length, stress), got {units!r:.60}") from None
+    if (length, stress) == REDUCED:
+        return REDUCED
+    for key, name, known in (
+        ("length_unit", length, LENGTHS),
+        ("stress_unit", stress, STRESSES),
+    ):
+        if not (isinstance(name, str) and name in known):
+            raise InputError(
+                f"{key}: expected one of {', '.join(known)}, or {' and '.join(REDUCED)} together, "
+                f"got {name!r:.60}"
+            )
+    return length, stress
+
+
+def symbols(units: Units) -> tuple[str, str]:
+    """Length and stress as they are printed: "Å", "TPa"."""
+    length, stress = units
+    return SYMBOLS.get(length, length), SYMBOLS.get(stress, stress)
+
+
+def factors(have: Units, want: Units) -> tuple[float, float]:
+    """What lengths and stresses in the units `have` are multiplied by to be in the units `want`.
+
+    Raises InputError for units that are not known, and from reduced units to others.
+    """
+    have, want = check_units(have), check_units(want)
+    if have == want:
+        return 1.0, 1.0
+    if REDUCED in (have, want):
+        raise InputError(
+            f"units: no factor leads from {' and '.join(have)} to {' and '.join(want)}; reduced "
+            "units need σ and ε: scale the numbers with them first"
+        )
+    return LENGTHS[have[0]] / LENGTHS[want[0]], STRESSES[have[1]] / STRESSES[want[1]]
+
+
+def check_same(model: Units, points: Units) -> None:
+    """Raise InputError where a model and points are not in the same units."""
+    if model != points:
+        theirs = f"{points[0]!r}, {points[1]!r}"
+        raise InputError(
+            f"units: the model is in {' and '.join(model)}, the points are in "
+            f"{' and '.join(points)}; model.in_units(({theirs})) converts"
+        )
