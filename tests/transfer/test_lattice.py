@@ -99,7 +99,7 @@ REFUSED = {
     "beyond the data": ({"spacing": 0.5, "shortest_wave": 2.0}, {}, "the data held waves down to"),
     "beyond the lattice": ({"spacing": 3.0, "shortest_wave": 4.0}, {}, "carries waves longer than"),
     "horizon": ({"spacing": 2.0, "horizon": 3.0}, {}, "quadrature: no weights"),
-    "collar": ({"spacing": 2.0, "largest_horizon": 3.0}, {}, "needs one of 4 Å or more"),
+    "collar": ({"spacing": 2.0, "largest_horizon": 3.0}, {}, "needs one of 4 or more"),
 }
 
 

@@ -60,7 +60,8 @@ class Uniqueness:
         return (
             f"On any finite set of nodes of the square lattice of spacing {self.spacing:g} "
             f"{length}, with displacement given out to twice the horizon around it, for every "
-            f"load, at most one solution has |H| ≤ {self.strain:.4f} at every node within the horizon of an unknown."
+            f"load, at most one solution has |H| ≤ {self.strain:.4f} at every node within the "
+            "horizon of an unknown."
         )
 
     def figures(self) -> dict[str, Any]:
