@@ -27,7 +27,7 @@ from tools.lammps_session import LammpsSession, potential_file
 from tools.loads import atom_force
 from tools.samples import Sample, file_hash, read_record, write_record
 from tools.statics import TOLERANCE, Statics, find_bonds
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import locked
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
@@ -287,16 +287,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
     given = parser.parse_args(arguments)
-    try:
+
+    def work() -> None:
         held_samples(given.cache, tension=given.tension, progress=not given.quiet)
-    except KeyboardInterrupt:
-        print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
-        return 130
-    except (OSError, RuntimeError, InputError) as error:
-        print("holed_sheet: error:", " ".join(str(error).split()), file=sys.stderr)
-        return 1
-    print(given.cache)
-    return 0
+        print(given.cache)
+
+    kept = "finished samples are kept and the next run goes on"
+    return exit_status(work, kept, name="holed_sheet")
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from tools.loads import TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.samples import Body, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
@@ -359,7 +359,8 @@ def main(arguments: list[str] | None = None) -> int:
     if given.jobs == 0 or given.jobs < -1:
         parser.error(f"--jobs: expected a number of processes ≥ 1, or -1, got {given.jobs}")
     warnings.showwarning = short_warning
-    try:
+
+    def work() -> None:
         with scheduler(given.scheduler):
             path = make_graphene(
                 given.out,
@@ -368,16 +369,11 @@ def main(arguments: list[str] | None = None) -> int:
                 smoothing_radius=given.smoothing_radius,
                 progress=not given.quiet,
             )
-    except KeyboardInterrupt:
-        print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
-        return 130
+        print(path)
+
     # LammpsError, ConvergenceError, a killed worker and some of h5py's are RuntimeErrors.
-    except (OSError, RuntimeError, InputError) as error:
-        # HDF5 spreads its messages over lines.
-        print("make_graphene: error:", " ".join(str(error).split()), file=sys.stderr)
-        return 1
-    print(path)
-    return 0
+    kept = "finished samples are kept and the next run goes on"
+    return exit_status(work, kept, name="make_graphene")
 
 
 def short_warning(message: Warning | str, *_: Any, **__: Any) -> None:

@@ -25,7 +25,7 @@ from tools.graphene import THICKNESS, area_per_atom
 from tools.loads import Load, atom_force
 from tools.samples import Body, Sample, _statics, body_record, file_hash, read_sample, write_record
 from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
@@ -225,7 +225,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     warnings.showwarning = base.short_warning
-    try:
+
+    def work() -> None:
         path = make_strained(
             given.out,
             strains=given.strains,
@@ -233,14 +234,10 @@ def main(arguments: list[str] | None = None) -> int:
             cache=given.cache,
             progress=not given.quiet,
         )
-    except KeyboardInterrupt:
-        print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
-        return 130
-    except (OSError, RuntimeError, InputError) as error:
-        print("make_strained: error:", " ".join(str(error).split()), file=sys.stderr)
-        return 1
-    print(path)
-    return 0
+        print(path)
+
+    kept = "finished samples are kept and the next run goes on"
+    return exit_status(work, kept, name="make_strained")
 
 
 if __name__ == "__main__":

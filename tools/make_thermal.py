@@ -44,6 +44,7 @@ from tools.plans import Plan, graphene_plans
 from tools.reductions import REDUCTIONS, noise, reduced
 from tools.samples import Body, Sample, file_hash
 from tools.thermal import Bath, Run, Task, read_run, run, run_file
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
@@ -87,16 +88,16 @@ def make_thermal(
     Returns:
         The path of each reduction and factor.
 
-    Raises ValueError for values that make no sense, LammpsError naming load and seed, OSError when
+    Raises InputError for values that make no sense, LammpsError naming load and seed, OSError when
     the disk is full.
     """
     bath = Bath() if bath is None else bath
     if jobs == 0 or jobs < -1:
-        raise ValueError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
+        raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
     if not factors or not all(np.isfinite(factor) and factor > 0 for factor in factors):
-        raise ValueError(f"factors: expected numbers > 0, got {list(factors)}")
+        raise InputError(f"factors: expected numbers > 0, got {list(factors)}")
     if not reductions or not set(reductions) <= set(REDUCTIONS):
-        raise ValueError(f"reduction: expected of {', '.join(REDUCTIONS)}, got {list(reductions)}")
+        raise InputError(f"reduction: expected of {', '.join(REDUCTIONS)}, got {list(reductions)}")
     plans = graphene_plans() if plans is None else plans
     out = Path(out)
     cache = out / "graphene_0K.cache" if cache is None else Path(cache)
@@ -295,7 +296,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argument_parser()
     given = parser.parse_args(arguments)
     warnings.showwarning = short_warning
-    try:
+
+    def work() -> None:
         paths = make_thermal(
             given.out,
             bath=Bath(given.temperature, given.steps, given.transient, given.iota),
@@ -305,18 +307,12 @@ def main(arguments: list[str] | None = None) -> int:
             jobs=given.jobs,
             progress=not given.quiet,
         )
-    except KeyboardInterrupt:
-        print("interrupted; finished runs are kept and the next call goes on", file=sys.stderr)
-        return 130
-    except ValueError as error:
-        parser.error(str(error))
+        for path in paths.values():
+            print(path)
+
     # LammpsError and a killed worker are RuntimeErrors.
-    except (OSError, RuntimeError) as error:
-        print("make_thermal: error:", " ".join(str(error).split()), file=sys.stderr)
-        return 1
-    for path in paths.values():
-        print(path)
-    return 0
+    kept = "finished runs are kept and the next call goes on"
+    return exit_status(work, kept, name="make_thermal")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""The one exception that means: what you gave cannot be used, and why."""
+"""The one exception that means: what you gave cannot be used, and why; and how a command ends."""
 
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -19,6 +20,29 @@ class InputError(ValueError):
         line = " ".join(str(message)[: 4 * LONGEST].split())
         shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
         super().__init__(shown if len(shown) <= LONGEST else shown[:LONGEST] + " …")
+
+
+def exit_status(
+    work: Callable[[], int | None], interrupted: str = "what is finished is kept", *, name: str = ""
+) -> int:
+    """Run the work of a command and return its exit status.
+
+    Its own where it returns one, or 0; 130 after Ctrl-C, which says `interrupted`; 2 for input
+    that cannot be used; 1 after a failure, such as a full disk. One line, that `name` begins, says
+    what was wrong.
+    """
+    begin = f"{name}: " if name else ""
+    try:
+        return work() or 0
+    except KeyboardInterrupt:
+        print(f"interrupted; {interrupted}", file=sys.stderr)
+        return 130
+    except InputError as error:
+        print(f"{begin}error: {error}", file=sys.stderr)
+        return 2
+    except (OSError, RuntimeError) as error:  # also of HDF5, which spreads them over lines
+        print(f"{begin}error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
 
 
 def renamed(**now: str) -> Callable[[Called], Called]:

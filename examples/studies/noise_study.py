@@ -27,7 +27,7 @@ from examples.studies import noise_report
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from tools.make_thermal import make_thermal
 from tools.reductions import REDUCTIONS
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import locked, write_json, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import sweep
@@ -190,19 +190,12 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/studies/noise_study.py", *words])
-    try:
+
+    def work() -> None:
         with locked(given.out):
             print(run(given))
-    except KeyboardInterrupt:
-        print("interrupted; finished runs are kept and the next call goes on", file=sys.stderr)
-        return 130
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except (OSError, RuntimeError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+
+    return exit_status(work, "finished runs are kept and the next call goes on")
 
 
 if __name__ == "__main__":

@@ -49,5 +49,5 @@ def test_strains_that_do_not_grow_are_refused(tmp_path, capsys):
     for strains in ((0.05, 0.03), (), (-0.01, 0.02)):
         with pytest.raises(InputError, match="strains: expected numbers > 0 that grow"):
             tool.make_strained(tmp_path / "s.h5", strains=strains)
-    assert tool.main(["--out", str(tmp_path / "s.h5"), "--strains", "0.05", "0.03"]) == 1
+    assert tool.main(["--out", str(tmp_path / "s.h5"), "--strains", "0.05", "0.03"]) == 2
     assert "expected numbers > 0 that grow" in capsys.readouterr().err

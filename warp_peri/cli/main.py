@@ -16,7 +16,7 @@ from typing import Any
 
 from warp_peri.cli import arguments, commands
 from warp_peri.cli.settings_file import parse
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "coarse-grain": ("LAMMPS dumps to a data file", arguments.coarse_grain),
@@ -37,30 +37,23 @@ def main(words: Sequence[str] | None = None) -> int:
     Returns the exit status: 0; 1 after a failure, such as a full disk; 2 for input that cannot be
     used; 130 after Ctrl-C.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always")
-            warnings.showwarning = _warn
-            given = parse(_parser(), words)
-            commands.check_output(given)
-            result = given.run(given)
-    except KeyboardInterrupt:
-        print("interrupted; what is finished is kept", file=sys.stderr)
-        return 130
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except (OSError, RuntimeError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    return exit_status(lambda: _run(words))
+
+
+def _run(words: Sequence[str] | None) -> int:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = _warn
+        given = parse(_parser(), words)
+        commands.check_output(given)
+        result = given.run(given)
     try:
         _print(given, result)
         sys.stdout.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries at exit
         if not isinstance(error, BrokenPipeError):  # that is a reader, as `head`, who has enough
-            print(f"error: {error}", file=sys.stderr)
-            return 1
+            raise
     if given.command == "evaluate" and all("error" in table for table in result.values()):
         return 2
     return 0

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
+from warp_peri.errors import exit_status
 
 
 def main() -> int:
     """Run `warp-peri`; see warp_peri.cli.main."""
-    try:
-        from warp_peri.cli.main import main as run
 
-        return run()
-    except KeyboardInterrupt:
-        print("interrupted; what is finished is kept", file=sys.stderr)
-        return 130
+    def run() -> int:
+        from warp_peri.cli.main import main as command
+
+        return command()
+
+    return exit_status(run)
