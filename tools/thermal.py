@@ -18,6 +18,7 @@ import numpy as np
 from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load
 from tools.samples import Body, Sample, body_record, cache_file, read_record, write_record
+from warp_peri.errors import InputError
 
 CACHE_VERSION = 1
 
@@ -44,13 +45,13 @@ class Bath:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.temperature) and self.temperature > 0):
-            raise ValueError(f"temperature: expected more than 0 K, got {self.temperature}")
+            raise InputError(f"temperature: expected more than 0 K, got {self.temperature}")
         if not 0 <= self.transient < self.steps:
-            raise ValueError(
+            raise InputError(
                 f"steps: expected more than the transient of {self.transient}, got {self.steps}"
             )
         if not 0 < self.iota <= 1:
-            raise ValueError(f"iota: expected 0 < ι ≤ 1, got {self.iota}")
+            raise InputError(f"iota: expected 0 < ι ≤ 1, got {self.iota}")
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from warp_peri.errors import exit_status
+import sys
 
 
 def main() -> int:
     """Run `warp-peri`; see warp_peri.cli.main."""
+    try:
+        from warp_peri.cli.main import main as run  # all that takes time to import
 
-    def run() -> int:
-        from warp_peri.cli.main import main as command
-
-        return command()
-
-    return exit_status(run)
+        return run()
+    except KeyboardInterrupt:
+        print("interrupted; what is finished is kept", file=sys.stderr)
+        return 130

@@ -194,8 +194,8 @@ class Model:
         if self.is_certified_on(spacing):
             return
         unit = symbols(self.units)[0]
-        known = ", ".join(f"{value:g} {unit}" for value in self.certified_on) or "no spacing"
-        here = f"{spacing:g} {unit}" if spacing else "scattered points"
+        known = ", ".join(f"{value:.10g} {unit}" for value in self.certified_on) or "no spacing"
+        here = f"{spacing:.10g} {unit}" if spacing else "scattered points"
         message = (
             f"spacing: the model is certified on {known}, not on {here}, where its static "
             "problems may have no solution or a wrong one"
