@@ -25,6 +25,7 @@ from warp_peri import (
 )
 from warp_peri.choice import shipped_table
 from warp_peri.cli.main import main
+from warp_peri.errors import exit_status
 from warp_peri.points.families import families_of
 from warp_peri.sources.dumps import dump_frames
 
@@ -139,3 +140,23 @@ def test_an_early_interrupt_is_no_traceback(wait):
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert "warp_peri" not in errors or "Traceback" not in errors
+
+
+def test_commands_end_with_one_status_and_one_line(capsys):
+    def failing(error):
+        def work():
+            raise error
+
+        return work
+
+    for work, status, words in (
+        (lambda: None, 0, ""),
+        (lambda: 2, 2, ""),
+        (failing(KeyboardInterrupt()), 130, "interrupted; all is kept\n"),
+        (failing(InputError("x: expected 1")), 2, "tool: error: x: expected 1\n"),
+        (failing(OSError("disk\n  full")), 1, "tool: error: disk full\n"),
+    ):
+        assert exit_status(work, "all is kept", name="tool") == status
+        assert capsys.readouterr().err == words
+    with pytest.raises(KeyError):  # a fault of the program is not hidden
+        exit_status(failing(KeyError("x")))
