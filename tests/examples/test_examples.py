@@ -130,7 +130,7 @@ def test_evaluate_names_a_set_that_is_not_there(small_run, graphene, capsys):
     ("arguments", "words"),
     [
         (["--horizon", "30"], "twice the horizon: 152 of 441 have not at horizon 30 Å"),
-        (["--horizon", "4"], "horizon: expected at least one spacing (5.0 Å), got 4.0"),
+        (["--horizon", "4"], "horizon: expected at least one spacing (5.0), got 4.0"),
         (["--degree", "-1"], "degree: expected a whole number ≥ 0, got -1"),
         (["--spacing", "3"], "no training set on nodes 3 Å apart"),
         (["--data", "nowhere.h5"], "nowhere.h5: no such data set"),

@@ -53,7 +53,7 @@ def test_a_held_output_is_refused_by_every_job(holder, tmp_path, capsys):
     holder(*(tmp_path / name for name in ("out", "g.h5", "state.npz")))
     with pytest.raises(InputError, match="out: another job is writing here"):
         sweep(problem(), problem(1), tmp_path / "out", horizons=(2.0,), degrees=(0,), jobs=1)
-    assert tool.main(["--out", str(tmp_path / "g.h5"), "--quiet"]) == 1
+    assert tool.main(["--out", str(tmp_path / "g.h5"), "--quiet"]) == 2
     assert "g.h5: another job is writing here" in capsys.readouterr().err
     arguments = ["--data", "nowhere.h5", "--out", str(tmp_path / "out")]
     assert train_graphene.main(arguments) == 2

@@ -73,7 +73,7 @@ def diagnose(model: Model, samples: Samples, noise: Samples | None = None) -> Di
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         raise InputError(
             f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {len(samples)} at a "
-            f"spacing of {samples.spacing:g} Å"
+            f"spacing of {samples.spacing:g}"
         )
     (weight,) = sample_weights([samples], normalise=False)
     b = samples.loads[:, samples.interior]

@@ -22,7 +22,8 @@ from warp_peri.kernels import neighbours as kernels
 from warp_peri.launch import ints, launch_slices, zeros
 from warp_peri.points import scattered
 from warp_peri.points.quadrature import DEGREE, quadrature_weights
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import symbols
 
 HORIZON_TOLERANCE = 1e-6
 """The ball is closed: a bond belongs to the family when r ≤ δ (1 + this); on a lattice, whose
@@ -138,12 +139,12 @@ def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> Bon
 def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
     """`bond_classes`, kept: the weights take a decomposition of all bonds."""
     if not (np.isfinite(spacing) and spacing > 0):
-        raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
+        raise InputError(f"spacing: expected a lattice spacing > 0, got {spacing}")
     if not (np.isfinite(horizon) and horizon >= spacing):
-        raise InputError(f"horizon: expected at least one spacing ({spacing} Å), got {horizon}")
+        raise InputError(f"horizon: expected at least one spacing ({spacing}), got {horizon}")
     if horizon > LARGEST_REACH * spacing:
         raise InputError(
-            f"horizon: expected at most {LARGEST_REACH} spacings ({LARGEST_REACH * spacing:g} Å), "
+            f"horizon: expected at most {LARGEST_REACH} spacings ({LARGEST_REACH * spacing:g}), "
             f"got {horizon}"
         )
     longest = squared_reach(horizon / spacing)
@@ -200,7 +201,7 @@ def families_of(
         fits = "" if bond_based else build.fits(interior)
         raise InputError(
             f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short & interior)} of "
-            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} Å{fits} "
+            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} {_unit(points)}{fits} "
             f"(nodes {scattered.listed(np.flatnonzero(short & interior))})"
         )
     nodes = (
@@ -248,7 +249,7 @@ def _lattice_families(points: PointsLike, horizon: float, degree: int) -> _Build
         return Families(row, neighbour, opposite, *tables)
 
     def fits(interior: np.ndarray) -> str:
-        return f"; {_largest_horizon(grid, interior, points.spacing)}"
+        return f"; {_largest_horizon(grid, interior, points.spacing, _unit(points))}"
 
     return _Build(row, neighbour, lacking, fits, finish)
 
@@ -295,11 +296,11 @@ def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
     grid = np.rint((x - x[0]) / h).astype(np.int32)
     off = np.abs(x - x[0] - h * grid).max(axis=1) > LATTICE_TOLERANCE * h
     if off.any():
-        worst = float(np.abs(x - x[0] - h * grid).max())
+        worst, unit = float(np.abs(x - x[0] - h * grid).max()), _unit(points)
         raise InputError(
-            f"points: expected a square lattice of spacing {h} Å; off it: "
-            f"{scattered.listed(np.flatnonzero(off))}, by up to {worst:.2g} Å, where "
-            f"{LATTICE_TOLERANCE * h:.1g} Å ({LATTICE_TOLERANCE:g} spacings) are allowed: are "
+            f"points: expected a square lattice of spacing {h} {unit}; off it: "
+            f"{scattered.listed(np.flatnonzero(off))}, by up to {worst:.2g} {unit}, where "
+            f"{LATTICE_TOLERANCE * h:.1g} {unit} ({LATTICE_TOLERANCE:g} spacings) are allowed: are "
             "positions rounded?"
         )
     return grid - grid.min(0), axes
@@ -322,7 +323,8 @@ def _lattice_table(
         size = np.rint(np.divide(box, h)).astype(np.int32) if fits else np.zeros(2, np.int32)
         if not fits or np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
             raise InputError(
-                f"box: expected two whole multiples of {h} Å above {2 * reach * h} Å, got {box}"
+                f"box: expected two whole multiples of {h} above {2 * reach * h} "
+                f"{_unit(points)}, got {box}"
             )
         grid %= size
     number = np.full(size, -1, dtype=np.int32)
@@ -366,7 +368,7 @@ def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
     step = step[step != 0]  # a point given twice says nothing
     if len(step) == 0:
         raise InputError(
-            f"points: expected a square lattice of spacing {spacing} Å, but no two "
+            f"points: expected a square lattice of spacing {spacing}, but no two "
             "points are that close"
         )
     angle = np.angle((step**4).sum()) / 4  # the fourth power is blind to quarter turns
@@ -375,7 +377,12 @@ def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> str:
+def _unit(points: PointsLike) -> str:
+    """The unit of length of points, as it is printed."""
+    return symbols(nodes_of(points).units)[0]
+
+
+def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float, unit: str) -> str:
     """Say what horizon the collar would carry, of those for which there are quadrature weights."""
     rows, columns = grid.max(0) - grid.min(0) + 1
     present: np.ndarray = np.zeros((rows, columns), bool)
@@ -395,4 +402,4 @@ def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float) -> 
     number = bisect.bisect_left(candidates, True, key=lambda horizon: not fits(horizon))
     if number == 0:
         return "no horizon of two spacings or more fits"
-    return f"the largest that fits is {candidates[number - 1] * spacing:g} Å"
+    return f"the largest that fits is {candidates[number - 1] * spacing:g} {unit}"

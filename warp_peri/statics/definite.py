@@ -57,7 +57,7 @@ def refuse_indefinite(
     if not smallest > 0:
         raise InputError(
             f"the operator on these {np.count_nonzero(points.interior)} nodes is indefinite: its "
-            f"smallest eigenvalue is {smallest:.1e} TPa/Å², so that its equilibria are not stable"
+            f"smallest eigenvalue is {smallest:.1e}, so that its equilibria are not stable"
         )
 
 
@@ -70,8 +70,8 @@ def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
         return
     message = (
         f"outside: with these bonds broken the operator on {symmetric.shape[0] // 2} nodes is not "
-        f"positive definite: the smallest eigenvalue of its symmetric part is {smallest:.2g} "
-        "TPa/Å², and its solutions may be wrong; solve_body does without broken bonds"
+        f"positive definite: the smallest eigenvalue of its symmetric part is "
+        f"{smallest:.2g}, and its solutions may be wrong; solve_body does without broken bonds"
     )
     if not allowed:
         raise InputError(message)

@@ -63,7 +63,7 @@ class MatrixProblem:
         if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
             raise InputError(
                 "the operator on these nodes is singular to working precision: "
-                f"the residual of the solve is {wrong.max():.1e} TPa/Å"
+                f"the residual of the solve is {wrong.max():.1e}"
             )
 
     def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ class Dirichlet:
         kind = "singular" if abs(ratio) * long <= SINGULAR * self.scale else "indefinite"
         raise InputError(
             f"the operator on these {len(self.domain.free)} nodes is {kind} or cannot be told from "
-            f"it: the smallest Λmin D(k)/s(k) is {ratio * spacing**2:.2e} TPa, and static problems "
+            f"it: the smallest Λmin D(k)/s(k) is {ratio * spacing**2:.2e}, and static problems "
             "of the model have no unique or no stable answer here"
         )
 
