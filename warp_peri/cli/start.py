@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+from types import FrameType
 
 
 def main() -> int:
     """Run `warp-peri`; see warp_peri.cli.main."""
-    try:
-        from warp_peri.cli.main import main as run  # all that takes time to import
+    # An interrupt inside the import of a compiled module may come out as any error: leave at once.
+    usual = signal.signal(signal.SIGINT, _leave)
+    from warp_peri.cli.main import main as run  # all that takes time to import
 
+    signal.signal(signal.SIGINT, usual)
+    try:
         return run()
     except KeyboardInterrupt:
-        print("interrupted; what is finished is kept", file=sys.stderr)
+        _say()
         return 130
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    _say()
+    os._exit(130)
+
+
+def _say() -> None:
+    print("interrupted; what is finished is kept", file=sys.stderr, flush=True)

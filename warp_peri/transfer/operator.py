@@ -116,7 +116,9 @@ def _tensor(matrix: sp.csr_array, device: str) -> torch.Tensor:
     entries = sp.coo_array(matrix)
     place = torch.from_numpy(np.stack(entries.coords).astype(np.int64))
     values = torch.from_numpy(entries.data)
-    sparse: torch.Tensor = torch.sparse_coo_tensor(place, values, entries.shape, device=device)
+    sparse: torch.Tensor = torch.sparse_coo_tensor(
+        place, values, entries.shape, device=device, check_invariants=True
+    )
     return sparse.coalesce()
 
 
