@@ -79,6 +79,9 @@ def test_dilatation_and_laws_that_are_none_are_refused():
     for law in ((-1.0,), (1.0, 0.0), (1.0, 0.1, -0.1), (1.0, 0.1, np.inf)):
         with pytest.raises(InputError, match="expected a"):
             BondLaw(*law)
+    for law, times in ((BondLaw(1.0), 2.0), (BondLaw(1.0, 0.1), 0.0)):
+        with pytest.raises(InputError, match="at_horizon: expected"):
+            law.at_horizon(times)
 
 
 @pytest.mark.slow

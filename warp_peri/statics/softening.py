@@ -78,7 +78,14 @@ class BondLaw:
 
         A bond that stores more than its part of the toughness before it fails has no tail left, and
         fails earlier: then the strength gives way.
+
+        Raises InputError for a law that never fails, or times not > 0.
         """
+        if not (np.isfinite(self.stretch) and 0 < times < np.inf):
+            raise InputError(
+                "at_horizon: expected a law with a finite stretch and a number > 0, got "
+                f"{self.stretch} and {times}"
+            )
         goal = self.spent() / times
         abrupt = BondLaw(self.softness, self.stretch)
         if abrupt.spent() <= goal:
