@@ -31,10 +31,11 @@ from warp_peri.statics.cracked import CutSolid
 
 FITTED, DEFAULT, ALL = 24, (12, 16), (8, 12, 16, 32, 36)
 """Cut bonds of the crack that G_c is fitted on, of those predicted, and of all."""
-PAIRS = {"collinear": (4, 14), "collinear, long": (4, 20)}
+INNER, OUTER = 4, 14
 """Ends of the right one of two collinear cracks, in hexagons from the middle."""
-LATER = (20,), ("collinear, long",)
-"""Cracks chosen, and predicted, when everything else here stood."""
+LATER = {"10 bonds": [(-5, 5)], "16 bonds": [(-8, 8)], "two of 8 bonds": [(2, 10), (-10, -2)]}
+"""Cracks in a sheet of a quarter of the area, chosen and predicted when all else here stood."""
+LATER_HALF, SMALL = 20, ", small sheet"
 HALF = 40
 """Half side of the sheet inside its rim, in hexagons."""
 
@@ -42,12 +43,12 @@ HALF = 40
 class Continuum:
     """The sheet as a solid with K = 1/r at a spacing of one hexagon, pulled by its rim."""
 
-    def __init__(self, lam: float, mu: float, step: float) -> None:
+    def __init__(self, lam: float, mu: float, step: float, half: int = HALF) -> None:
         self.step = step
         self.model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * step)
-        side = 2 * (HALF + 6) * step
+        side = 2 * (half + 6) * step
         self.body = lattice_body(rectangle(side, side, step), step, 3 * step)
-        self.held = (np.abs(self.body.x) > HALF * step).any(axis=1)
+        self.held = (np.abs(self.body.x) > half * step).any(axis=1)
         self.unit = self.body.x * (0.0, 1.0)
 
     def energy(self, cracks: list) -> float:
@@ -90,18 +91,36 @@ def atoms(names: dict[str, tuple[list, float]], step: float, kept: Path) -> dict
     """Critical strains by LAMMPS; each is written down when it is found, and not found again."""
     measured = json.loads(kept.read_text()) if kept.exists() else {}
     for name, (cracks, expected) in tqdm(names.items(), desc="sheets", unit="sheet"):
+        half = LATER_HALF if name.endswith(SMALL) else HALF
         if name not in measured:
             lines = [np.array([(a * step, 0), (b * step, 0)]) for a, b in cracks]
-            measured[name] = critical_strain(lines, expected, half=HALF * step)
+            measured[name] = critical_strain(lines, expected, half=half * step)
             write_json(kept, measured)
     return {name: measured[name]["strain"] for name in names}
+
+
+def later(solid: Continuum, toughness: float, zone: float, kept: Path) -> dict[str, dict]:
+    """What the toughness and the zone found on the large sheet predict for a small one."""
+    release, predicted = solid.release(max(b for ((_, b), *_) in LATER.values())), {}
+    for name, cracks in LATER.items():
+        if len(cracks) == 1:
+            unit = release(cracks[0][1] + zone)
+        else:
+            unit = solid.release_of_two(zone, *cracks[0])
+        predicted[name + SMALL] = float(np.sqrt(toughness / unit))
+    names = {name + SMALL: (LATER[name], 0.95 * predicted[name + SMALL]) for name in LATER}
+    measured = atoms(names, solid.step, kept)
+    return {
+        name: {"atoms": strain, "predicted": predicted[name], "error": predicted[name] / strain - 1}
+        for name, strain in measured.items()
+    }
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--all", action="store_true", help="six cracks, and two collinear ones")
-    parser.add_argument("--later", action="store_true", help="two that were predicted blindly")
+    parser.add_argument("--later", action="store_true", help="three, predicted blindly")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "cracked_graphene")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -110,30 +129,31 @@ def main(argv: list[str] | None = None) -> int:
     step = float(np.sqrt(3) * bond)
     constants = elastic_constants(bond)
     sheet = Continuum(constants["lambda"], constants["mu"], step)
-    lengths = (FITTED, *(ALL if args.all else DEFAULT), *(LATER[0] if args.later else ()))
-    pairs = (*(("collinear",) if args.all else ()), *(LATER[1] if args.later else ()))
+    lengths = (FITTED, *(ALL if args.all else DEFAULT))
     release = sheet.release(max(lengths) // 2 + 1)
     guess = {n: 0.03 * np.sqrt(release(FITTED / 2) / release(n / 2)) for n in lengths}
     names = {f"{n} bonds": ([(-n / 2, n / 2)], guess[n]) for n in lengths}
-    for name in pairs:
-        first, last = PAIRS[name]
-        names[name] = ([(first, last), (-last, -first)], 0.035)
+    if args.all:
+        names["collinear"] = ([(INNER, OUTER), (-OUTER, -INNER)], 0.038)
     measured = atoms(names, step, args.out / "atoms.json")
     strength, _ = ideal_strength()
     base = measured[f"{FITTED} bonds"]
     toughness, zone = fitted(release, base, constants["E"], strength, step)
     table = {}
     for name, strain in measured.items():
-        n = 0 if name in pairs else lengths[list(names).index(name)]
-        unit = release(n / 2 + zone) if n else sheet.release_of_two(zone, *PAIRS[name])
+        n = 0 if name == "collinear" else lengths[list(names).index(name)]
+        unit = release(n / 2 + zone) if n else sheet.release_of_two(zone, INNER, OUTER)
         predicted = float(np.sqrt(toughness / unit))
         table[name] = {"atoms": strain, "predicted": predicted, "error": predicted / strain - 1}
-        bare = release(n / 2) if n else sheet.release_of_two(0.0, *PAIRS[name])
+        bare = release(n / 2) if n else sheet.release_of_two(0.0, INNER, OUTER)
         plain = base * float(np.sqrt(release(FITTED / 2) / bare))  # G_c fitted anew
         table[name]["error without zone"] = plain / strain - 1
     numbers = {"G_c": 100 * toughness, "unit": "J/m² of a sheet 3.35 Å thick", "cracks": table}
     numbers |= {"strength": strength, "zone": zone * step}
     numbers |= {"lambda": constants["lambda"], "mu": constants["mu"], "fitted": f"{FITTED} bonds"}
+    if args.later:
+        small = Continuum(constants["lambda"], constants["mu"], step, LATER_HALF)
+        numbers["later"] = later(small, toughness, zone, args.out / "atoms.json")
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     ax = figure.subplots()
     halves = np.linspace(min(lengths) / 2, max(lengths) / 2, 60)
