@@ -32,6 +32,10 @@ from warp_peri.transfer.kept import model_at
 OVERLAP = 2.0
 """Overlap of rim and bulk where none is given, in horizons."""
 TOLERANCE = 1e-8
+ALONE = (
+    "mesh: no triangle is {:g} Å from the body's edge, two horizons and the overlap; it is solved "
+    "by elements alone"
+)
 
 
 @dataclass(frozen=True)
@@ -162,69 +166,61 @@ def solve_body(
     Args:
         model: certified on some lattice; it is transferred to that of the bulk.
         mesh: the body [Å].
-        displacement: [Å] by part of the outline, a vector or a function of positions [n, 2]; a
-            component that is NaN is free.
-        traction: force per area [TPa] by part, a vector or a function of positions and outward
-            normals.
+        displacement: [Å] by part, vectors or functions of positions [n, 2]; NaN leaves one free.
+        traction: force per area [TPa] by part, or functions of positions and outward normals.
         b: body force density [TPa/Å] as a function of positions [n, 2]; None for none.
-        edge: stiffness of edges of their own [TPa Å] by part, the force in an edge over its strain
-            and the sheet's thickness; negative where atoms at an edge are softer (B10).
+        edge: stiffness of an edge of its own [TPa Å] by part, negative where it is softer (B10).
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
-    Raises InputError for a part that the mesh has not, values of another shape, a body that is not
-    held against every rigid motion, a mesh that is not in Å or too coarse, a hole smaller than the
-    overlap, a model without positive long-wave moduli, an operator that is not definite.
+    Raises InputError for a part that the mesh has not, values of another shape, a body that is left
+    a rigid motion, a mesh that is not in Å or too coarse, a hole smaller than the overlap, moduli
+    without positive energy, an operator that is not definite.
     """
     if coupling.degree not in (1, 2):
         raise InputError(f"degree: expected 1 or 2, got {coupling.degree!r}")
     loads = loads_on(mesh, displacement, traction, b)
     springs = _springs(edge or {}, mesh)
-    spacing = coupling.spacing
-    tried: tuple[Tried, ...] = ()
-    if spacing is None:
-        model, tried = bulk_lattice(model, mesh, b, coupling.overlap)
-        spacing = tried[-1].spacing
-    else:
-        model = model_at(model, spacing, allow_uncertified=allow_uncertified)
+    model, spacing, tried = _on_lattice(model, mesh, b, coupling, allowed=allow_uncertified)
     stiff = long_wave(model, spacing)
     overlap = _overlap(model, mesh, coupling)
     lattice = bulk_points(mesh, spacing, model.horizon, units=model.units)
     collar = 2 * model.horizon + MARGIN * spacing
     depth = mesh.distance(mesh.x, spacing / 10)
     kept = _rim_triangles(mesh, depth < collar + overlap, lattice)
-    if kept.all():
-        lattice = None
-        warnings.warn(
-            f"mesh: no triangle is {collar + overlap:g} Å from the body's edge, two horizons and "
-            "the overlap; it is solved by elements alone",
-            stacklevel=2,
-        )
     rim = Rim(mesh, kept, coupling.degree)
-    loads.refuse_loose(rim)
     f, (given, fixed) = loads.on(rim), loads.given(rim)
+    loads.refuse_loose(rim, fixed)
     fixed[rim.inner] = True
     problem = RimProblem(stiffness(rim, stiff, springs), fixed.ravel())
-    if lattice is None:
+    told = model, spacing, tried, stiff, rim
+    if lattice is None or kept.all():
+        warnings.warn(ALONE.format(collar + overlap), stacklevel=2)
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
-        none = None, np.zeros((0, 2))
-        return BodySolution(
-            model, spacing, tried, stiff, rim, u.reshape(-1, 2), *none, overlap, record, problem
-        )
+        fields = u.reshape(-1, 2), None, np.zeros((0, 2))
+        return BodySolution(*told, *fields, overlap, record, problem)
     points, triangle = lattice
     bulk = Bulk(model, points)
     elements = Rim(mesh, np.ones(len(mesh.triangles), bool), degree=1)
     whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
     to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
     two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
-    u_rim, inner, record = two.solve(
-        f, given, loads.density(points.x[bulk.inside]), coupling.tolerance
-    )
+    load = loads.density(points.x[bulk.inside])
+    u_rim, inner, record = two.solve(f, given, load, coupling.tolerance)
     u_bulk = bulk.field(inner, two.to_bulk @ u_rim)
-    return BodySolution(
-        model, spacing, tried, stiff, rim, u_rim, points, u_bulk, overlap, record, two
-    )
+    return BodySolution(*told, u_rim, points, u_bulk, overlap, record, two)
+
+
+def _on_lattice(
+    model: Model, mesh: Mesh, b: Field | None, coupling: Coupling, *, allowed: bool
+) -> tuple[Model, float, tuple[Tried, ...]]:
+    """The model on the bulk's lattice, its spacing, and what was tried where none was asked for."""
+    if coupling.spacing is not None:
+        here = model_at(model, coupling.spacing, allow_uncertified=allowed)
+        return here, coupling.spacing, ()
+    here, tried = bulk_lattice(model, mesh, b, coupling.overlap)
+    return here, tried[-1].spacing, tried
 
 
 def _overlap(model: Model, mesh: Mesh, coupling: Coupling) -> float:

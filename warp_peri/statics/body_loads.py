@@ -50,9 +50,8 @@ class Loads:
             fixed[nodes] |= known
         return given, fixed
 
-    def refuse_loose(self, rim: Rim) -> None:
-        """Raise InputError when what is held leaves the body a rigid motion."""
-        _, fixed = self.given(rim)
+    def refuse_loose(self, rim: Rim, fixed: np.ndarray) -> None:
+        """Raise InputError when displacements that are fixed, [n, 2], leave a rigid motion."""
         centred = rim.x - rim.x.mean(axis=0)
         size = np.abs(centred).max()
         turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1) / size

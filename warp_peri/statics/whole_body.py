@@ -37,7 +37,7 @@ class WholeBody:
         collar: float,
     ) -> None:
         self.elements, self.loads = elements, loads
-        _, fixed = loads.given(elements)
+        self.given, fixed = loads.given(elements)
         self.problem = RimProblem(K, fixed.ravel())
         is_corner = np.full(len(rim.x), -1)
         is_corner[rim.corner_nodes] = rim.corners
@@ -62,8 +62,8 @@ class WholeBody:
 
     def guess(self) -> np.ndarray:
         """Displacement of the rim's inner side [Å], shape [G, 2]."""
-        f, (given, _) = self.loads.on(self.elements), self.loads.given(self.elements)
-        u = self.problem.solve(f.ravel(), given.ravel()).reshape(-1, 2)
+        f = self.loads.on(self.elements)
+        u = self.problem.solve(f.ravel(), self.given.ravel()).reshape(-1, 2)
         return np.asarray(self.trace @ u)
 
     def correct(self, jump: np.ndarray) -> np.ndarray:
