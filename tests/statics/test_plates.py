@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from tests.support.plates import plate
 from warp_peri import Model, certify
 from warp_peri.errors import InputError
+from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.statics.body import Coupling, long_wave, solve_body
 from warp_peri.statics.hole import hoop_stress, plate_with_hole
 from warp_peri.statics.rim import Moduli
@@ -101,10 +102,6 @@ def test_the_exact_field_is_in_balance_and_kirsch_when_isotropic():
         ({"displacement": {"sides": (0, np.nan)}}, "hold the body against shifts and turns"),
         ({"displacement": {"sides": (0, 0, 0)}}, "part 'sides': expected vectors of shape"),
         ({"traction": {"rim": (0, 1)}}, "part 'rim': the outline has"),
-        (
-            {"coupling": Coupling(spacing=SPACING, overlap=20.0)},
-            "a hole of 16 Å is smaller than the overlap",
-        ),
         ({"coupling": Coupling(degree=3)}, "degree: expected 1 or 2"),
     ],
 )
@@ -114,15 +111,19 @@ def test_bad_input_is_named(model, change, message):
         solve_body(model, plate(RADIUS, HALF, 8, 32), **asked)
 
 
-def test_a_mesh_in_another_unit_is_refused(model):
-    mesh = plate(RADIUS * 1e-10, HALF * 1e-10, 8, 32)
+@pytest.mark.parametrize("unit", [1e-10, 1e10])
+@pytest.mark.parametrize("spacing", [SPACING, None])
+def test_a_mesh_in_another_unit_is_refused(model, unit, spacing):
+    mesh, coupling = plate(RADIUS * unit, HALF * unit, 8, 32), Coupling(spacing=spacing)
     with pytest.raises(InputError, match="expected positions in Å"):
-        solve_body(
-            model,
-            mesh,
-            displacement={"sides": (0, 0)},
-            coupling=Coupling(spacing=SPACING, overlap=0.0),
-        )
+        solve_body(model, mesh, displacement={"sides": (0, 0)}, coupling=coupling)
+
+
+def test_a_hole_smaller_than_the_overlap_is_refused(model):
+    mesh = plate(2.0, HALF, 12, 32)
+    coupling = Coupling(spacing=SPACING)
+    with pytest.raises(InputError, match="a hole of 4 Å is smaller than the overlap"):
+        solve_body(model, mesh, displacement={"sides": (0, 0)}, coupling=coupling)
 
 
 def test_a_thin_body_is_solved_by_elements_alone(model):
@@ -132,6 +133,28 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
         solution = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
     assert solution.points is None
     assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
+
+
+def test_a_narrow_strip_with_a_small_hole_is_solved_by_elements_alone(model):
+    mesh = mesh_outline(box(40, 5), [Circle(1.0, size=0.5)], size=1.5)
+    with pytest.warns(UserWarning, match="elements alone"):
+        solution = solve_body(
+            model, mesh, displacement={"left": (0, 0)}, traction={"right": (TENSION, 0)}
+        )
+    u, stress = solution.on_corners()
+    assert u[:, 0].max() == pytest.approx(TENSION / 1.85 * 40, rel=0.1)  # E = 1.85 TPa
+    assert stress[:, 0, 0].max() > 2 * TENSION
+
+
+def test_moduli_without_positive_energy_are_refused(model):
+    unsound = dataclasses.replace(model, D=[2.0, -1.0, 0.0], D_dilatation=None)
+    with pytest.raises(InputError, match="long-wave moduli of positive energy"):
+        solve_body(
+            unsound,
+            plate(RADIUS, HALF, 8, 32),
+            displacement={"sides": (0, 0)},
+            coupling=Coupling(spacing=SPACING),
+        )
 
 
 @pytest.mark.slow

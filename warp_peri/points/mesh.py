@@ -60,6 +60,13 @@ class Mesh:
         ]
         return np.array(sides)
 
+    @property
+    def hole_sizes(self) -> np.ndarray:
+        """Smaller side of the box around each hole [Å], shape [holes]."""
+        start, end = self.x[self.edges[:, 0]], self.x[self.edges[:, 1]]
+        turn = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
+        return np.asarray(self.loop_sizes[np.bincount(self.loops, turn) < 0])
+
     def along(self, places: np.ndarray, kept: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Points of edges [Å] at places 0 to 1 along each, shape [edges · places, 2]."""
         start, end = self.x[self.edges[kept, 0]], self.x[self.edges[kept, 1]]

@@ -183,7 +183,7 @@ def solve_body(
     springs = _springs(edge or {}, mesh)
     model, spacing, tried = _on_lattice(model, mesh, b, coupling, allowed=allow_uncertified)
     stiff = long_wave(model, spacing)
-    overlap = _overlap(model, mesh, coupling)
+    overlap = OVERLAP * model.horizon if coupling.overlap is None else coupling.overlap
     lattice = bulk_points(mesh, spacing, model.horizon, units=model.units)
     collar = 2 * model.horizon + MARGIN * spacing
     depth = mesh.distance(mesh.x, spacing / 10)
@@ -200,6 +200,7 @@ def solve_body(
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
         fields = u.reshape(-1, 2), None, np.zeros((0, 2))
         return BodySolution(*told, *fields, overlap, record, problem)
+    _refuse_small_holes(mesh, overlap)
     points, triangle = lattice
     bulk = Bulk(model, points)
     elements = Rim(mesh, np.ones(len(mesh.triangles), bool), degree=1)
@@ -223,15 +224,14 @@ def _on_lattice(
     return here, tried[-1].spacing, tried
 
 
-def _overlap(model: Model, mesh: Mesh, coupling: Coupling) -> float:
-    """Width of the overlap [Å]; InputError where a hole is smaller."""
-    overlap = OVERLAP * model.horizon if coupling.overlap is None else coupling.overlap
-    if mesh.loop_sizes.min() < overlap:
+def _refuse_small_holes(mesh: Mesh, overlap: float) -> None:
+    """Raise InputError where a hole is smaller than the overlap."""
+    smallest = mesh.hole_sizes.min(initial=np.inf)
+    if smallest < overlap:
         raise InputError(
-            f"mesh: a hole of {mesh.loop_sizes.min():.3g} Å is smaller than the overlap of rim and "
-            f"bulk, {overlap:g} Å"
+            f"mesh: a hole of {smallest:.3g} Å is smaller than the overlap of rim and bulk, "
+            f"{overlap:g} Å"
         )
-    return overlap
 
 
 def long_wave(model: Model, spacing: float) -> Moduli:

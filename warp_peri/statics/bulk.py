@@ -49,15 +49,10 @@ def bulk_points(
 
     Raises InputError for a body of more nodes than LARGEST, or of less than one spacing.
     """
+    check_extent(mesh, spacing, units)
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
     first = np.floor(low / spacing).astype(int) - 1
     shape = np.ceil(high / spacing).astype(int) + 2 - first
-    if shape.prod() > LARGEST or (high - low).max() < spacing:
-        raise InputError(
-            f"mesh: {high[0] - low[0]:.3g} by {high[1] - low[1]:.3g}, expected positions of a "
-            f"body that a lattice of {spacing:g} {symbols(units)[0]} "
-            f"fills with 1 to {LARGEST:.0e} nodes"
-        )
     axes = [spacing * (start + np.arange(n)) for start, n in zip(first, shape)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     held = mesh.holding(x)
@@ -70,6 +65,16 @@ def bulk_points(
     from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
     needed = from_unknown <= 2 * horizon * (1 + 1e-6)
     return Points(x[needed], unknown[needed], spacing, units=units), held[needed]
+
+
+def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
+    """Raise InputError for a body of more nodes than LARGEST, or of less than one spacing."""
+    sides = np.ptp(mesh.x, axis=0)
+    if (sides / spacing + 3).prod() > LARGEST or sides.max() < spacing:
+        raise InputError(
+            f"mesh: {sides[0]:.3g} by {sides[1]:.3g}, expected positions of a body that a "
+            f"lattice of {spacing:g} {symbols(units)[0]} fills with 1 to {LARGEST:.0e} nodes"
+        )
 
 
 class Bulk:

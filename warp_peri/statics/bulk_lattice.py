@@ -10,6 +10,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.mesh import Mesh
+from warp_peri.statics.bulk import check_extent
 from warp_peri.statics.rim import Field
 from warp_peri.transfer.kept import on_lattice
 from warp_peri.transfer.lattice import TOLERANCE
@@ -85,7 +86,7 @@ def bulk_lattice(
     Returns:
         The model on the lattice that was chosen, and what was tried; the last is what was taken.
 
-    Raises InputError for a model that is certified on no lattice.
+    Raises InputError for a model that is certified on no lattice, or a mesh that is not in Å.
     """
     if not model.certified_on:
         raise InputError(
@@ -93,8 +94,9 @@ def bulk_lattice(
             "this one is certified on none"
         )
     home = max(model.certified_on)
+    check_extent(mesh, home)
     depth, wave_number = _depth_and_wave_number(mesh, b)
-    seen = _Seen(depth, float(mesh.loop_sizes.min()), wave_number, overlap)
+    seen = _Seen(depth, float(mesh.hole_sizes.min(initial=np.inf)), wave_number, overlap)
     tried: list[Tried] = []
     for ratio in RATIOS:
         last = ratio == RATIOS[-1]
