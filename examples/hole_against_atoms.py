@@ -169,6 +169,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--model", type=Path, default=file, help="a model file")
     parser.add_argument("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
     parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
+    parser.add_argument("--edge-times", type=float, default=1.0, help="of an edge's stiffness")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -181,7 +182,7 @@ def main(argv: list[str] | None = None) -> int:
     whole = mesh_outline(box(2 * INSIDE, 2 * INSIDE), size=8.0)
     table: dict[str, dict[str, float]] = {}
     for plate in (*HOLES, STRIP):
-        edge = round_edge if plate.radius else zigzag["stiffness"]
+        edge = args.edge_times * (round_edge if plate.radius else zigzag["stiffness"])
         for load, sample in zip(loads_of(plate, args.tension), samples[plate]):
             name = f"{plate.name} {load.name}"
             table[name] = compare(model, plate, sample, edge, whole)
