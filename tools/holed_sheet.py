@@ -177,7 +177,7 @@ def held_samples(
     cache = Path(cache)
     cache.mkdir(parents=True, exist_ok=True)
     bond, potential = bond_length(), potential_file()
-    found: dict[Plate, list[Sample]] = {}
+    samples: dict[Plate, list[Sample]] = {}
     count = sum(len(loads_of(plate)) for plate in plates)
     with locked(cache), tqdm(total=count, disable=not progress) as bar:
         for plate in plates:
@@ -192,8 +192,8 @@ def held_samples(
                 sample = kept[load] = _sample(statics, plate, load, bond)
                 write_record(files[load], sample)
                 bar.update()
-            found[plate] = [sample for sample in kept.values() if sample is not None]
-    return found
+            samples[plate] = [sample for sample in kept.values() if sample is not None]
+    return samples
 
 
 def _at_rest(plate: Plate, bond: float) -> Statics:
