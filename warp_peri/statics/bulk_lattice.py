@@ -102,7 +102,7 @@ def bulk_lattice(
         last = ratio == RATIOS[-1]
         attempt, here = _attempt(model, home * ratio, seen, wanted=last)
         if here is not None and (last or attempt.verdict == "taken"):
-            if attempt.wave_error > TOLERANCE:
+            if wave_number and attempt.wave_error > TOLERANCE:
                 warnings.warn(
                     f"b: waves of {2 * np.pi / wave_number:.3g} Å are not resolved to "
                     f"{TOLERANCE:.1%} on the lattice of {attempt.spacing:g} Å, the finest tried",

@@ -18,9 +18,8 @@ class WholeBody:
     difference between the bulk and those elements.
 
     Args:
-        mesh: of the body.
-        K: their stiffness [TPa], shape [2 P, 2 P], on the nodes of `elements`.
-        elements: all triangles of the mesh, of degree 1.
+        elements: all triangles of the body's mesh, of degree 1.
+        K: their stiffness [TPa], shape [2 P, 2 P].
         loads: of the body.
         rim: its rim.
         depth: distance of the mesh's corners from the outline [Å], shape [P].
@@ -50,8 +49,7 @@ class WholeBody:
         side, shared, self.outer = (
             _pairs(elements.corner_nodes[corners]) for corners in (side, shared, outer)
         )
-        self.free = ~fixed.ravel()[shared]
-        shared = shared[self.free]
+        shared = shared[~fixed.ravel()[shared]]
         K = sp.csr_array(K)
         self.overlap = splu(K[shared][:, shared].tocsc()) if len(shared) else None
         self.from_side = K[shared][:, side]
