@@ -179,19 +179,13 @@ def many(model: Model, atoms: Atoms) -> dict[str, Any]:
     return {**record, "symbol": symbol, "disks": rows}
 
 
-def rich_model(data: warp_peri.Dataset) -> Model:
-    """To be reduced. Isotropic at long waves: of four rich ones the best on smooth loads."""
-    isotropic = warp_peri.Optimum(moduli="isotropic")
-    return warp_peri.fit(data["train"], 25.0, Bernstein(15), method=isotropic).model
-
-
 def measure(
     model: Model, data: warp_peri.Dataset, cache: Path, part: Callable[..., Any]
 ) -> dict[str, Any]:
     """All tables; `part` keeps each as it is finished."""
     atoms = Atoms(cache)
     nodes = lattice(5.0)
-    rich = functools.cache(lambda: rich_model(data))
+    rich = functools.cache(lambda: warp_peri.fit(data["train"], 25.0, Bernstein(15)).model)
     return {
         "home": part("home", lambda: {"horizon": model.horizon, **errors(model, atoms, nodes)}),
         "lattices": [

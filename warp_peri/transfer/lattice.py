@@ -19,11 +19,12 @@ from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import Certificate, certify
 from warp_peri.stability.conditions import Conditions, LatticeConditions
 from warp_peri.transfer.waves import (
+    WAVES,
     dispersion,
     rings,
     wave_errors,
     wave_loss,
-    wave_vectors,
+    weighed_waves,
 )
 
 TOLERANCE = 0.005
@@ -31,6 +32,9 @@ TOLERANCE = 0.005
 SHARE = 0.5
 """Waves are compared up to this share of the zone's half width π/h, on both lattices: beyond, a
 lattice has a dispersion of its own, which is no property of the material."""
+LONG_WEIGHT = 4.0
+"""Of very long waves beside all others. It holds the moduli, which smooth loads hang on, and costs
+short waves nothing that can be seen."""
 SMOOTHNESS = 1e-6
 """Weight of the second differences of D. It costs no error that can be seen, and leaves no free
 directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
@@ -38,7 +42,7 @@ ZETA = 0.01
 """c [TPa] that is asked for, or what is proven at home where that is less."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 4
+RECIPE = 5
 """Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""
@@ -212,9 +216,9 @@ def _fitted(
 ) -> _Candidate | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
     classes = bond_classes(spacing, horizon)
-    k = wave_vectors(band)
+    k, weight = weighed_waves(band, WAVES, LONG_WEIGHT)
     unit = home.model.mu  # of stiffness, so that soft materials meet the same tolerances
-    loss = wave_loss(dispersion(home.model, home.spacing, k) / unit, k, classes)
+    loss = wave_loss(dispersion(home.model, home.spacing, k) / unit, k, classes, weight)
     terms = len(classes.r) + 1
     two = not np.array_equal(home.model.D, home.model.dilatation)
     start = Parameters(home.model.lam / unit, 1.0, 1.0, np.ones(terms))

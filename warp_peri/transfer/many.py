@@ -18,7 +18,7 @@ from warp_peri.regression.optimum import Problem
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
 from warp_peri.stability.certificate import certify
 from warp_peri.transfer.lattice import Home, home_of
-from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, wave_vectors
+from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, weighed_waves
 
 CERTIFIED = 9
 """Lattices that the conditions are proven on, their spacings in equal steps."""
@@ -40,10 +40,8 @@ STEPS = 60
 SMOOTHNESS = 1e-6
 WAVES = 20
 """Wave vectors on each lattice; twice as many change no error in its third digit."""
-LONG_WAVES, LONG_WEIGHT = 4, 16.0
-"""Directions of waves so long that only the moduli count, and their weight beside all others."""
-LONGEST = 0.04
-"""|k| of these over the largest that is fitted."""
+LONG_WEIGHT = 16.0
+"""Of very long waves beside all others: the moduli hang on them."""
 RADII = 12
 
 
@@ -162,10 +160,7 @@ def _fitted_on(low: float, high: float) -> list[float]:
 
 def _losses(home: Home, band: float, lattices: list[BondClasses], unit: float) -> list[ReducedLoss]:
     """(M8) on each lattice: waves up to a |k|, and very long ones that hold the moduli."""
-    angle = np.linspace(0, np.pi / 4, LONG_WAVES)
-    longest = LONGEST * band * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    k = np.concatenate([wave_vectors(band, WAVES), longest])
-    weight = np.repeat([1 / WAVES, LONG_WEIGHT / LONG_WAVES], [WAVES, LONG_WAVES])
+    k, weight = weighed_waves(band, WAVES, LONG_WEIGHT)
     target = dispersion(home.model, home.spacing, k) / unit
     return [wave_loss(target, k, lattice, weight / len(lattices)) for lattice in lattices]
 

@@ -12,6 +12,8 @@ from warp_peri.points.families import BondClasses, bond_classes
 WAVES = 60
 """Wave vectors that a kernel is fitted on; twice as many change no error in its third digit."""
 GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
+LONG_WAVES, LONGEST = 4, 0.04
+"""Directions of very long waves, and their |k| over the largest that is fitted."""
 DIRECTIONS = 7
 """Of the waves that an error is looked for in, over an eighth of the circle."""
 
@@ -25,6 +27,17 @@ def wave_vectors(largest: float, count: int = WAVES) -> np.ndarray:
     number = np.arange(count) + 0.5
     size, angle = largest * number / count, GOLDEN_ANGLE * number
     return np.stack([size * np.cos(angle), size * np.sin(angle)], axis=1)
+
+
+def weighed_waves(largest: float, count: int, weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """Wave vectors [1/Å] as above, and very long ones, with the weights of all in the loss (M3).
+
+    Only the moduli count on the long ones; together they weigh `weight`, the others 1.
+    """
+    angle = np.linspace(0, np.pi / 4, LONG_WAVES)
+    longest = LONGEST * largest * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    k = np.concatenate([wave_vectors(largest, count), longest])
+    return k, np.repeat([1 / count, weight / LONG_WAVES], [count, LONG_WAVES])
 
 
 def rings(sizes: np.ndarray) -> np.ndarray:
