@@ -27,7 +27,8 @@ from warp_peri.files.whole import plain, write_json
 from warp_peri.learning.fibres import families, rose
 from warp_peri.learning.from_displacement import DisplacementFit, fit_displacement
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
-from warp_peri.models.hyperelastic import Dictionary, Term
+from warp_peri.models.febio import in_words, save_febio
+from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
 from warp_peri.points.samples import Samples
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
 
@@ -101,11 +102,31 @@ def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]
     return tuple(Samples(samples.points, samples.u[part]) for part in (pick, ~pick))  # type: ignore[return-value]
 
 
+def export(solid: HyperelasticSolid, folder: Path) -> list[str]:
+    """Write the material, as FEBio reads it where it can be one; what it says in words."""
+    solid.save(folder / "leaflet.json")
+    words = in_words(solid)
+    try:
+        save_febio(solid, folder / "leaflet.feb")
+    except InputError as error:
+        words.append(f"no material of FEBio's: {error}")
+    return words
+
+
 def other_sheet(fit: DisplacementFit, folder: Path, given: argparse.Namespace) -> dict[str, Any]:
     """Errors on another sheet, of a material that knows nothing of it and of rivals that do."""
     own, other = measured(folder, given)
     rivals = rival_errors(own, other, other.u, ["neo-Hookean", UNEVEN])
     return held_out(fit, other, other.u) | {"rivals": rivals}
+
+
+def blank(report: Any) -> Any:
+    """The same with None for frames that were not solved, which JSON has no number for."""
+    if isinstance(report, dict):
+        return {key: blank(value) for key, value in report.items()}
+    if isinstance(report, list):
+        return [blank(value) for value in report]
+    return None if isinstance(report, float) and np.isnan(report) else report
 
 
 def main() -> None:
@@ -146,18 +167,20 @@ def main() -> None:
     began = time.perf_counter()
     report["rivals"] = rival_errors(train, test, truth, given.rivals)
     report["rivals' seconds"] = time.perf_counter() - began
-    fits[best][0].solid.save(given.out / "leaflet.json")
-    write_json(given.out / "errors.json", report)
+    report["words"] = export(fits[best][0].solid, given.out)
     draw(fits[best][0].solid, test, truth, report, given.out)
+    report = blank(plain(report))
+    write_json(given.out / "errors.json", report)
     if given.json:
-        print(json.dumps(plain(report), indent=2))
+        print(json.dumps(report, indent=2))
         return
     for name, entry in (*report.items(), *report["rivals"].items()):
         if isinstance(entry, dict) and "held out" in entry:
-            error, missing = 100 * entry["held out"], entry["not_solved"]
-            print(f"{name:20} held out {error:.3f} % ({missing} not solved)")
+            error = "-" if entry["held out"] is None else f"{100 * entry['held out']:.3f} %"
+            print(f"{name:20} held out {error} ({entry['not_solved']} not solved)")
             for word, value in entry.get("material", {}).items():
                 print(f"    {word}: {value:.4f}")
+    print("\n".join(report["words"]))
 
 
 if __name__ == "__main__":

@@ -187,5 +187,6 @@ def rival_errors(
             "train": trained,
             "held out": float(np.nanmean(errors)),
             "not_solved": int(np.isnan(errors).sum()),
+            "frames": errors,
         }
     return report

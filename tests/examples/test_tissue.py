@@ -12,7 +12,7 @@ pytest.importorskip("skfem")
 
 import torch
 
-from examples.leaflet import measured
+from examples.leaflet import blank, measured
 from examples.leaflet_pictures import draw
 from examples.studies.leaflet_rivals import RIVALS, Window, fit
 from examples.studies.pno_rival import PeridynamicOperator, mirrored, on_grid
@@ -68,6 +68,13 @@ def test_frames_of_a_folder_are_learned_from_and_held_out(tmp_path):
     train, test = measured(tmp_path, Given)
     assert (len(train), len(test)) == (2, 2)
     assert train.spacing == pytest.approx(1.0)
+
+
+def test_frames_that_were_not_solved_are_blank():
+    assert blank({"a": [0.5, float("nan")], "b": {"c": float("nan"), "d": "word"}}) == {
+        "a": [0.5, None],
+        "b": {"c": None, "d": "word"},
+    }
 
 
 def test_a_rival_recovers_its_own_numbers():
@@ -132,7 +139,7 @@ def test_pictures_are_drawn(tmp_path):
     u = np.stack([0.05 * n * points.x for n in (1, 2)])
     frames = Samples(points, u, arrays={"protocol": np.array([0, 0])})
     solid = HyperelasticSolid(hgo_dictionary(), np.array([0.2] * 4 + [0.07, 0.08, 0.2]), 0.1)
-    report = {"families": {"frames": [0.01, 0.02]}, "rivals": {"Fung": {"held out": 0.03}}}
+    report = {"families": {"frames": [0.01, 0.02]}, "rivals": {"Fung": {"frames": [0.03, 0.04]}}}
     draw(solid, frames, u, report, tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {
         "maps.png", "curves.png", "rose.png", "errors.png",

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.sheets import NEAREST, square, waves
 from warp_peri import InputError
-from warp_peri.learning.fibres import families, grouped, read_material, rose
+from warp_peri.learning.fibres import families, grouped, read_material, rose, with_directions
 from warp_peri.learning.from_displacement import (
     _Path,
     fit_displacement,
@@ -140,3 +140,6 @@ def test_a_material_is_read_out_of_loaded_fields():
     assert of_terms[steps].max(initial=0.0) < 1e-6  # these data have none
     np.testing.assert_allclose(of_terms[~steps], truth[4:], rtol=1e-2)
     np.testing.assert_allclose(solid.coefficients[:4], truth[:4], rtol=1e-2)
+    wide = with_directions(Dictionary(3.0, terms=tuple(rose(4))), solid)
+    assert [term.angle for term in wide.terms[12:]] == [fibres[0].angle] * 4
+    assert with_directions(wide, solid) == wide

@@ -86,6 +86,26 @@ def families(
     )
 
 
+def with_directions(
+    dictionary: Dictionary, solid: HyperelasticSolid, *, within: float = 0.02
+) -> Dictionary:
+    """A dictionary with the directions of another solid's fibres beside its own.
+
+    Args:
+        dictionary: whose fibres stand in fixed directions.
+        solid: in whose fibres the directions were unknowns, as read_material gives.
+        within: no direction is added that differs from one there is by less [rad].
+    """
+    known = [term.angle for term in dictionary.terms if term.kind in FIBRES]
+    added: list[Term] = []
+    for term in solid.dictionary.terms:
+        gaps = [abs((term.angle - angle + np.pi / 2) % np.pi - np.pi / 2) for angle in known]
+        if term.kind in FIBRES and min(gaps, default=np.pi) > within:
+            added += [Term("fibre_power", term.angle, p) for p in (2.0, 3.0, 4.0)] + [term]
+            known.append(term.angle)
+    return dictionary.with_terms((*dictionary.terms, *added))
+
+
 def grouped(energy: dict[float, float], within: float) -> list[tuple[float, float]]:
     """Directions and energies, those within an angle of each other as one in their middle."""
     groups: list[list[tuple[float, float]]] = []
