@@ -28,8 +28,10 @@ DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
 SMALLEST_STEP = 1 / 64
 """Of the load, in continuation."""
-STIFFER = (6.0, 4.0, 2.8, 2.0, 1.4, 1.18, 1.0)
-"""Times that deviations are stiffened, one after the other, where a plain solve fails."""
+STIFFER = 6.0
+"""Times that deviations are stiffened where a plain solve fails; then they soften again."""
+SOFTENING = (1.5, 1.01)
+"""Largest and smallest ratio of two stiffnesses on that way."""
 
 
 class NoEquilibrium(RuntimeError):
@@ -153,14 +155,17 @@ class StaticProblem:
         )
         steps, followed = 1, True
         field, count = self._newton(c, load, first)
+        softened = None
         if field is None:
-            field, used = self._soften(c, load, first)
+            softened, factor, used = self._soften(c, load, collar, first)
+            field = softened if factor == 1.0 else None
             count += used
         if field is None:
             branch, done, steps, used = self._continue(c, load, collar)
             count, followed = count + used, done == 1.0
             field = branch if followed else None
-            for guess in (branch * (1.0 / done if done else 1.0), first):
+            guesses = [branch * (1.0 / done if done else 1.0), first]
+            for guess in guesses if softened is None else [softened, *guesses]:
                 if field is None:
                     guess = np.where(self.op.points.interior[:, None], guess, collar)
                     field, used = self._newton(c, load, guess, shifts=True)
@@ -181,22 +186,31 @@ class StaticProblem:
         return other
 
     def _soften(
-        self, c: np.ndarray, load: np.ndarray, first: np.ndarray
-    ) -> tuple[np.ndarray | None, int]:
-        """Solve with stiffer deviations and follow the answer while they soften."""
+        self, c: np.ndarray, load: np.ndarray, collar: np.ndarray, first: np.ndarray
+    ) -> tuple[np.ndarray | None, float, int]:
+        """Solve with stiffer deviations and follow the answer while they soften.
+
+        The last answer, how stiff its deviations were, Newton steps.
+        """
         deviations = slice(self.op.dictionary.first_deviation, self.op.dictionary.first_term)
+        stiff, factor, ratio = c.copy(), STIFFER, SOFTENING[0]
         if not np.any(c[deviations] > 0):
-            return None, 0
-        count, last = 0, first
-        for factor in STIFFER:
-            stiff = c.copy()
-            stiff[deviations] *= factor
-            following, used = self._newton(stiff, load, last)
+            return None, factor, 0
+        stiff[deviations] *= factor
+        last, count = self._newton(stiff, load, first)
+        if last is None:
+            branch, done, _, used = self._continue(stiff, load, collar)
+            last, count = branch if done == 1.0 else None, count + used
+        while last is not None and factor > 1.0 and ratio > SOFTENING[1]:
+            target = max(1.0, factor / ratio)
+            stiff[deviations] = target * c[deviations]
+            field, used = self._newton(stiff, load, last)
             count += used
-            if following is None:
-                return None, count
-            last = following
-        return last, count
+            if field is None:
+                ratio = ratio**0.5
+            else:
+                last, factor = field, target
+        return last, factor, count
 
     def _continue(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
