@@ -40,16 +40,16 @@ ROSE = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(8, (2.0, 3.0, 4.0, 6.0))))
 
 def learn(train: Samples, *, progress: bool) -> dict[str, tuple[DisplacementFit, float]]:
     """A fit on eight directions, then one whose directions and exponents are unknowns."""
-    began = time.perf_counter()
+    began = time.process_time()
     wide = fit_displacement(train, ROSE, most_steps=6, progress=progress)
-    fits = {"eight directions": (wide, time.perf_counter() - began)}
+    fits = {"eight directions": (wide, time.process_time() - began)}
     dictionary, start = families(wide.solid)
     if len(dictionary.terms) > len(MATRIX):
         few = fit_displacement(
             train, dictionary, moving=True, start=start, most_steps=20, tolerance=1e-3,
             progress=progress,
         )  # fmt: skip
-        fits["families"] = few, time.perf_counter() - began
+        fits["families"] = few, time.process_time() - began
     return fits
 
 
