@@ -37,7 +37,7 @@ def test_dumbbells_go_along_where_the_flow_leaves_the_data(weak):
     before, while_learning = error(run(Closure(learn([weak]), 1.0, 12))), error(run(fluid))
     assert 1 <= len(fluid.asked) <= 8
     assert len(fluid.records) == 1 + len(fluid.asked)
-    assert fluid.asked[0][2] > 3  # gaps of the data
+    assert min(row[2] for row in fluid.asked) > 1.5  # gaps of the data
     assert while_learning < 0.4 * before
     assert error(run(Closure(fluid.law, 1.0, 12))) < 0.4 * before
     with pytest.raises(InputError, match="no checkpoint"):

@@ -15,11 +15,12 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import Closure
-from warp_peri.flow.cloud import WIDER
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import Law
 from warp_peri.flow.protocols import Record, simulate
 
+EARLIER = 1.5
+"""Gaps of the data beyond which dumbbells are asked; warnings come at twice as many."""
 STRAIN = 0.2
 """|K| Δt of a step of replayed FENE dumbbells."""
 
@@ -65,7 +66,7 @@ class LearningClosure(Closure):
         check_every: int = 25,
         most: int = 8,
         ahead: float = 4.0,
-        beyond: float = WIDER,
+        beyond: float = EARLIER,
     ) -> None:
         self.records, self.learn, self.replay = list(records), learn, replay
         super().__init__(learn(self.records), De, n, check_every=check_every)

@@ -1,0 +1,90 @@
+"""A polymer flow that asks for its own data: FENE dumbbells go along where the law has none.
+
+The law starts with weak shear and elongation. When a cell of the flow leaves these data, dumbbells
+feel what the cell felt, the law is learned again and the flow goes on. Without that the first law
+is wrong by tens of per cent, and says so only by a warning.
+
+    python examples/polymer_learning.py --json     # numbers alone; figure in runs/polymer_learning/
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from warp_peri.files.whole import write_json
+from warp_peri.flow.active import LearningClosure, replayed
+from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.laws import FENEP
+from warp_peri.flow.planar import elongation, shear
+from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
+from warp_peri.flow.protocols import Record, held, simulate
+from warp_peri.flow.twisted_law import TwistedSpringLaw, learn_twisted
+
+B, CELLS = 50.0, 24
+FLOW = PlaneFlow(1.0, 1.0, CELLS, force=lambda t: 12.0)
+
+
+def learn(records: list[Record]) -> TwistedSpringLaw:
+    return learn_twisted(records, B, points=150, outside="allow")
+
+
+def run(fluid: Any) -> Profiles:
+    return run_plane(FLOW, fluid, 6.0, 0.01, every=10)
+
+
+def main(arguments: list[str] | None = None) -> dict[str, Any]:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--dumbbells", type=int, default=3000, help="in each record")
+    parser.add_argument("--reference", type=int, default=3000, help="in each cell")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    options = parser.parse_args(arguments)
+    K = held(np.concatenate([shear([0.5, 1.0, 2.0]), elongation([0.25, 0.5])]), 60)
+    weak = simulate(Dumbbells(5, options.dumbbells, b=B, seed=options.seed), K, 0.1, steps=5)
+    replay = replayed(options.dumbbells, B, options.seed + 1)
+    learning = LearningClosure([weak], learn, replay, FLOW.De, CELLS)
+    dumbbells = Dumbbells(CELLS, options.reference, b=B, seed=77, common=True, matched=True)
+    runs = {
+        "coupled dumbbells": run(Coupled(dumbbells, FLOW.De)),
+        "weak flows alone": run(Closure(learn([weak]), FLOW.De, CELLS)),
+        "learned on the way": run(learning),
+        "the same law again": run(Closure(learning.law, FLOW.De, CELLS)),
+        "FENE-P": run(Closure(FENEP(B), FLOW.De, CELLS)),
+    }
+    truth = runs["coupled dumbbells"]
+    size = np.linalg.norm(truth.u)
+    errors = {name: 100 * np.linalg.norm(r.u - truth.u) / size for name, r in runs.items()}
+    numbers: dict[str, Any] = {"error %": {name: float(e) for name, e in errors.items() if e}}
+    numbers["asked (t, cell, gaps)"] = [list(map(float, row)) for row in learning.asked]
+    folder = ROOT / "runs" / "polymer_learning"
+    write_json(folder / "numbers.json", numbers)
+    figure, axes = plt.subplots(figsize=(6, 3.8), layout="constrained")
+    for (name, r), style in zip(runs.items(), ("k-", "C3:", "C0--", "C2-.", "C1:")):
+        axes.plot(r.t, r.u[:, CELLS // 2], style, label=name)
+    for t, *_ in learning.asked:
+        axes.axvline(t * FLOW.De, color="0.7", lw=0.8)
+    axes.set(xlabel="t / t0", ylabel="u / U in the middle")
+    axes.legend(frameon=False)
+    figure.savefig(folder / "velocity.png", dpi=130)
+    plt.close(figure)
+    print(json.dumps(numbers, indent=None if options.json else 2))
+    return numbers
+
+
+if __name__ == "__main__":
+    main()
