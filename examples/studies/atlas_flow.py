@@ -1,17 +1,20 @@
-"""Stability atlas: a polymer flow whose particles have noise of their own."""
+"""Stability atlas: polymer flows. Noise of each particle's own, a conformation turned."""
 
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from examples.studies.atlas_entry import Entry, written
+from examples.studies.atlas_entry import Entry, words, written
 from warp_peri import InputError
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import run_channel
-from warp_peri.flow.closure import Closure, Coupled
-from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.closure import Closure, Coupled, heun, homogeneous
+from warp_peri.flow.dumbbells import Dumbbells, propagator
 from warp_peri.flow.laws import UpperConvectedMaxwell
+from warp_peri.flow.log_conformation import LogConformation, exponential_of
+from warp_peri.flow.planar import IDENTITY, eigenvalues, elongation
+from warp_peri.flow.twins import carried_exactly
 
 DE, UNTIL, STEPS, COUNT = 1e-2, 0.03, 300, 300
 
@@ -45,3 +48,49 @@ def independent_noise() -> Entry:
     if not seen:
         raise RuntimeError("expected particles to leave the channel")
     return Entry(*text, seen, figure, values)
+
+
+def stretched_and_turned() -> Entry:
+    """Elongation at a high Weissenberg number and then a rotation, C and log C at one step."""
+    law, wi, interval, parts = UpperConvectedMaxwell(), 3.0, 0.2, 4
+    K = np.zeros((20, 1, 4))
+    K[:10], K[10:] = elongation(wi), [0, 5.0, -5.0, 0]
+    exact = [np.array([IDENTITY])]
+    for now in K:
+        C = exact[-1]
+        for _ in range(100):
+            C = carried_exactly(C, *propagator(now, interval / 100))
+        exact.append(C)
+    log = exponential_of(homogeneous(LogConformation(law), K, interval, parts=parts))
+    unchecked = [np.array([IDENTITY])]
+    for now in K:  # `homogeneous` would stop at the first C that is not positive
+        C = unchecked[-1]
+        for _ in range(parts):
+            C = heun(law, now, C, interval / parts)
+        unchecked.append(C)
+    half = homogeneous(law, K, interval, parts=2 * parts)
+    small = {
+        name: eigenvalues(np.array(rows))[1][:, 0]
+        for name, rows in (("exact", exact), ("C", unchecked), ("log C", log), ("half", half))
+    }
+    seen = words(lambda: homogeneous(law, K, interval, parts=parts))
+    t = np.arange(len(K) + 1) * interval
+    figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
+    for (name, style), label in zip(
+        (("exact", "k"), ("C", "C3"), ("half", "C1:"), ("log C", "C0--")),
+        ("exact", "state C", "state C, half the step", "state log C"),
+    ):
+        axes.plot(t, small[name], style, label=label)
+    axes.set(xlabel="t / relaxation time", ylabel="smaller eigenvalue of C in the plane")
+    axes.set_yscale("symlog", linthresh=0.1)
+    axes.legend(frameon=False)
+    large = eigenvalues(np.array(exact))[0].max()
+    values = {
+        "least": float(small["C"].min()),
+        "exact": float(small["exact"][-1]),
+        "log": float(small["log C"][-1]),
+        "half": float(small["half"][-1]),
+        "ratio": float(large / small["exact"].min()),
+    }
+    text = written("stretched-and-turned", step=interval / parts, wi=wi, **values)
+    return Entry(*text, [seen], figure, values)

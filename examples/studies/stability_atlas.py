@@ -76,6 +76,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
         "noise-of-its-own": atlas_flow.independent_noise,
+        "stretched-and-turned": atlas_flow.stretched_and_turned,
         "broken": lambda: atlas_cracks.broken_kernels(model()),
         "stretch": atlas_cracks.misjudged_stretch,
         "long-steps": atlas_cracks.long_steps,
