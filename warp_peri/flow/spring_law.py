@@ -60,16 +60,20 @@ class SpringLaw:
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """c I with S = I. Raises InputError when there is no such c between 0.01 and 10."""
+        """c I with S = I, the c nearest to 1. Raises InputError for none between 0.01 and 10."""
 
-        def excess(logarithm: float) -> float:
-            X = invariants(np.full((1, 3), np.exp(logarithm)))[0, :1]
-            return float(logarithm + self.stiffness(X)[0])
+        def excess(logarithm: np.ndarray) -> np.ndarray:
+            c = np.exp(np.asarray(logarithm))[..., None] * np.ones(3)
+            return np.asarray(logarithm + self.stiffness(invariants(c)[..., 0, :].reshape(-1, 3)))
 
-        low, high = np.log(0.01), np.log(10.0)
-        if not excess(low) < 0 < excess(high):
+        grid = np.linspace(np.log(0.01), np.log(10.0), 601)
+        values = excess(grid)
+        crossing = np.flatnonzero((values[:-1] < 0) & (values[1:] >= 0))
+        if not len(crossing):
             raise InputError("spring law: no conformation at rest between 0.01 and 10")
-        return float(np.exp(brentq(excess, low, high, xtol=1e-12))) * IDENTITY
+        n = crossing[np.argmin(np.abs(grid[crossing]))]
+        root = brentq(lambda x: float(excess(np.array([x]))[0]), grid[n], grid[n + 1], xtol=1e-12)
+        return float(np.exp(root)) * IDENTITY
 
     def spring(self, C: np.ndarray) -> np.ndarray:
         """S(C), shape [n, 4]."""
