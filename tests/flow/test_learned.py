@@ -8,6 +8,7 @@ import pytest
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, heun, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.gaussian_process import fit_process
 from warp_peri.flow.law_file import load_law, save_law
 from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
 from warp_peri.flow.pairs import exact_pairs, reached, start_pairs, window_pairs
@@ -16,7 +17,7 @@ from warp_peri.flow.plane import PlaneFlow, run_plane
 from warp_peri.flow.protocols import Record, held, simulate
 from warp_peri.flow.rate_law import learn_rate
 from warp_peri.flow.shear_law import learn_shear
-from warp_peri.flow.spring_law import learn_spring
+from warp_peri.flow.spring_law import SpringLaw, invariants, learn_spring
 from warp_peri.flow.twisted_law import learn_twisted
 
 MAXWELL = UpperConvectedMaxwell()
@@ -197,3 +198,11 @@ def test_a_second_memory_turns_the_spring(tmp_path):
     still = np.eye(4)[[0, 2, 3]].sum(0) * np.ones((3, 1, 1))
     with pytest.raises(InputError, match="shear or mixed"):
         learn_twisted(Record(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)
+
+
+def test_rest_is_the_root_nearest_to_one():
+    X = invariants(np.exp(np.linspace(-4, 1.5, 40))[:, None] * np.ones((40, 3)))[:, 0]
+    wave = 1.5 * np.cos(1.7 * X[:, 0]) - 1.5 - X[:, 0]  # S = c again at a fraction of rest
+    law = SpringLaw(fit_process(X, wave + 1e-3, noise=np.full(40, 1e-8)))
+    assert np.abs(law.stress(law.rest[None])).max() < 1e-9
+    assert law.rest[0] == pytest.approx(1.0, abs=0.1)
