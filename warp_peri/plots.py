@@ -14,6 +14,7 @@ from warp_peri.learning.result import Stage
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.unit_names import symbols
 
 
 def influence_function(
@@ -33,7 +34,8 @@ def influence_function(
     values = kernel_values(model, classes, classes.r)
     ax.axhline(0, color="0.7", linewidth=0.8)
     ax.plot(r, kernel_values(model, classes, r), color=color, linewidth=1, alpha=0.6, label="K(r)")
-    label = f"at the bonds of the {spacing:g} Å lattice"
+    unit = symbols(model.units)[0]
+    label = f"at the bonds of the {spacing:g} {unit} lattice"
     if sure is None:
         ax.plot(classes.r, values, "o", color=color, label=label)
     else:
@@ -44,8 +46,8 @@ def influence_function(
     room = 1.5 * np.abs(values).max()
     ax.set_ylim(-room, room)
     ax.set_xlim(0, 1.03 * model.horizon)
-    ax.set_xlabel("bond length r [Å]")
-    ax.set_ylabel("K / m  [Å⁻⁴]")
+    ax.set_xlabel(f"bond length r [{unit}]")
+    ax.set_ylabel(f"K / m  [{unit}⁻⁴]")
     ax.legend(frameon=False)
     return ax
 
@@ -93,10 +95,13 @@ def node_field(x: ArrayLike, values: ArrayLike, *, limit: float, ax: Axes) -> Qu
         The mesh, for a colour bar.
     """
     x, values = np.asarray(x), np.asarray(values)
-    lines = [np.unique(x[:, a].round(6)) for a in (0, 1)]
+    unit = 1e-9 * max(float(np.ptp(x)), np.finfo(float).tiny)  # places nearer than that are one
+    steps = np.rint(x / unit)
+    lines = [np.unique(steps[:, a]) for a in (0, 1)]
     grid = np.full([len(line) for line in lines], np.nan)
-    grid[tuple(np.searchsorted(line, x[:, a].round(6)) for a, line in enumerate(lines))] = values
-    mesh = ax.pcolormesh(*lines, grid.T, shading="nearest", cmap="RdBu_r", vmin=-limit, vmax=limit)
+    grid[tuple(np.searchsorted(line, steps[:, a]) for a, line in enumerate(lines))] = values
+    edges = [line * unit for line in lines]
+    mesh = ax.pcolormesh(*edges, grid.T, shading="nearest", cmap="RdBu_r", vmin=-limit, vmax=limit)
     ax.set_aspect("equal")
     return mesh
 
