@@ -329,7 +329,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--minutes", type=float, default=3.0, help="processor time of the best one")
+    parser.add_argument("--minutes", type=float, default=2.0, help="processor time of the best one")
     parser.add_argument("--try-minutes", type=float, default=0.15, help="of each setting tried")
     parser.add_argument("--settings", type=int, default=len(TRIED), help="how many are tried")
     parser.add_argument("--seed", type=int, default=0)
