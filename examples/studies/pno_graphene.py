@@ -5,7 +5,8 @@ length for ω, one of ω, dilatation, extension and length for the scalar force 
 relative ℓ2 error of b, Adam), and a monotone form of it: T = k(r) g(s) + k_d(r) g_d(θ) with
 g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths, rates and
 samples in a step are chosen by short trainings, as the paper chooses: by the error of training and
-validation loads. The best setting is then trained anew. Leaves pno.json and pno.md.
+validation loads. The best setting is then trained anew. Leaves pno_printed.json,
+pno_monotone.json and pno.md.
 """
 
 from __future__ import annotations
@@ -163,6 +164,9 @@ class Monotone(torch.nn.Module):
         return self.scale * (k * self.g(e / (STRAIN * r)) + k_d * r * self.g_d(theta / STRAIN))
 
 
+FORMS: dict[str, Callable[..., torch.nn.Module]] = {"printed": Printed, "monotone": Monotone}
+
+
 def errors_of(
     net: torch.nn.Module, bonds: Bonds, some: torch.Tensor, nodes: torch.Tensor | slice = EVERY
 ) -> torch.Tensor:
@@ -241,39 +245,52 @@ def solved(net: Any, bonds: Bonds, model: NonlinearModel, every: int = 1) -> dic
     return {"E_u": float(np.mean(misses)), "converged": ended / len(misses)}
 
 
-def run(given: argparse.Namespace) -> dict[str, Any]:
-    """Both networks: settings tried, the best one trained, its errors on every set."""
+def run(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Each network that was asked for; those of earlier runs stay in the tables."""
     torch.set_num_threads(1)
     data, larger = warp_peri.load_dataset(DATA), warp_peri.load_dataset(STRAINED)
     named = {name: data[name] for name in ("train", "val", "test")}
     named |= {name: larger[name] for name in larger}
     sets = {name: Bonds(samples) for name, samples in named.items()}
     model = warp_peri.load_nonlinear(given.models / "energy.json")
-    tables: dict[str, dict[str, Any]] = {}
-    for name, kind in (("printed", Printed), ("monotone", Monotone)):
-        entry: dict[str, Any] = {"tried": []}
-        tables[name] = entry
-        for setting in TRIED[: given.settings]:
-            _, record = trained(kind, sets, setting, given.try_minutes, given)
-            entry["tried"].append(record)
-            write_json(given.models / "pno.json", tables)
-        scores = [record["score"] for record in entry["tried"]]
-        setting = TRIED[int(np.argmin(scores))]
-        net, record = trained(kind, sets, setting, given.minutes, given)
-        entry |= record
-        entry["E_res"] = {}
-        with torch.no_grad():
-            for key, bonds in sets.items():
-                errors = errors_of(net, bonds, torch.arange(len(bonds.b)))
-                entry["E_res"][key] = float(errors.mean())
-        write_json(given.models / "pno.json", tables)
-        answers = {key: solved(net, bonds, model) for key, bonds in sets.items() if key != "train"}
-        answers["train"] = solved(net, sets["train"], model, every=TRAIN_EVERY)
-        entry["E_u"] = {key: answer["E_u"] for key, answer in answers.items()}
-        entry["converged"] = {key: answer["converged"] for key, answer in answers.items()}
-        write_json(given.models / "pno.json", tables)
+    tables = {}
+    for name in given.forms:
+        tables[name] = table_of(FORMS[name], sets, model, given, given.models / f"pno_{name}.json")
+    for name in FORMS:
+        if name not in tables and (file := given.models / f"pno_{name}.json").exists():
+            tables[name] = json.loads(file.read_text(encoding="utf-8"))
     write_text(given.models / "pno.md", page(tables))
     return tables
+
+
+def table_of(
+    kind: Callable[..., torch.nn.Module],
+    sets: dict[str, Bonds],
+    model: NonlinearModel,
+    given: argparse.Namespace,
+    file: Path,
+) -> dict[str, Any]:
+    """What was tried, and the errors of what was tried best, trained anew; kept in a file."""
+    tried = []
+    for setting in TRIED[: given.settings]:
+        tried.append(trained(kind, sets, setting, given.try_minutes, given)[1])
+        print(tried[-1], file=sys.stderr)
+    best = TRIED[int(np.argmin([record["score"] for record in tried]))]
+    net, record = trained(kind, sets, best, given.minutes, given)
+    with torch.no_grad():
+        residuals = {
+            key: float(errors_of(net, bonds, torch.arange(len(bonds.b))).mean())
+            for key, bonds in sets.items()
+        }
+    entry = {**record, "tried": tried, "E_res": residuals}
+    answers = {
+        key: solved(net, bonds, model, every=TRAIN_EVERY if key == "train" else 1)
+        for key, bonds in sets.items()
+    }
+    entry["E_u"] = {key: answer["E_u"] for key, answer in answers.items()}
+    entry["converged"] = {key: answer["converged"] for key, answer in answers.items()}
+    write_json(file, entry)
+    return entry
 
 
 def trained(
@@ -331,6 +348,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--minutes", type=float, default=2.0, help="processor time of the best one")
     parser.add_argument("--try-minutes", type=float, default=0.15, help="of each setting tried")
+    parser.add_argument("--forms", nargs="+", choices=FORMS, default=list(FORMS))
     parser.add_argument("--settings", type=int, default=len(TRIED), help="how many are tried")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
