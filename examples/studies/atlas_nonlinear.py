@@ -28,7 +28,7 @@ from warp_peri import (
 )
 from warp_peri.errors import InputError
 
-STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16)
+STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2)
 CASE = 2
 """Number of the validation load: a patch pushed across the crystal's zigzag direction."""
 
