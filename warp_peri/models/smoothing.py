@@ -63,8 +63,11 @@ class Smoothing:
         """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C].
 
         Σ n r² p = 1, and 2 Σ p sin(k·ξ) ξ fits k times the inverse, or the transform, of the
-        smoothing by least squares of relative errors: the Wiener inverse over all waves that the
-        lattice has, |k_a| ≤ π/h, the exact inverse and the transform over |k_a| ≤ CORE / R.
+        smoothing by least squares: the Wiener inverse over all waves that the lattice has,
+        |k_a| ≤ π/h, the exact inverse and the transform over |k_a| ≤ CORE / R. Errors count as
+        those of the gradient under a unit load, which displaces by 1/|k|², and wave numbers alike,
+        which is |k|^(−5/2) in all. Of such powers it has the least residual on training loads that
+        were held out.
         """
         zone = np.pi / classes.spacing
         core = min(zone, CORE / self.radius)
@@ -85,12 +88,14 @@ def _fitted(
     k, number = k[some], number[some]
     slope = 2 * np.sin(k @ classes.xi.T)
     symbol = np.stack([slope @ (x[:, None] * member) for x in classes.xi.T], axis=1)
+    weight = number**-2.5  # see weights
+    weight /= np.sqrt((weight**2 * number**2).mean())
     rows = [
-        (symbol / number[:, None, None]).reshape(-1, len(sigma)),
+        (symbol * weight[:, None, None]).reshape(-1, len(sigma)),
         HELD * sigma[None],
         SIZE * 2 * len(k) * np.diag(sigma),
     ]
-    right = [(k * (factor(number) / number)[:, None]).ravel(), [HELD], np.zeros(len(sigma))]
+    right = [(k * (weight * factor(number))[:, None]).ravel(), [HELD], np.zeros(len(sigma))]
     p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
     scaled: np.ndarray = p / (sigma @ p)
     return scaled
