@@ -163,7 +163,9 @@ def report(title: str, seconds: dict[str, float], bonds: int) -> None:
         print(f"    {name:24}{speed}   {value / first:6.2f} × the time of the first")
 
 
-def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float) -> float:
+def measure(
+    kind: str, side: int, precision: str, rounds: int, bandwidth: float, *, fastmath: bool = True
+) -> float:
     """One table; returns the seconds of our forward pass."""
     points, box = problem(kind, side)
     start = time.perf_counter()
@@ -195,7 +197,7 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
             forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
     else:
         print("  torch and SciPy left out: their arrays bond by bond take 8 GB and more")
-    add_numba(forward, both, t, precision)
+    add_numba(forward, both, t, precision, fastmath=fastmath)
     tolerance = 1e-8 if precision == "float64" else 5e-2  # sums of a million in single precision
     seconds = interleaved(forward, rounds, tolerance)
     report("forward", seconds, count)
@@ -208,14 +210,18 @@ def measure(kind: str, side: int, precision: str, rounds: int, bandwidth: float)
     return seconds["warp_peri"]
 
 
-def add_numba(forward: Candidates, both: Candidates, t: rivals.Tables, precision: str) -> None:
+def add_numba(
+    forward: Candidates, both: Candidates, t: rivals.Tables, precision: str, *, fastmath: bool
+) -> None:
+    """Numba's loops, compiled anew for every table; also with fastmath if asked."""
     try:
         import numba
     except ImportError:
         print("  Numba is not installed: pip install 'warp_peri[bench]'")
         return
     numba.set_num_threads(THREADS)
-    for name, fast in (("Numba parallel", False), ("Numba parallel, fastmath", True)):
+    kinds = (("Numba parallel", False), ("Numba parallel, fastmath", True))
+    for name, fast in kinds[: 1 + fastmath]:
         dtype = getattr(np, precision)
         forward[name], both[name] = numba_rival.numba_parallel(t, dtype, fastmath=fast)
     if len(t.r) < len(t.neighbour):
@@ -333,7 +339,7 @@ def operator(*, quick: bool, threads: int = 2) -> None:
     speed = 0.0
     for kind in ("lattice", "scattered"):
         for precision in ("float64", "float32"):
-            seconds = measure(kind, 200, precision, rounds, bandwidth)
+            seconds = measure(kind, 200, precision, rounds, bandwidth, fastmath=not quick)
             if kind == "lattice" and precision == "float64":
                 speed = 48 * 200**2 / seconds
     lammps(24, speed)
@@ -361,7 +367,9 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("what", choices=["operator", "roofline", "solve"])
-    parser.add_argument("--quick", action="store_true", help="few rounds, no 1000² lattice")
+    parser.add_argument(
+        "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
+    )
     parser.add_argument("--threads", type=int, default=2, help="operator: of every candidate")
     parser.add_argument("--model", type=Path, help="solve: model file (default: learned graphene)")
     parser.add_argument("--out", type=Path, help="solve: write the table as JSON")
