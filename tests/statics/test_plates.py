@@ -115,7 +115,7 @@ def test_bad_input_is_named(model, change, message):
 @pytest.mark.parametrize("spacing", [SPACING, None])
 def test_a_mesh_in_another_unit_is_refused(model, unit, spacing):
     mesh, coupling = plate(RADIUS * unit, HALF * unit, 8, 32), Coupling(spacing=spacing)
-    with pytest.raises(InputError, match="expected positions in Å"):
+    with pytest.raises(InputError, match="expected positions of a body that a lattice of"):
         solve_body(model, mesh, displacement={"sides": (0, 0)}, coupling=coupling)
 
 

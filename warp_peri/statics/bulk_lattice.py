@@ -94,7 +94,7 @@ def bulk_lattice(
             "this one is certified on none"
         )
     home = max(model.certified_on)
-    check_extent(mesh, home)
+    check_extent(mesh, home, model.units)
     depth, wave_number = _depth_and_wave_number(mesh, b)
     seen = _Seen(depth, float(mesh.hole_sizes.min(initial=np.inf)), wave_number, overlap)
     tried: list[Tried] = []
