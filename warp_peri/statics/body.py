@@ -21,6 +21,7 @@ from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
+from warp_peri.points.unit_names import symbols
 from warp_peri.statics.body_loads import check_part, loads_on
 from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
@@ -33,7 +34,7 @@ OVERLAP = 2.0
 """Overlap of rim and bulk where none is given, in horizons."""
 TOLERANCE = 1e-8
 ALONE = (
-    "mesh: no triangle is {:g} Å from the body's edge, two horizons and the overlap; it is solved "
+    "mesh: no triangle is {:g} {} from the body's edge, two horizons and the overlap; it is solved "
     "by elements alone"
 )
 
@@ -195,12 +196,12 @@ def solve_body(
     problem = RimProblem(stiffness(rim, stiff, springs), fixed.ravel())
     told = model, spacing, tried, stiff, rim
     if lattice is None or kept.all():
-        warnings.warn(ALONE.format(collar + overlap), stacklevel=2)
+        warnings.warn(ALONE.format(collar + overlap, symbols(model.units)[0]), stacklevel=2)
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
         fields = u.reshape(-1, 2), None, np.zeros((0, 2))
         return BodySolution(*told, *fields, overlap, record, problem)
-    _refuse_small_holes(mesh, overlap)
+    _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
     points, triangle = lattice
     bulk = Bulk(model, points)
     elements = Rim(mesh, np.ones(len(mesh.triangles), bool), degree=1)
@@ -224,13 +225,13 @@ def _on_lattice(
     return here, tried[-1].spacing, tried
 
 
-def _refuse_small_holes(mesh: Mesh, overlap: float) -> None:
+def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
     """Raise InputError where a hole is smaller than the overlap."""
     smallest = mesh.hole_sizes.min(initial=np.inf)
     if smallest < overlap:
         raise InputError(
-            f"mesh: a hole of {smallest:.3g} Å is smaller than the overlap of rim and bulk, "
-            f"{overlap:g} Å"
+            f"mesh: a hole of {smallest:.3g} {unit} is smaller than the overlap of rim and bulk, "
+            f"{overlap:g} {unit}"
         )
 
 
@@ -250,7 +251,7 @@ def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
     for name, size in edge.items():
         check_part(name, mesh)
         if not np.isfinite(size):
-            raise InputError(f"edge '{name}': expected a stiffness in TPa Å, got {size}")
+            raise InputError(f"edge '{name}': expected a finite stiffness, got {size}")
     return {name: float(size) for name, size in edge.items()}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.mesh import Mesh
+from warp_peri.points.unit_names import symbols
 from warp_peri.statics.bulk import check_extent
 from warp_peri.statics.rim import Field
 from warp_peri.transfer.kept import on_lattice
@@ -103,9 +104,10 @@ def bulk_lattice(
         attempt, here = _attempt(model, home * ratio, seen, wanted=last)
         if here is not None and (last or attempt.verdict == "taken"):
             if wave_number and attempt.wave_error > TOLERANCE:
+                unit = symbols(model.units)[0]
                 warnings.warn(
-                    f"b: waves of {2 * np.pi / wave_number:.3g} Å are not resolved to "
-                    f"{TOLERANCE:.1%} on the lattice of {attempt.spacing:g} Å, the finest tried",
+                    f"b: waves of {2 * np.pi / wave_number:.3g} {unit} are not resolved to "
+                    f"{TOLERANCE:.1%} on the lattice of {attempt.spacing:g} {unit}, the finest",
                     stacklevel=3,
                 )
             return here, (*tried, attempt)
