@@ -169,14 +169,13 @@ def solve_body(
         mesh: the body [Å].
         displacement: [Å] by part, vectors or functions of positions [n, 2]; NaN leaves one free.
         traction: force per area [TPa] by part, or functions of positions and outward normals.
-        b: body force density [TPa/Å] as a function of positions [n, 2]; None for none.
+        b: body force density [TPa/Å] as a function of positions [n, 2].
         edge: stiffness of an edge of its own [TPa Å] by part, negative where it is softer (B10).
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
-    Raises InputError for a part that the mesh has not, values of another shape, a body that is left
-    a rigid motion, a mesh that is not in Å or too coarse, a hole smaller than the overlap, moduli
-    without positive energy, an operator that is not definite.
+    Raises InputError for parts that are not there, other shapes, a body that is free to move, a mesh
+    in another unit, a hole below the overlap, moduli or an operator that are not positive definite.
     """
     if coupling.degree not in (1, 2):
         raise InputError(f"degree: expected 1 or 2, got {coupling.degree!r}")
@@ -199,8 +198,8 @@ def solve_body(
         warnings.warn(ALONE.format(collar + overlap, symbols(model.units)[0]), stacklevel=2)
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
-        fields = u.reshape(-1, 2), None, np.zeros((0, 2))
-        return BodySolution(*told, *fields, overlap, record, problem)
+        alone = u.reshape(-1, 2), None, np.zeros((0, 2))
+        return BodySolution(*told, *alone, overlap, record, problem)
     _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
     points, triangle = lattice
     bulk = Bulk(model, points)
@@ -208,10 +207,10 @@ def solve_body(
     whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
     to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
     two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
-    load = loads.density(points.x[bulk.inside])
-    u_rim, inner, record = two.solve(f, given, load, coupling.tolerance)
-    u_bulk = bulk.field(inner, two.to_bulk @ u_rim)
-    return BodySolution(*told, u_rim, points, u_bulk, overlap, record, two)
+    b_bulk = loads.density(points.x[bulk.inside])
+    u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
+    fields = u_rim, points, bulk.field(inner, two.to_bulk @ u_rim)
+    return BodySolution(*told, *fields, overlap, record, two)
 
 
 def _on_lattice(
