@@ -174,7 +174,7 @@ def solve_body(
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
-    Raises InputError for parts that are not there, other shapes, a body that is free to move, a mesh
+    Raises InputError for parts that are not there, other shapes, a body free to move, a mesh
     in another unit, a hole below the overlap, moduli or an operator that are not positive definite.
     """
     if coupling.degree not in (1, 2):
