@@ -54,7 +54,7 @@ def test_its_table_says_where_it_holds(many, tmp_path):
     text = file.read_text()
     assert "h/horizon from 0.25 to 0.33" in text
     assert "# 0.25: " in text
-    rows = np.loadtxt(file, delimiter=",", skiprows=text[: text.index("r [ang")].count("\n") + 1)
+    rows = np.loadtxt(file, delimiter=",", skiprows=text[: text.index("r [")].count("\n") + 1)
     assert rows[:, 1] == pytest.approx(many.influence(rows[:, 0]))
     with pytest.raises(InputError, match="expected one of one_kernel"):
         write_kernel(tmp_path / "no.csv", HOME)

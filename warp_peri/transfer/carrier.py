@@ -21,7 +21,7 @@ from warp_peri.points.interpolation import (
 )
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.points.unit_names import check_same
+from warp_peri.points.unit_names import check_same, symbols
 from warp_peri.transfer.kept import model_at
 
 FINER = 2.0
@@ -145,11 +145,12 @@ def _places(
     outside = (x @ hull[:, :2].T + hull[:, 2]).max(axis=1) > dense / 2
     empty = tree.query(x)[0] > FULL * dense
     if (outside | empty).any():
+        unit = symbols(model.units)[0]
         wide = float(cKDTree(free).query(x)[0].max())
         have = float(cKDTree(free).query(x[outside | empty])[0].min())
         raise InputError(
-            f"collar: expected nodes {wide:.3g} Å around the interior, as evenly as there; they "
-            f"are missing from {have:.3g} Å on (two horizons of {model.horizon:.3g} Å beyond what "
-            "interior nodes touch on the lattice)"
+            f"collar: expected nodes {wide:.3g} {unit} around the interior, as evenly as there; "
+            f"they are missing from {have:.3g} {unit} on (two horizons of {model.horizon:.3g} {unit} "
+            "beyond what interior nodes touch on the lattice)"
         )
     return x, loaded
