@@ -150,7 +150,7 @@ def _places(
         have = float(cKDTree(free).query(x[outside | empty])[0].min())
         raise InputError(
             f"collar: expected nodes {wide:.3g} {unit} around the interior, as evenly as there; "
-            f"they are missing from {have:.3g} {unit} on (two horizons of {model.horizon:.3g} {unit} "
-            "beyond what interior nodes touch on the lattice)"
+            f"they are missing from {have:.3g} {unit} on (two horizons of {model.horizon:.3g} "
+            f"{unit} beyond what interior nodes touch on the lattice)"
         )
     return x, loaded
