@@ -1,4 +1,4 @@
-"""The filtered form's ridge ρ, chosen on training loads alone: least residual on those held out.
+"""What the filtered form's ridge ρ gives and costs, by training loads alone.
 
 Prints for each ρ the residual on fifths of the training loads that a fit did not see (both loads
 of a wave vector stay together), the one on all of them, and the proven strain; leaves them as JSON.

@@ -31,8 +31,7 @@ class Smoothing:
     Attributes:
         radius: R of the cone max(0, R − r) [Å].
         ridge: ρ of the Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ); 0 is the exact inverse 1/ω̂, which
-            amplifies short waves. 0.1 has the least residual on training loads of graphene that
-            were held out, and a smaller one has the smaller proven strain.
+            amplifies short waves. A smaller one is closer to the data and proves less.
 
     Raises InputError for a radius that is not > 0 or a ridge that is not ≥ 0.
     """
