@@ -55,7 +55,7 @@ def test_the_script_passes(complaints):
         ("set_threads(1)", 'set_threads("1")', 'incompatible type "str"; expected "int"'),
         ("method, str)", "method, int)", 'Expression is of type "str", not "int"'),
         ("operator(tensor), torch.Tensor", "operator(tensor), np.ndarray", 'of type "Tensor"'),
-        ("train, horizon=HORIZON,", "train,", 'Missing positional argument "horizon"'),
+        ("train, horizon=HORIZON,", "train,", 'No overload variant of "fit"'),
     ],
 )
 def test_a_mistake_is_seen(right, wrong, message, complaints):
