@@ -215,7 +215,7 @@ def test_bands_of_the_corrected_loss_hold_the_truth_as_often_as_they_say():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [1e-4, 3e-4, 5e-4])
+@pytest.mark.parametrize("size", [1e-4, 3e-4])
 def test_so_they_do_up_to_the_noise_that_is_warned_about(size):
     held, _ = coverage(size, 200, cells=4, highest=3)
     assert held.min() >= 0.80, held
