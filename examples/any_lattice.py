@@ -48,7 +48,7 @@ SYMBOL_TO = 0.25
 SETS = {"disks": "test", "smooth": "val", "short": "train"}
 
 
-class Atoms:
+class SmoothedAtoms:
     """The molecular samples, smoothed at any nodes."""
 
     def __init__(self, cache: Path) -> None:
@@ -108,7 +108,7 @@ def clouds(seed: int = 1) -> dict[str, Points]:
     return {name: Points(x, size[name] <= INTERIOR, 0.0) for name, x in places.items()}
 
 
-def errors(model: Model, atoms: Atoms, points: Points) -> dict[str, float]:
+def errors(model: Model, atoms: SmoothedAtoms, points: Points) -> dict[str, float]:
     """E_u in % of the sets."""
     return {
         key: 100 * warp_peri.evaluate(model, atoms.on(points, name))["E_u"]
@@ -117,7 +117,7 @@ def errors(model: Model, atoms: Atoms, points: Points) -> dict[str, float]:
 
 
 def transferred(
-    model: Model, atoms: Atoms, spacing: float, horizon: float | None
+    model: Model, atoms: SmoothedAtoms, spacing: float, horizon: float | None
 ) -> dict[str, Any]:
     """Errors on one lattice, how long the transfer took, and the second time."""
     seconds = []
@@ -140,7 +140,7 @@ def transferred(
 
 
 def scattered(
-    model: Model, atoms: Atoms, data: warp_peri.Dataset, points: Points
+    model: Model, atoms: SmoothedAtoms, data: warp_peri.Dataset, points: Points
 ) -> dict[str, Any]:
     """Solves on scattered nodes, b on the lattice or at the nodes; learning from their fields."""
     operator = ThroughLattice(model, points)
@@ -162,7 +162,7 @@ def scattered(
     return row
 
 
-def many(model: Model, atoms: Atoms) -> dict[str, Any]:
+def many(model: Model, atoms: SmoothedAtoms) -> dict[str, Any]:
     """One influence function for lattices of h/δ from 0.11 to 0.3."""
     kernel = one_kernel(model, horizon=20.0)
     record = kernel.provenance["many_lattices"]
@@ -183,7 +183,7 @@ def measure(
     model: Model, data: warp_peri.Dataset, cache: Path, part: Callable[..., Any]
 ) -> dict[str, Any]:
     """All tables; `part` keeps each as it is finished."""
-    atoms = Atoms(cache)
+    atoms = SmoothedAtoms(cache)
     nodes = lattice(5.0)
     rich = functools.cache(lambda: warp_peri.fit(data["train"], 25.0, Bernstein(15)).model)
     return {

@@ -29,7 +29,7 @@ from warp_peri.files.whole import plain, write_json, write_text
 from warp_peri.flow import series
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import ChannelRecord, run_channel
-from warp_peri.flow.closure import Closure, Coupled, homogeneous
+from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.law_file import save_law
 from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
@@ -83,7 +83,7 @@ def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, Chan
     fluids = {
         "exact law": Closure(UpperConvectedMaxwell(), DE, n),
         "learned law": Closure(law.tabulated(), DE, n),
-        "coupled, 1000 dumbbells": Coupled(Dumbbells(n, 1000, seed=seed, common=True), DE),
+        "coupled, 1000 dumbbells": CoupledDumbbells(Dumbbells(n, 1000, seed=seed, common=True), DE),
     }
     outcomes = {name: channel(fluid, flow) for name, fluid in fluids.items()}
     runs = {name: record for name, (record, _) in outcomes.items()}

@@ -27,19 +27,19 @@ import numpy as np
 
 from warp_peri.files.whole import write_json
 from warp_peri.flow.active import LearningClosure, replayed
-from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import FENEP
 from warp_peri.flow.planar import elongation, shear
 from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
-from warp_peri.flow.protocols import Record, held, simulate
+from warp_peri.flow.protocols import Ensembles, held, simulate
 from warp_peri.flow.twisted_law import TwistedSpringLaw, learn_twisted
 
 B, CELLS = 50.0, 24
 FLOW = PlaneFlow(1.0, 1.0, CELLS, force=lambda t: 12.0)
 
 
-def learn(records: list[Record]) -> TwistedSpringLaw:
+def learn(records: list[Ensembles]) -> TwistedSpringLaw:
     return learn_twisted(records, B, points=150, outside="allow")
 
 
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     learning = LearningClosure([weak], learn, replay, FLOW.De, CELLS)
     dumbbells = Dumbbells(CELLS, options.reference, b=B, seed=77, common=True, matched=True)
     runs = {
-        "coupled dumbbells": run(Coupled(dumbbells, FLOW.De)),
+        "coupled dumbbells": run(CoupledDumbbells(dumbbells, FLOW.De)),
         "weak flows alone": run(Closure(learn([weak]), FLOW.De, CELLS)),
         "learned on the way": run(learning),
         "the same law again": run(Closure(learning.law, FLOW.De, CELLS)),

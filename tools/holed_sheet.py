@@ -100,7 +100,7 @@ class Plate:
 
 
 @dataclass(frozen=True)
-class Pull:
+class EndsPulled:
     """Tension along one axis: the ends of a plate are pulled apart."""
 
     axis: int
@@ -151,7 +151,7 @@ class Wave:
         return b - share * sum(weight * v for weight, v in zip(weights, motions))
 
 
-Load = Pull | Wave
+Load = EndsPulled | Wave
 
 HOLES = (Plate((120.0, 120.0), 25.0), Plate((120.0, 120.0), 40.0))
 STRIP = Plate((120.0, 50.0))
@@ -159,7 +159,11 @@ STRIP = Plate((120.0, 50.0))
 
 def loads_of(plate: Plate, tension: float = TENSION) -> tuple[Load, ...]:
     """What a plate is loaded by; stresses are about a tension [TPa]."""
-    pulls = (Pull(0, tension), Pull(1, tension)) if plate.radius else (Pull(0, tension),)
+    pulls = (
+        (EndsPulled(0, tension), EndsPulled(1, tension))
+        if plate.radius
+        else (EndsPulled(0, tension),)
+    )
     return (*pulls, Wave(0, tension), Wave(1, tension))
 
 

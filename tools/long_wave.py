@@ -9,7 +9,7 @@ import numpy as np
 from tools.elastic import lame_constants
 from tools.graphene import THICKNESS, area_per_atom
 from tools.loads import Load, WaveLoad
-from tools.samples import Body
+from tools.samples import Piece
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 LONGEST = 2
@@ -17,7 +17,7 @@ LONGEST = 2
 
 
 def long_wave_constants(
-    body: Body,
+    body: Piece,
     reference: np.ndarray,
     loads: Sequence[Load],
     displacement: np.ndarray,

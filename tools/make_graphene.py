@@ -25,7 +25,7 @@ from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, potential_file
 from tools.loads import TEST, TRAINING, VALIDATION, Load, WaveLoad
-from tools.samples import Body, Sample, cache_file, file_hash, read_sample, solve_samples
+from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError, exit_status
@@ -131,23 +131,23 @@ def mass_density(bond: float) -> float:
     return CARBON_MASS * AMU_IN_KG / (area_per_atom(bond) * THICKNESS * 1e-30)
 
 
-def graphene_bodies() -> tuple[Body, Body]:
+def graphene_bodies() -> tuple[Piece, Piece]:
     """The periodic sheet and the free disk of the data set."""
     potential = potential_file()
     bond = bond_length(potential)
-    sheet = Body(bond, str(potential), cells=SHEET_CELLS)
-    return sheet, Body(bond, str(potential), radius=DISK_RADIUS)
+    sheet = Piece(bond, str(potential), cells=SHEET_CELLS)
+    return sheet, Piece(bond, str(potential), radius=DISK_RADIUS)
 
 
 def read_samples(
     cache: str | os.PathLike[str], group: str
-) -> tuple[Body, Sequence[Load], list[Sample]]:
+) -> tuple[Piece, Sequence[Load], list[Sample]]:
     """Finished samples of `train`, `val` or `test` with their body and loads, from the cache.
 
     For node lattices that the data set does not hold; raises InputError when samples are missing.
     """
     sheet, disk = graphene_bodies()
-    groups: dict[str, tuple[Body, Sequence[Load]]] = {
+    groups: dict[str, tuple[Piece, Sequence[Load]]] = {
         "train": (sheet, TRAINING),
         "val": (sheet, VALIDATION),
         "test": (disk, TEST),
@@ -161,8 +161,8 @@ def read_samples(
 
 
 def solve_all(
-    work: Mapping[Body, Sequence[Load]], cache: Path, jobs: int, progress: bool
-) -> dict[Body, list[Sample]]:
+    work: Mapping[Piece, Sequence[Load]], cache: Path, jobs: int, progress: bool
+) -> dict[Piece, list[Sample]]:
     """Every sample, from the cache or solved in parallel; lists in the order of the loads."""
     cached = {
         (body, load): read_sample(cache_file(cache, body, load))
@@ -191,7 +191,7 @@ def solve_all(
                 )
             for paths in finished:
                 bar.update(len(paths))
-    result: dict[Body, list[Sample]] = {}
+    result: dict[Piece, list[Sample]] = {}
     for body, loads in work.items():
         result[body] = []
         for load in loads:
@@ -204,7 +204,7 @@ def solve_all(
 
 
 def point_set(
-    body: Body,
+    body: Piece,
     loads: Sequence[Load],
     samples: Sequence[Sample],
     *,
@@ -238,7 +238,7 @@ def point_set(
 
 
 def on_nodes(
-    body: Body,
+    body: Piece,
     reference: np.ndarray,
     displacement: np.ndarray,
     force: np.ndarray,
@@ -281,7 +281,7 @@ def on_nodes(
     return Samples(Points(x + shift, interior, spacing), u, b)
 
 
-def load_record(body: Body, loads: Sequence[Load]) -> dict[str, np.ndarray]:
+def load_record(body: Piece, loads: Sequence[Load]) -> dict[str, np.ndarray]:
     """Per-sample arrays of a set that belong to its loads."""
     record = {"load_id": np.array([load.load_id for load in loads])}
     waves = [load.wave_vector(body.box) for load in loads if isinstance(load, WaveLoad)]
@@ -292,7 +292,7 @@ def load_record(body: Body, loads: Sequence[Load]) -> dict[str, np.ndarray]:
 
 
 def shape_change(
-    cone: Samples, body: Body, samples: Sequence[Sample], radius: float
+    cone: Samples, body: Piece, samples: Sequence[Sample], radius: float
 ) -> dict[str, float]:
     """Relative ℓ2 change of u on the interior when a paraboloid takes the place of the cone.
 

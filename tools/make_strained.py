@@ -23,8 +23,8 @@ from tools import make_graphene as base
 from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, area_per_atom
 from tools.loads import Load, atom_force
-from tools.samples import Body, Sample, _statics, body_record, file_hash, read_sample, write_record
-from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
+from tools.samples import Piece, Sample, _statics, body_record, file_hash, read_sample, write_record
+from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked
 from warp_peri.points.dataset import Dataset
@@ -70,7 +70,7 @@ def make_strained(
     with locked(path), locked(cache):
         cache.mkdir(parents=True, exist_ok=True)
         sheet, disk = base.graphene_bodies()
-        groups: dict[str, tuple[Body, Sequence[Load]]] = {
+        groups: dict[str, tuple[Piece, Sequence[Load]]] = {
             "val": (sheet, base.VALIDATION),
             "test": (disk, base.TEST),
         }
@@ -96,7 +96,7 @@ def make_strained(
 
 
 def strained(
-    body: Body, statics: Statics, load: Load, strain: float, before: Sample | None = None
+    body: Piece, statics: Statics, load: Load, strain: float, before: Sample | None = None
 ) -> Sample:
     """Equilibrium under a load scaled until the largest bond strain is `strain`.
 
@@ -140,7 +140,7 @@ def strained(
     )
 
 
-def strained_file(cache: Path, body: Body, load: Load, strain: float) -> Path:
+def strained_file(cache: Path, body: Piece, load: Load, strain: float) -> Path:
     """Where a sample lives: its name holds a hash of everything that determines it."""
     content = {
         **body_record(body),
@@ -153,7 +153,9 @@ def strained_file(cache: Path, body: Body, load: Load, strain: float) -> Path:
     return cache / f"{name}-{100 * strain:g}-{key}.npz"
 
 
-def solve_strained(body: Body, loads: Sequence[Load], strains: Sequence[float], cache: Path) -> int:
+def solve_strained(
+    body: Piece, loads: Sequence[Load], strains: Sequence[float], cache: Path
+) -> int:
     """Solve what the cache lacks; how many samples the loads have in all."""
     statics = _statics(body)
     for load in loads:
@@ -193,13 +195,13 @@ def _solve_missing(groups, strains: Sequence[float], cache: Path, jobs: int, pro
             bar.update(count)
 
 
-def _sample(statics: Statics, rest: Equilibrium, amplitude: float, strain: float) -> Sample:
+def _sample(statics: Statics, rest: AtomsAtRest, amplitude: float, strain: float) -> Sample:
     return Sample(
         statics.reference, rest.displacement, rest.force, amplitude, strain, rest.residual
     )
 
 
-def _set(body: Body, loads: Sequence[Load], strain: float, cache: Path) -> Samples:
+def _set(body: Piece, loads: Sequence[Load], strain: float, cache: Path) -> Samples:
     equilibria = [read_sample(strained_file(cache, body, load, strain)) for load in loads]
     samples = [sample for sample in equilibria if sample is not None]
     if len(samples) < len(loads):

@@ -42,8 +42,8 @@ from tools.make_graphene import (
 )
 from tools.plans import Plan, graphene_plans
 from tools.reductions import REDUCTIONS, noise, reduced
-from tools.samples import Body, Sample, file_hash
-from tools.thermal import Bath, Run, Task, read_run, run, run_file
+from tools.samples import Piece, Sample, file_hash
+from tools.thermal import Bath, Task, ThermalRun, read_run, run, run_file
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked
 from warp_peri.points.dataset import Dataset
@@ -54,7 +54,7 @@ SPACING = 5.0
 """Of the nodes [Å]."""
 DATA = Path("data")
 
-Equilibria = Mapping[Body, Mapping[Load, Sample]]
+Equilibria = Mapping[Piece, Mapping[Load, Sample]]
 
 
 def make_thermal(
@@ -124,7 +124,7 @@ def file_name(temperature: float, reduction: str, factor: float) -> str:
 
 def data_set(
     plans: Sequence[Plan],
-    runs: Mapping[Task, Run],
+    runs: Mapping[Task, ThermalRun],
     at_rest: Equilibria,
     bath: Bath,
     *,
@@ -168,7 +168,7 @@ def data_set(
 
 
 def thermal_constants(
-    plans: Sequence[Plan], runs: Mapping[Task, Run], at_rest: Equilibria, factor: float
+    plans: Sequence[Plan], runs: Mapping[Task, ThermalRun], at_rest: Equilibria, factor: float
 ) -> dict[str, float]:
     """λ, μ, E [TPa] and ν of the sheet at the temperature of the runs.
 
@@ -200,7 +200,7 @@ def run_all(
     *,
     jobs: int,
     progress: bool,
-) -> tuple[Equilibria, dict[Task, Run]]:
+) -> tuple[Equilibria, dict[Task, ThermalRun]]:
     """Every run of the plans, from the cache or made in parallel, and the samples at rest."""
     wanted = {
         plan.body: [load for loads in plan.groups.values() for load in loads] for plan in plans

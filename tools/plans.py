@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tools.loads import TEST, TRAINING, VALIDATION, Load
 from tools.make_graphene import graphene_bodies
-from tools.samples import Body
+from tools.samples import Piece
 from tools.thermal import Task
 
 
@@ -26,7 +26,7 @@ class Plan:
         repeat: how far apart the repeated loads are.
     """
 
-    body: Body
+    body: Piece
     groups: dict[str, Sequence[Load]]
     seeds: int
     spare: int

@@ -18,8 +18,8 @@ import numpy as np
 
 from tools.loads import Load
 from tools.plans import Plan
-from tools.samples import Body, Sample
-from tools.thermal import Run, Task
+from tools.samples import Piece, Sample
+from tools.thermal import Task, ThermalRun
 
 REDUCTIONS = ("shared", "plain", "iota")
 
@@ -44,7 +44,7 @@ class Fields:
 def reduced(
     plan: Plan,
     group: str,
-    runs: Mapping[Task, Run],
+    runs: Mapping[Task, ThermalRun],
     at_rest: Mapping[Load, Sample],
     *,
     reduction: str,
@@ -66,7 +66,7 @@ def reduced(
 
 
 def _unpaired(
-    plan: Plan, runs: Mapping[Task, Run], run: Run, seed: int, reduction: str
+    plan: Plan, runs: Mapping[Task, ThermalRun], run: ThermalRun, seed: int, reduction: str
 ) -> np.ndarray:
     """Average or smoothed displacement of a run, on the disk less the mean of other seeds."""
     field = run.average if reduction == "plain" else run.smoothed
@@ -77,7 +77,12 @@ def _unpaired(
 
 
 def noise(
-    plan: Plan, runs: Mapping[Task, Run], reference: np.ndarray, *, reduction: str, factor: float
+    plan: Plan,
+    runs: Mapping[Task, ThermalRun],
+    reference: np.ndarray,
+    *,
+    reduction: str,
+    factor: float,
 ) -> np.ndarray:
     """Noise of a reduction by itself: fields [Å], shape [S, A, 2], that no load caused.
 
@@ -99,7 +104,7 @@ def noise(
     return np.stack([settled(plan.body, reference, field) for field in fields])
 
 
-def settled(body: Body, reference: np.ndarray, field: np.ndarray) -> np.ndarray:
+def settled(body: Piece, reference: np.ndarray, field: np.ndarray) -> np.ndarray:
     """A field without its mean and, on a free body, without its mean rotation; shapes [A, 2]."""
     field = field - field.mean(axis=0)
     if body.box is None:

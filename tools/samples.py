@@ -19,7 +19,7 @@ import numpy as np
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load, WaveLoad, atom_force
-from tools.statics import TOLERANCE, ConvergenceError, Equilibrium, Statics
+from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import whole_file
 
@@ -31,7 +31,7 @@ CACHE_VERSION = 1
 
 
 @dataclass(frozen=True)
-class Body:
+class Piece:
     """What carries the load, and the potential that holds it together.
 
     Attributes:
@@ -59,13 +59,13 @@ class Body:
         return disk(self.bond, radius=self.radius)
 
 
-class Record(Protocol):
+class Arrays(Protocol):
     """A dataclass of numbers and arrays, all of one shape."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=Arrays)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Sample:
     residual: float
 
 
-def cache_file(cache: str | os.PathLike[str], body: Body, load: Load) -> Path:
+def cache_file(cache: str | os.PathLike[str], body: Piece, load: Load) -> Path:
     """Where the sample lives: its name holds a hash of everything that determines it."""
     content = {
         "version": CACHE_VERSION,
@@ -103,7 +103,7 @@ def cache_file(cache: str | os.PathLike[str], body: Body, load: Load) -> Path:
     return Path(cache) / f"{name}-{key}.npz"
 
 
-def body_record(body: Body) -> dict[str, Any]:
+def body_record(body: Piece) -> dict[str, Any]:
     """What determines the forces between the atoms of a body, for the name of a cache file."""
     return {
         "lammps": version("lammps"),
@@ -115,7 +115,7 @@ def body_record(body: Body) -> dict[str, Any]:
 
 
 @lru_cache
-def _positions_hash(body: Body) -> str:
+def _positions_hash(body: Piece) -> str:
     return hashlib.sha256(body.positions().tobytes()).hexdigest()
 
 
@@ -147,7 +147,7 @@ def read_record(path: Path, kind: type[R]) -> R | None:
         return None
 
 
-def solve_samples(body: Body, loads: Sequence[Load], cache: str | os.PathLike[str]) -> list[Path]:
+def solve_samples(body: Piece, loads: Sequence[Load], cache: str | os.PathLike[str]) -> list[Path]:
     """Solve `loads` on `body` and write each to the cache as soon as it is done.
 
     Returns their cache files. Raises LammpsError, FileNotFoundError for the potential,
@@ -161,7 +161,7 @@ def solve_samples(body: Body, loads: Sequence[Load], cache: str | os.PathLike[st
     return paths
 
 
-def write_record(path: Path, record: Record) -> None:
+def write_record(path: Path, record: Arrays) -> None:
     """Keep a dataclass of numbers and arrays, whole or not at all; OSError names the file."""
     try:
         with whole_file(path) as temporary:
@@ -170,7 +170,7 @@ def write_record(path: Path, record: Record) -> None:
         raise OSError(f"cannot write {path}: {error}") from None
 
 
-def solve(body: Body, statics: Statics, load: Load) -> Sample:
+def solve(body: Piece, statics: Statics, load: Load) -> Sample:
     """Equilibrium under a load; a WaveLoad is scaled until its bond strain is TRAINING_STRAIN."""
     shape = load.shape(statics.reference, body.box)
     unit = atom_force(shape, area_per_atom(body.bond), THICKNESS)
@@ -193,7 +193,7 @@ def file_hash(path: str | os.PathLike[str]) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def _strained(statics: Statics, unit: np.ndarray, name: str) -> tuple[float, Equilibrium]:
+def _strained(statics: Statics, unit: np.ndarray, name: str) -> tuple[float, AtomsAtRest]:
     """Amplitude and equilibrium at TRAINING_STRAIN; strain grows almost linearly with load."""
     linear = statics.linear_response(unit)
     small = 1e-6 / np.abs(linear).max()
@@ -216,7 +216,7 @@ def _strained(statics: Statics, unit: np.ndarray, name: str) -> tuple[float, Equ
 
 
 @lru_cache(maxsize=2)
-def _statics(body: Body) -> Statics:
+def _statics(body: Piece) -> Statics:
     """One factorisation per body and process, however many loads follow."""
     positions, box = body.positions(), body.box
     session = LammpsSession(positions, box=box, potential=body.potential)

@@ -29,7 +29,7 @@ class ConvergenceError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class AtomsAtRest:
     """Atoms at rest under a load.
 
     Attributes:
@@ -84,7 +84,7 @@ class Statics:
         name: str,
         guess: np.ndarray | None = None,
         tolerance: float = TOLERANCE,
-    ) -> Equilibrium:
+    ) -> AtomsAtRest:
         """Displacement at which internal forces balance `force`.
 
         A rigid motion cannot be resisted: the part of the load that pushes or turns the body as
@@ -103,7 +103,7 @@ class Statics:
         r, load = self._residual(u, force)
         for step in range(MAX_STEPS):
             if np.abs(r).max() <= tolerance:
-                return Equilibrium(u, load, float(np.abs(r).max()), step)
+                return AtomsAtRest(u, load, float(np.abs(r).max()), step)
             du = self._without_rigid_motion(factor(r))
             stretch = np.linalg.norm(du[self.bonds[:, 1]] - du[self.bonds[:, 0]], axis=1).max()
             du *= min(1.0, LARGEST_STRETCH / stretch)

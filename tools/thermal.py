@@ -17,7 +17,7 @@ import numpy as np
 
 from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load
-from tools.samples import Body, Sample, body_record, cache_file, read_record, write_record
+from tools.samples import Piece, Sample, body_record, cache_file, read_record, write_record
 from warp_peri.errors import InputError
 
 CACHE_VERSION = 1
@@ -58,14 +58,14 @@ class Bath:
 class Task:
     """One run: a body, its load times a factor or None, and a seed."""
 
-    body: Body
+    body: Piece
     load: Load | None
     factor: float
     seed: int
 
 
 @dataclass(frozen=True)
-class Run:
+class ThermalRun:
     """What is kept of a run.
 
     Attributes:
@@ -94,9 +94,9 @@ def run_file(cache: str | os.PathLike[str], task: Task, bath: Bath) -> Path:
     return Path(cache) / f"{name}-s{task.seed}-{key}.npz"
 
 
-def read_run(path: Path) -> Run | None:
+def read_run(path: Path) -> ThermalRun | None:
     """The run in a cache file; None when there is none, with a warning when it is corrupt."""
-    return read_record(path, Run)
+    return read_record(path, ThermalRun)
 
 
 def run(task: Task, at_rest: Sample, bath: Bath, cache: str | os.PathLike[str]) -> float:
@@ -144,5 +144,5 @@ def run(task: Task, at_rest: Sample, bath: Bath, cache: str | os.PathLike[str]) 
             raise LammpsError(f"{name}, seed {task.seed}: {error}") from None
     kept = bath.steps - bath.transient
     snr = float(np.sqrt(kept * (force**2).sum() / total))
-    write_record(run_file(cache, task, bath), Run(average / kept, smoothed, snr))
+    write_record(run_file(cache, task, bath), ThermalRun(average / kept, smoothed, snr))
     return float(len(reference) * bath.steps)

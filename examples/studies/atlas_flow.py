@@ -9,7 +9,7 @@ from examples.studies.atlas_entry import Entry, words, written
 from warp_peri import InputError
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import run_channel
-from warp_peri.flow.closure import Closure, Coupled, heun, homogeneous
+from warp_peri.flow.closure import Closure, CoupledDumbbells, heun, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells, propagator
 from warp_peri.flow.laws import UpperConvectedMaxwell
 from warp_peri.flow.log_conformation import LogConformation, exponential_of
@@ -25,7 +25,8 @@ def independent_noise() -> Entry:
     n = Particles(flow).fluid
     exact = run_channel(flow, Closure(UpperConvectedMaxwell(), DE, n), UNTIL, UNTIL / STEPS)
     fluids = {
-        common: Coupled(Dumbbells(n, COUNT, seed=1, common=common), DE) for common in (True, False)
+        common: CoupledDumbbells(Dumbbells(n, COUNT, seed=1, common=common), DE)
+        for common in (True, False)
     }
     shared = run_channel(flow, fluids[True], UNTIL, UNTIL / STEPS)
     particles, speeds, seen = Particles(flow), [], []

@@ -18,7 +18,7 @@ from tools.hessian import ColouredHessian
 from tools.lammps_session import CARBON_MASS, LammpsSession, potential_file
 from tools.loads import WaveLoad, atom_force
 from tools.make_graphene import point_set
-from tools.samples import Body, Sample
+from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
 from warp_peri import LPSOperator
 from warp_peri.dynamics import verlet
@@ -255,7 +255,7 @@ def draw_branches(branches: Mapping[str, Mapping[str, np.ndarray]], speeds: np.n
 
 
 def strained_samples(
-    load: WaveLoad, strains: Sequence[float], body: Body, statics: Statics
+    load: WaveLoad, strains: Sequence[float], body: Piece, statics: Statics
 ) -> tuple[list[Sample], str]:
     """Equilibria of one load at rising bond strains; ends at the first that is not found."""
     unit = atom_force(
@@ -291,7 +291,7 @@ def strained_samples(
 def large_strains(model: Model) -> Entry:
     """Error of the linear model against the amplitude of the load."""
     potential = potential_file()
-    body = Body(bond_length(potential), str(potential), cells=SHEET_CELLS)
+    body = Piece(bond_length(potential), str(potential), cells=SHEET_CELLS)
     positions = body.positions()
     aimed = (0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1)
     table: dict[str, dict[str, list[float]]] = {}

@@ -47,7 +47,7 @@ def published(repository: Path, task: int) -> tuple[np.ndarray, np.ndarray, np.n
     return table[table[:, 0] == task][0, 1:], tractions, u.reshape(-1, NODES, NODES, 2)
 
 
-class Pulled:
+class PulledSheet:
     """A meshed square, fixed below and pulled upwards above."""
 
     def __init__(self, mesh: Any, element: Any, order: int) -> None:
@@ -77,8 +77,8 @@ class Pulled:
 def check(repository: Path, tasks: list[int], samples: list[int]) -> dict[str, dict[str, Any]]:
     """Relative differences by task and by way of computing."""
     skfem = finite_elements()
-    linear = Pulled(triangles(NODES - 1), skfem.ElementTriP1(), 2)
-    quadratic = Pulled(quadrilaterals(20), skfem.ElementQuad2(), 4)
+    linear = PulledSheet(triangles(NODES - 1), skfem.ElementTriP1(), 2)
+    quadratic = PulledSheet(quadrilaterals(20), skfem.ElementQuad2(), 4)
     differences = {}
     for task in tasks:
         (E, nu, k1, k2, angle), tractions, u = published(repository, task)

@@ -69,7 +69,7 @@ LOOKED = 5
 """Epochs from one look at the validation loads to the next."""
 
 
-class Bonds:
+class BondTable:
     """Bonds of one set: extensions and directions of all samples, in single precision."""
 
     def __init__(self, samples: Samples) -> None:
@@ -168,7 +168,7 @@ FORMS: dict[str, Callable[..., torch.nn.Module]] = {"printed": Printed, "monoton
 
 
 def errors_of(
-    net: torch.nn.Module, bonds: Bonds, some: torch.Tensor, nodes: torch.Tensor | slice = EVERY
+    net: torch.nn.Module, bonds: BondTable, some: torch.Tensor, nodes: torch.Tensor | slice = EVERY
 ) -> torch.Tensor:
     """Relative ℓ2 errors of b, or what some nodes say of them."""
     b = bonds.b[some]
@@ -178,7 +178,7 @@ def errors_of(
 
 
 def train(
-    net: Any, bonds: Bonds, val: Bonds, setting: Setting, minutes: float, quiet: bool
+    net: Any, bonds: BondTable, val: BondTable, setting: Setting, minutes: float, quiet: bool
 ) -> dict[str, Any]:
     """Adam with a falling rate; the weights of least training and validation error count."""
     everything, unseen = torch.arange(len(bonds.b)), torch.arange(len(val.b))
@@ -215,7 +215,7 @@ def train(
     return record | setting._asdict()
 
 
-def solved(net: Any, bonds: Bonds, model: NonlinearModel, every: int = 1) -> dict[str, float]:
+def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) -> dict[str, float]:
     """E_u by the accelerated fixed point of the linear solid, and the share that converged."""
     samples = bonds.samples
     solver = linear_solver(NonlinearOperator(model, samples), samples, SOLVED)
@@ -251,7 +251,7 @@ def run(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     data, larger = warp_peri.load_dataset(DATA), warp_peri.load_dataset(STRAINED)
     named = {name: data[name] for name in ("train", "val", "test")}
     named |= {name: larger[name] for name in larger}
-    sets = {name: Bonds(samples) for name, samples in named.items()}
+    sets = {name: BondTable(samples) for name, samples in named.items()}
     model = warp_peri.load_nonlinear(given.models / "energy.json")
     tables = {}
     for name in given.forms:
@@ -265,7 +265,7 @@ def run(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def table_of(
     kind: Callable[..., torch.nn.Module],
-    sets: dict[str, Bonds],
+    sets: dict[str, BondTable],
     model: NonlinearModel,
     given: argparse.Namespace,
     file: Path,
@@ -295,7 +295,7 @@ def table_of(
 
 def trained(
     kind: Callable[..., torch.nn.Module],
-    sets: dict[str, Bonds],
+    sets: dict[str, BondTable],
     setting: Setting,
     minutes: float,
     given: argparse.Namespace,

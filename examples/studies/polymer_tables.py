@@ -33,7 +33,7 @@ from warp_peri.files.whole import plain, write_json
 from warp_peri.flow import series
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import ChannelRecord, run_channel
-from warp_peri.flow.closure import Closure, Coupled, Stress
+from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress
 from warp_peri.flow.closure_error import corrected_run, missing_stress
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.gaussian_process import fit_process
@@ -42,7 +42,7 @@ from warp_peri.flow.pairs import start_pairs, window_pairs
 from warp_peri.flow.paths import band
 from warp_peri.flow.planar import elongation, shear
 from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
-from warp_peri.flow.protocols import Record, held, simulate
+from warp_peri.flow.protocols import Ensembles, held, simulate
 from warp_peri.flow.rate_law import learn_rate
 from warp_peri.flow.shear_law import ShearLaw, learn_shear
 from warp_peri.flow.twins import Twins
@@ -52,7 +52,7 @@ MAXWELL = UpperConvectedMaxwell()
 SEEDS = range(5)
 
 
-def printed_shear(record: Record, seed: int) -> ShearLaw:
+def printed_shear(record: Ensembles, seed: int) -> ShearLaw:
     """The printed recipe of shear: ten random bins of stress a rate, bin variance as noise."""
     random, width = np.random.default_rng(seed), 5
     X, y, noise = [], [], []
@@ -94,7 +94,7 @@ def couette() -> dict[str, Any]:
             for name, law in laws.items():
                 error = float(np.abs(run(Closure(law, De, 128)) - exact).max())
                 errors.setdefault(name, []).append(error)
-        coupled = run(Coupled(Dumbbells(128, 1000, seed=5), De))
+        coupled = run(CoupledDumbbells(Dumbbells(128, 1000, seed=5), De))
         errors["coupled"] = [float(np.abs(coupled - exact).max())]
         numbers[f"De {De:g}"] = {
             name: {"errors": values, "median": float(np.median(values))}
@@ -140,7 +140,7 @@ def channel() -> dict[str, Any]:
     return numbers
 
 
-def printed_data(count: int, seed: int) -> Record:
+def printed_data(count: int, seed: int) -> Ensembles:
     """Eleven rates each of shear and elongation."""
     rates = np.linspace(-0.2, 0.2, 11)
     K = held(np.concatenate([elongation(rates), shear(rates)]), 200)
@@ -196,9 +196,9 @@ def speed(rounds: int = 5) -> dict[str, Any]:
         "exact law": Closure(MAXWELL, flow.De, n),
         "learned law, tables": Closure(law.tabulated(), flow.De, n),
         "learned law, sums": Closure(law, flow.De, n),
-        "coupled 1000": Coupled(Dumbbells(n, 1000, common=True), flow.De),
-        "coupled 10000": Coupled(Dumbbells(n, 10_000, common=True), flow.De),
-        "coupled 100000": Coupled(Dumbbells(n, 100_000, common=True), flow.De),
+        "coupled 1000": CoupledDumbbells(Dumbbells(n, 1000, common=True), flow.De),
+        "coupled 10000": CoupledDumbbells(Dumbbells(n, 10_000, common=True), flow.De),
+        "coupled 100000": CoupledDumbbells(Dumbbells(n, 100_000, common=True), flow.De),
     }
     steps = dict.fromkeys(fluids, 10) | {"learned law, tables": 100, "coupled 100000": 1}
     particles = {name: Particles(flow) for name in fluids}
@@ -224,7 +224,9 @@ def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
         return run_plane(flow, fluid, 8.0, 0.004, every=25)
 
     start = time.perf_counter()
-    truth = run(Coupled(Dumbbells(64, reference, b=b, seed=5, common=True, matched=True), 1.0)).u
+    truth = run(
+        CoupledDumbbells(Dumbbells(64, reference, b=b, seed=5, common=True, matched=True), 1.0)
+    ).u
     seconds = {"coupled": time.perf_counter() - start}
     twisted = fene_law(count, 0)
     law = twisted.spring_law

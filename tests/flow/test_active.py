@@ -5,7 +5,7 @@ import pytest
 
 from warp_peri import InputError
 from warp_peri.flow.active import LearningClosure, replayed
-from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.planar import elongation, shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
@@ -31,7 +31,7 @@ def weak():
 
 def test_dumbbells_go_along_where_the_flow_leaves_the_data(weak):
     dumbbells = Dumbbells(12, 1500, b=B, seed=5, common=True, matched=True)
-    truth = run(Coupled(dumbbells, 1.0))
+    truth = run(CoupledDumbbells(dumbbells, 1.0))
     fluid = LearningClosure([weak], learn, replayed(1000, B, 100), 1.0, 12, check_every=20)
     error = lambda u: np.linalg.norm(u - truth) / np.linalg.norm(truth)
     before, while_learning = error(run(Closure(learn([weak]), 1.0, 12))), error(run(fluid))

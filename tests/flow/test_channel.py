@@ -8,7 +8,7 @@ from warp_peri import InputError
 from warp_peri.flow import series
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import run_channel
-from warp_peri.flow.closure import Closure, Coupled
+from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import UpperConvectedMaxwell
 
@@ -105,7 +105,7 @@ def test_dumbbells_in_every_particle():
     n = Particles(flow).fluid
     exact = run(flow, 5e-3)
     dt = 5e-3 / np.ceil(5e-3 / (0.9 * flow.longest_step))
-    coupled = Coupled(Dumbbells(n, 2000, seed=1, common=True), 1e-2)
+    coupled = CoupledDumbbells(Dumbbells(n, 2000, seed=1, common=True), 1e-2)
     record = run_channel(flow, coupled, 5e-3, dt)
     difference = np.linalg.norm(record.v - exact.v) / np.linalg.norm(exact.v)
     assert difference < 4 * np.sqrt(2 / 2000)

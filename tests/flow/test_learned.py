@@ -14,7 +14,7 @@ from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
 from warp_peri.flow.pairs import exact_pairs, reached, start_pairs, window_pairs
 from warp_peri.flow.planar import IDENTITY, elongation, shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.protocols import Record, held, simulate
+from warp_peri.flow.protocols import Ensembles, held, simulate
 from warp_peri.flow.rate_law import learn_rate
 from warp_peri.flow.shear_law import learn_shear
 from warp_peri.flow.spring_law import SpringLaw, invariants, learn_spring
@@ -175,7 +175,7 @@ def test_a_law_refuses_states_beyond_its_data(exact):
 def test_moments_that_are_not_positive_are_refused():
     C = np.array([[[1.0, 2.0, 1.0, 1.0]]])
     with pytest.raises(InputError, match="positive eigenvalues"):
-        learn_spring(Record(0.1, np.zeros((0, 1, 4)), C, C, 10))
+        learn_spring(Ensembles(0.1, np.zeros((0, 1, 4)), C, C, 10))
 
 
 def test_a_second_memory_turns_the_spring(tmp_path):
@@ -197,7 +197,7 @@ def test_a_second_memory_turns_the_spring(tmp_path):
     assert np.allclose(again.rate(K[0], state), law.rate(K[0], state), atol=1e-12)
     still = np.eye(4)[[0, 2, 3]].sum(0) * np.ones((3, 1, 1))
     with pytest.raises(InputError, match="shear or mixed"):
-        learn_twisted(Record(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)
+        learn_twisted(Ensembles(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)
 
 
 def test_rest_is_the_root_nearest_to_one():

@@ -6,7 +6,7 @@ import pytest
 from tests.support.problems import fitted_order
 from warp_peri import InputError
 from warp_peri.flow import series
-from warp_peri.flow.closure import Closure, Coupled, homogeneous
+from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell
 from warp_peri.flow.planar import IDENTITY, elongation, shear
@@ -103,7 +103,7 @@ def test_a_coupled_flow_nears_the_exact_law():
     exact = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 16), 2.0, 0.02, every=10)
     for count in (500, 8000):
         dumbbells = Dumbbells(16, count, seed=3, common=True)
-        profiles = run_plane(flow, Coupled(dumbbells, 1.0), 2.0, 0.02, every=10)
+        profiles = run_plane(flow, CoupledDumbbells(dumbbells, 1.0), 2.0, 0.02, every=10)
         error = np.linalg.norm(profiles.u - exact.u) / np.linalg.norm(exact.u)
         assert error < 4 * np.sqrt(2 / count)  # the elastic modulus is ⟨q_y²⟩, noisy by √(2/N)
 

@@ -13,7 +13,7 @@ from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import reduce
 from warp_peri.models.lps import Model
-from warp_peri.operator.lps import LPSOperator
+from warp_peri.operator.lps import NodeOperator
 from warp_peri.statics.solve import solve
 
 HORIZON, DEGREE = 3.0, 5
@@ -48,7 +48,7 @@ def square(grid, model):
 
 
 def test_waves_are_in_equilibrium(model, clean):
-    force = LPSOperator(model, clean, allow_uncertified=True)(clean.u)
+    force = NodeOperator(model, clean, allow_uncertified=True)(clean.u)
     np.testing.assert_allclose(force, clean.b[:, clean.interior], atol=1e-12)
 
 
@@ -56,7 +56,7 @@ def test_noise_adds_what_the_correction_expects(model, clean):
     weight = sample_weights([clean], normalise=True)[0]
     noise = fluctuation(clean, 200, SIZE, seed=5)
     R = noise_loss(noise, clean, HORIZON, weight)
-    operator = LPSOperator(model, clean, allow_uncertified=True)
+    operator = NodeOperator(model, clean, allow_uncertified=True)
     expected = weight.sum() * (operator(noise.u) ** 2).sum() / len(noise)
     assert np.sum((R @ products(model, reduce(clean, HORIZON, weight).classes)) ** 2) == (
         pytest.approx(expected, rel=1e-10)

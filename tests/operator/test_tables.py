@@ -43,7 +43,7 @@ def relative(value, expected):
 @pytest.mark.parametrize("name", KERNELS)
 def test_is_the_force_to_rounding(kind, name):
     points = SETS[kind]()
-    operator = lps.LPSOperator(kernel(name, HORIZON), points, allow_uncertified=True)
+    operator = lps.NodeOperator(kernel(name, HORIZON), points, allow_uncertified=True)
     u = noise(points, 2)
     assert relative(operator(u), anew(operator, u)) < ROUNDING
     np.testing.assert_array_equal(operator(u[1]), operator(u)[1])
@@ -55,7 +55,7 @@ def test_is_the_force_to_rounding(kind, name):
 def test_is_the_force_without_a_dilatation():
     points = cloud(5, HORIZON / 2)
     bond_based = kernel("sign-changing", HORIZON, lam=0.8, mu=0.8)
-    operator = lps.LPSOperator(bond_based, points, allow_uncertified=True)
+    operator = lps.NodeOperator(bond_based, points, allow_uncertified=True)
     assert operator.bonds.bond_based
     assert relative(operator(noise(points)), anew(operator, noise(points))) < ROUNDING
 
@@ -66,7 +66,7 @@ def test_a_bond_that_one_of_two_functions_does_not_see(D, D_dilatation):
     x = cloud(5, HORIZON).x
     points = replace(cloud(5, HORIZON), x=np.round(x * 4) / 4)
     model = replace(kernel("two functions", HORIZON), D=D, D_dilatation=D_dilatation)
-    operator = lps.LPSOperator(model, points, allow_uncertified=True)
+    operator = lps.NodeOperator(model, points, allow_uncertified=True)
     u = noise(points)
     assert (operator.bonds.families.r == HORIZON).any()
     assert relative(operator(u), anew(operator, u)) < ROUNDING
@@ -75,7 +75,7 @@ def test_a_bond_that_one_of_two_functions_does_not_see(D, D_dilatation):
 def test_no_table_is_stale():
     points = cloud(5, HORIZON)
     u = noise(points)
-    operator = lps.LPSOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
+    operator = lps.NodeOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
     before = operator(u)
     for change in (
         {"lam": -0.1},

@@ -4,19 +4,19 @@ from tools.graphene import bond_length
 from tools.lammps_session import potential_file
 from tools.loads import PatchLoad, RimLoad, WaveLoad
 from tools.plans import Plan
-from tools.samples import Body
+from tools.samples import Piece
 from tools.thermal import Bath
 
 BATH = Bath(steps=90, transient=30)
 
 
 def small_sheet():
-    return Body(bond_length(), str(potential_file()), cells=(8, 5))
+    return Piece(bond_length(), str(potential_file()), cells=(8, 5))
 
 
 def small_plans(sheet):
     """Five loads, two seeds and two spare ones."""
-    disk = Body(sheet.bond, sheet.potential, radius=65.0)
+    disk = Piece(sheet.bond, sheet.potential, radius=65.0)
     waves = [WaveLoad(0, (0, 1)), WaveLoad(0, (1, 0)), WaveLoad(1, (1, 1))]
     return [
         Plan(disk, {"test": [RimLoad(1)]}, seeds=2, spare=2, repeat=1),

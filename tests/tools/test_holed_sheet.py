@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tools.graphene import bond_length
-from tools.holed_sheet import Plate, Pull, Wave, edge_constants, held_samples, loads_of
+from tools.holed_sheet import EndsPulled, Plate, Wave, edge_constants, held_samples, loads_of
 
 PLATE = Plate((30.0, 30.0), 5.0)
 
@@ -41,7 +41,7 @@ def test_waves_push_no_edge_and_nothing_as_a_whole():
     assert abs(np.vdot(turn, b)) < 1e-9
     assert (b[plate.edge_distance(x) < 10] == 0).all()
     assert np.abs(b).max() > 1e-5
-    pull = Pull(1).density(plate, x)
+    pull = EndsPulled(1).density(plate, x)
     assert (pull[np.abs(x[:, 1]) < 50] == 0).all()
 
 

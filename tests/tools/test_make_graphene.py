@@ -144,11 +144,11 @@ def test_jobs_must_make_sense(tmp_path, capsys):
 def test_cache_key_knows_what_decides(tmp_path):
     potential = tmp_path / "C.tersoff"
     potential.write_text("one")
-    body = samples.Body(1.46, str(potential), cells=(8, 5))
+    body = samples.Piece(1.46, str(potential), cells=(8, 5))
     load = WaveLoad(0, (1, 0))
     keys = {cache_file(tmp_path, body, load).name}
     keys.add(cache_file(tmp_path, body, WaveLoad(0, (0, 1))).name)
-    keys.add(cache_file(tmp_path, samples.Body(1.46, str(potential), cells=(8, 6)), load).name)
+    keys.add(cache_file(tmp_path, samples.Piece(1.46, str(potential), cells=(8, 6)), load).name)
     potential.write_text("two")
     keys.add(cache_file(tmp_path, body, load).name)
     assert len(keys) == 4

@@ -17,7 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.flow.closure import Closure
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import Law
-from warp_peri.flow.protocols import Record, simulate
+from warp_peri.flow.protocols import Ensembles, simulate
 
 EARLIER = 1.5
 """Gaps of the data beyond which dumbbells are asked; warnings come at twice as many."""
@@ -57,9 +57,9 @@ class LearningClosure(Closure):
 
     def __init__(
         self,
-        records: list[Record],
-        learn: Callable[[list[Record]], Any],
-        replay: Callable[[np.ndarray, float], Record],
+        records: list[Ensembles],
+        learn: Callable[[list[Ensembles]], Any],
+        replay: Callable[[np.ndarray, float], Ensembles],
         De: float,
         n: int,
         *,
@@ -105,7 +105,7 @@ class LearningClosure(Closure):
         return True
 
 
-def replayed(count: int, b: float | None, seed: int) -> Callable[[np.ndarray, float], Record]:
+def replayed(count: int, b: float | None, seed: int) -> Callable[[np.ndarray, float], Ensembles]:
     """A replay in dumbbells, each with random numbers of its own.
 
     Args:
@@ -115,7 +115,7 @@ def replayed(count: int, b: float | None, seed: int) -> Callable[[np.ndarray, fl
     """
     seeds = iter(range(seed, seed + 10**6))
 
-    def replay(K: np.ndarray, interval: float) -> Record:
+    def replay(K: np.ndarray, interval: float) -> Ensembles:
         steps = max(5, math.ceil(float(np.abs(K).max()) * interval / STRAIN))
         return simulate(
             Dumbbells(K.shape[1], count, b=b, seed=next(seeds)), K, interval, steps=steps

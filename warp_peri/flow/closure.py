@@ -92,7 +92,7 @@ class Closure:
         self.C = state.copy()
 
 
-class Coupled:
+class CoupledDumbbells:
     """Dumbbells in every cell: the reference, and what a law replaces.
 
     With common noise all cells see the same random numbers, and differences between them are what

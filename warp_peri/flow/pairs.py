@@ -15,7 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.flow.closure import heun
 from warp_peri.flow.laws import Law
 from warp_peri.flow.planar import IDENTITY
-from warp_peri.flow.protocols import Record, random_planar
+from warp_peri.flow.protocols import Ensembles, random_planar
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Pairs:
         )  # fmt: skip
 
 
-def start_pairs(record: Record, window: int, *, largest: float | None = None) -> Pairs:
+def start_pairs(record: Ensembles, window: int, *, largest: float | None = None) -> Pairs:
     """Increments over `window` intervals, one after another, each with the stress at its start.
 
     Args:
@@ -87,7 +87,7 @@ def start_pairs(record: Record, window: int, *, largest: float | None = None) ->
     return Pairs(parts[0], parts[1], parts[2], parts[3], time)
 
 
-def window_pairs(record: Record, window: int) -> Pairs:
+def window_pairs(record: Ensembles, window: int) -> Pairs:
     """The printed pairing: mean stress over a window, end differences, noise not known."""
     first, K, s, rate = _windows(record, window)
     mean = np.mean([s[first + n] for n in range(window + 1)], axis=0)
@@ -112,7 +112,9 @@ def reached(law: Law, n: int, largest: float, seed: int = 0) -> tuple[np.ndarray
     return K, C
 
 
-def _windows(record: Record, window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _windows(
+    record: Ensembles, window: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     T = len(record.K)
     if not 1 <= window <= T:
         raise InputError(f"window: expected 1 to {T} intervals, got {window}")

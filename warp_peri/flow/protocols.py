@@ -21,7 +21,7 @@ from warp_peri.flow.planar import IDENTITY
 
 
 @dataclass(frozen=True)
-class Record:
+class Ensembles:
     """Moments of ensembles at the ends of intervals.
 
     Args:
@@ -76,7 +76,7 @@ def simulate(
     steps: int = 1,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,
-) -> Record:
+) -> Ensembles:
     """Run dumbbells through a protocol.
 
     Args:
@@ -107,7 +107,7 @@ def simulate(
         moments[:, n + 1] = now.C, now.S
         if checkpoint is not None and ((n + 1) % often == 0 or n + 1 == len(K)):
             _keep(checkpoint, dumbbells, moments, n + 1)
-    return Record(interval, K, moments[0], moments[1], dumbbells.count)
+    return Ensembles(interval, K, moments[0], moments[1], dumbbells.count)
 
 
 def _keep(
@@ -136,7 +136,7 @@ def _resume(
 
 def read_trajectory(
     path: str | os.PathLike[str], relaxation_time: float, modulus: float, count: int
-) -> Record:
+) -> Ensembles:
     """A stress trajectory of any simulator, as a record of one ensemble.
 
     Args:
@@ -160,4 +160,4 @@ def read_trajectory(
         raise InputError(f"{path}: expected equally spaced times")
     S = table[:, None, 5:] / modulus + IDENTITY
     K = table[:-1, None, 1:5] * relaxation_time
-    return Record(float(gaps[0]), K, S, S, count)
+    return Ensembles(float(gaps[0]), K, S, S, count)

@@ -11,7 +11,7 @@ from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
 from warp_peri.flow.pairs import start_pairs
 from warp_peri.flow.planar import IDENTITY
-from warp_peri.flow.protocols import Record
+from warp_peri.flow.protocols import Ensembles
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class ShearLaw:
 
 
 def learn_shear(
-    record: Record,
+    record: Ensembles,
     window: int,
     *,
     kinematics: bool = True,
@@ -104,7 +104,7 @@ def learn_shear(
     return law
 
 
-def _stretch_noise(record: Record, keep: np.ndarray, k: np.ndarray, window: float) -> np.ndarray:
+def _stretch_noise(record: Ensembles, keep: np.ndarray, k: np.ndarray, window: float) -> np.ndarray:
     """Covariance of K_xy (⟨q_y q_y⟩ − 1), which forgets itself in a relaxation time (F21)."""
     ensembles = record.K.shape[1]
     t, which = keep // ensembles * window, keep % ensembles

@@ -25,7 +25,7 @@ from warp_peri.flow.planar import (
     eigenvalues,
     from_eigenvalues,
 )
-from warp_peri.flow.protocols import Record
+from warp_peri.flow.protocols import Ensembles
 
 LEAST = 1e-6
 """Eigenvalues are kept above it inside a step; a check refuses what is not positive."""
@@ -169,7 +169,7 @@ def spring_data(C: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def learn_spring(
-    records: Record | list[Record],
+    records: Ensembles | list[Ensembles],
     *,
     points: int = 200,
     outside: str = "warn",
@@ -188,7 +188,7 @@ def learn_spring(
 
     Raises InputError for moments that are not positive definite, or fewer points than 2.
     """
-    records = [records] if isinstance(records, Record) else records
+    records = [records] if isinstance(records, Ensembles) else records
     if points < 2:
         raise InputError(f"points: expected 2 or more, got {points}")
     samples = [spring_data(record.C, record.S) for record in records]

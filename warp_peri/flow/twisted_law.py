@@ -19,7 +19,7 @@ from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, gathered, greedy
 from warp_peri.flow.laws import FENEP
 from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame
-from warp_peri.flow.protocols import Record
+from warp_peri.flow.protocols import Ensembles
 from warp_peri.flow.spring_law import LEAST, SpringLaw, invariants, learn_spring
 
 LARGEST = 0.9
@@ -105,7 +105,12 @@ def shapes(c: np.ndarray) -> np.ndarray:
 
 
 def learn_twisted(
-    records: Record | list[Record], b: float, *, points: int = 200, turns: int = 120, **options: Any
+    records: Ensembles | list[Ensembles],
+    b: float,
+    *,
+    points: int = 200,
+    turns: int = 120,
+    **options: Any,
 ) -> TwistedSpringLaw:
     """Learn the spring and what turns it.
 
@@ -118,7 +123,7 @@ def learn_twisted(
 
     Raises InputError when no sample has its P turned: learn_spring is enough then.
     """
-    records = [records] if isinstance(records, Record) else records
+    records = [records] if isinstance(records, Ensembles) else records
     law, twin = learn_spring(records, points=points, **options), FENEP(b)
     X, y, x = [], [], []
     for record in records:

@@ -17,7 +17,7 @@ from warp_peri.learning.response import products
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import noise_loss
 from warp_peri.models.lps import Model
-from warp_peri.operator.lps import LPSOperator
+from warp_peri.operator.lps import NodeOperator
 from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.samples import Samples
 
@@ -77,7 +77,7 @@ def diagnose(model: Model, samples: Samples, noise: Samples | None = None) -> Di
         )
     (weight,) = sample_weights([samples], normalise=False)
     b = samples.loads[:, samples.interior]
-    operator = LPSOperator(model, samples.points, allow_uncertified=True)
+    operator = NodeOperator(model, samples.points, allow_uncertified=True)
     grid = _Grid(samples, model.horizon)
     left = (b - operator(samples.u)) @ grid.axes
     size = float((b**2).sum())

@@ -81,7 +81,7 @@ class _Force(torch.autograd.Function):
 _force: Callable[..., torch.Tensor] = _Force.apply
 
 
-class LPSOperator:
+class NodeOperator:
     """Minus the internal force density of a model on a point set; equals b in equilibrium.
 
     Args:
@@ -186,4 +186,4 @@ def check_field(bonds: Bonds, u: torch.Tensor) -> None:
         )
 
 
-__all__ = ["Bonds", "DEVICE", "LPSOperator", "lps_force"]
+__all__ = ["Bonds", "DEVICE", "NodeOperator", "lps_force"]

@@ -38,7 +38,7 @@ FOURTH = 70**0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class SheetFrame:
     """One frame.
 
     Attributes:
@@ -52,7 +52,7 @@ class Frame:
     name: str
 
 
-def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> Frame:
+def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> SheetFrame:
     """Read one frame.
 
     Args:
@@ -83,7 +83,7 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> Frame:
     good = np.isfinite(table[:, :4]).all(axis=1) & ~(table[:, 4] < 0)
     if not good.any():
         raise InputError(f"{path}: expected points with finite numbers, got none")
-    return Frame(pixel * table[good, :2], pixel * table[good, 2:4], path.name)
+    return SheetFrame(pixel * table[good, :2], pixel * table[good, 2:4], path.name)
 
 
 def split(line: str) -> list[str]:
@@ -128,7 +128,7 @@ def numbers(fields: Sequence[str], columns: dict[str, int]) -> list[float]:
 
 
 def frames_on_lattice(
-    frames: Sequence[Frame],
+    frames: Sequence[SheetFrame],
     *,
     spacing: float | None = None,
     radius: float = 0.0,
@@ -182,7 +182,7 @@ def spacing_of(x: np.ndarray) -> float:
     return float(np.median(distance[:, 1]))
 
 
-def on_nodes(frame: Frame, x: np.ndarray, step: float, radius: float) -> np.ndarray:
+def on_nodes(frame: SheetFrame, x: np.ndarray, step: float, radius: float) -> np.ndarray:
     """Displacement on nodes, NaN where there are too few points, shape [N, 2]."""
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)

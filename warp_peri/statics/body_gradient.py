@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.operator.lps import LPSOperator
+from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.statics.body import TOLERANCE, BodySolution
@@ -123,6 +123,6 @@ def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) ->
     K = solution.rim.stiffness(Moduli(**moduli(model, classes)))
     total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
     if solution.points is not None:
-        force = LPSOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
+        force = NodeOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
         total += float(np.vdot(b, force))
     return total

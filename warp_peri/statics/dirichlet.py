@@ -36,7 +36,7 @@ PRECONDITIONERS: dict[str, Callable[[Domain, torch.Tensor], Preconditioner]] = {
 
 
 @dataclass
-class Record:
+class SolveRecord:
     """What a solve took.
 
     Attributes:
@@ -100,7 +100,7 @@ class Dirichlet:
         z = self.filtered(r)
         return z if self.strip is None else z - self.strip(self.product(z))
 
-    def solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, Record]:
+    def solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, SolveRecord]:
         """The field with L_II u = right and its record, to a true relative residual.
 
         Raises InputError when a direction has no positive energy, or CG stalls above the tolerance.
@@ -114,8 +114,8 @@ class Dirichlet:
         finally:
             torch.set_num_threads(count)
 
-    def _solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, Record]:
-        record = Record()
+    def _solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, SolveRecord]:
+        record = SolveRecord()
         largest = float(right.abs().max()) if right.numel() else 0.0
         u = torch.zeros_like(right)
         if largest == 0:
@@ -137,7 +137,7 @@ class Dirichlet:
             f"that {self.method} does not come close to it: try strip or lu"
         )
 
-    def _descend(self, r: torch.Tensor, goal: float, record: Record) -> torch.Tensor:
+    def _descend(self, r: torch.Tensor, goal: float, record: SolveRecord) -> torch.Tensor:
         """Conjugate gradients from zero until the recursive residual meets the goal."""
         u, r = torch.zeros_like(r), r.clone()
         if self.strip is not None:

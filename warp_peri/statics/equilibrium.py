@@ -27,7 +27,7 @@ from warp_peri.operator.stencil import stencil
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.definite import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, Record
+from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, SolveRecord
 from warp_peri.statics.domain import Domain, domain
 
 TOLERANCE = 1e-8
@@ -39,7 +39,11 @@ class _OnLattice(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, system: Dirichlet, tolerance: float, records: list[Record], *tensors: torch.Tensor
+        ctx: Any,
+        system: Dirichlet,
+        tolerance: float,
+        records: list[SolveRecord],
+        *tensors: torch.Tensor,
     ) -> torch.Tensor:
         A, b, u = tensors
         solved, domain = u.clone(), system.domain
@@ -134,7 +138,7 @@ def equilibrium(
     horizon: float,
     method: str,
     tolerance: float = TOLERANCE,
-    records: list[Record] | None = None,
+    records: list[SolveRecord] | None = None,
 ) -> torch.Tensor:
     """Displacement in equilibrium (theory.md, 29), differentiable in all tensors.
 
@@ -149,7 +153,7 @@ def equilibrium(
         method: "lu", or on lattices "sine" (rectangles), "multigrid", "strip"
             (λ ≫ μ), "fft", "cg".
         tolerance: of iterative solves, true residual over right-hand side.
-        records: takes one Record for each sample of an iterative solve.
+        records: takes one SolveRecord for each sample of an iterative solve.
 
     Returns:
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
@@ -181,7 +185,7 @@ def on_domain(
     solid: Solid,
     method: str,
     tolerance: float,
-    records: list[Record] | None = None,
+    records: list[SolveRecord] | None = None,
 ) -> torch.Tensor:
     """Equilibrium on a lattice laid out before; b is zero on the collar, u on the interior."""
     A = stencil(nodes.classes, solid)

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.lps import LPSOperator
+from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stencil import stencil
@@ -136,7 +136,7 @@ class _Solver:
             self.clipped = NonlinearOperator(
                 operator.model, points, radius=self.proven, allow_uncertified=True
             )
-            self.straight = LPSOperator(operator.model.linear, points, allow_uncertified=True)
+            self.straight = NodeOperator(operator.model.linear, points, allow_uncertified=True)
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.

@@ -21,7 +21,7 @@ from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.definite import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.dirichlet import PRECONDITIONERS, Record
+from warp_peri.statics.dirichlet import PRECONDITIONERS, SolveRecord
 from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
 from warp_peri.statics.range import warn_beyond
 from warp_peri.statics.scattered import ThroughLattice
@@ -44,12 +44,12 @@ class Iteration:
     Attributes:
         tolerance: true residual over right-hand side.
         device: where they run, as Warp names it; factorisations stay on the processor.
-        records: takes one Record for each sample that they solved.
+        records: takes one SolveRecord for each sample that they solved.
     """
 
     tolerance: float = TOLERANCE
     device: str = DEVICE
-    records: list[Record] | None = None
+    records: list[SolveRecord] | None = None
 
 
 @renamed(

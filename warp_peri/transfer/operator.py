@@ -18,7 +18,7 @@ from warp_peri.transfer.carrier import Carrier
 from warp_peri.transfer.points import model_for
 
 
-class LPSOperator(lps.LPSOperator):
+class LPSOperator(lps.NodeOperator):
     """The operator of a model's material on points of any kind (theory.md, M2–M7).
 
     On a lattice ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it
