@@ -62,7 +62,7 @@ class Plate:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name in the files of the cache."""
         sides = f"{2 * self.half[0]:g}x{2 * self.half[1]:g}"
         return f"{sides}-hole-{self.radius:g}" if self.radius else sides
 
@@ -94,7 +94,7 @@ class Plate:
         return float(inside * area_per_atom(bond) / (4 * count * period))
 
     def edge_distance(self, x: np.ndarray) -> np.ndarray:
-        """Of positions to the nearest edge [Å], shape [n]."""
+        """Distance of positions to the nearest edge [Å], shape [n]."""
         inward = (np.array(self.half) - np.abs(x)).min(axis=1)
         return np.minimum(inward, np.hypot(*x.T) - self.radius) if self.radius else inward
 
@@ -108,7 +108,7 @@ class EndsPulled:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name in the files of the cache."""
         return f"pull-{'xy'[self.axis]}"
 
     def density(self, plate: Plate, x: np.ndarray) -> np.ndarray:
@@ -129,7 +129,7 @@ class Wave:
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name in the files of the cache."""
         return f"wave-{self.number}"
 
     def density(self, plate: Plate, x: np.ndarray) -> np.ndarray:

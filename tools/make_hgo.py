@@ -66,7 +66,7 @@ class Material:
 
     @property
     def energy(self) -> Matrix:
-        """Its strain energy."""
+        """Strain energy of the sheet's material."""
         angle = np.deg2rad(self.angle)
         families = [Family(sign * angle, self.k1, self.k2) for sign in (1, -1)]
         return hgo(self.E, self.nu, families)

@@ -57,7 +57,7 @@ class Leaflet:
 
     @property
     def energy(self) -> Matrix:
-        """Its strain energy."""
+        """Strain energy of the leaflet's material."""
         families = [Family(np.deg2rad(a), self.k1, self.k2) for a in (self.first, self.second)]
         return plane_stress_hgo(self.mu, families)
 

@@ -118,7 +118,7 @@ def make_thermal(
 
 
 def file_name(temperature: float, reduction: str, factor: float) -> str:
-    """Of one data set, e.g. graphene_300K_shared_f0.1.h5."""
+    """The file of one data set, e.g. graphene_300K_shared_f0.1.h5."""
     return f"graphene_{temperature:g}K_{reduction}_f{factor:g}.h5"
 
 

@@ -50,7 +50,7 @@ class Network:
 
     @cached_property
     def factors(self):
-        """Of the Hessian, with the first atom held."""
+        """Factors of the Hessian, with the first atom held."""
         i, j = self.pairs.T
         rows, columns, values = [], [], []
         a, b = np.meshgrid([0, 1], [0, 1], indexing="ij")

@@ -33,7 +33,7 @@ class Plan:
     repeat: int
 
     def seed(self, number: int) -> int:
-        """Of the load of this number in its group."""
+        """Seed of the load of this number in its group."""
         return 1 + number % self.seeds
 
     def repeated(self, group: str) -> dict[int, int]:

@@ -97,7 +97,7 @@ def _seen(scalar):
 
     @wp.func
     def seen(ripple: wp.int32, E: six):
-        """What a term acts on."""
+        """The strain that a term acts on."""
         if ripple == 1:
             return first(E) - short(E)
         return first(E)

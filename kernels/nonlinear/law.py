@@ -30,7 +30,7 @@ def _parts(scalar):
 
     @wp.func
     def parts(H: mat):
-        """t, d, c, ω."""
+        """t, d, c and ω of a gradient: trace, half differences, shear, rotation."""
         return four(
             H[0, 0] + H[1, 1],
             half * (H[0, 0] - H[1, 1]),

@@ -180,7 +180,7 @@ def sweep(command: ArgumentParser) -> None:
 
 
 def info(command: ArgumentParser) -> None:
-    """A file."""
+    """The command that says what a file holds."""
     command.add_argument("file", type=Path)
 
 

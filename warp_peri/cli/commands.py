@@ -392,7 +392,7 @@ def model_summary(model: Model) -> Result:
 
 
 def set_summary(points: Samples) -> Result:
-    """Sizes of a point set."""
+    """How many nodes, unknowns and samples a set has."""
     return {
         "samples": len(points),
         "nodes": len(points.x),

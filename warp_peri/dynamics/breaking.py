@@ -210,7 +210,7 @@ class BreakingBody:
         return field
 
     def ledger(self, state: BreakingState) -> Ledger:
-        """The energies now."""
+        """Work, kinetic, elastic and dissipated energy of this state."""
         area = self.body.spacing**2
         kinetic = self.solid.density / 2 * float(np.vdot(state.v.numpy(), state.v.numpy()))
         sums = (state.work.numpy().sum(), kinetic, state.energy.numpy().sum())

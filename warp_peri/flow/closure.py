@@ -31,10 +31,10 @@ class Stress(Protocol):
         """σ [n, 4] after dt under κ [n, 4]."""
 
     def state(self) -> np.ndarray:
-        """What a checkpoint keeps."""
+        """What a checkpoint keeps of it, an array."""
 
     def restore(self, state: np.ndarray) -> None:
-        """Go on from it."""
+        """Go on from a state that was kept."""
 
 
 @runtime_checkable
@@ -42,7 +42,7 @@ class Marching(Protocol):
     """A law that advances many cells at once by itself."""
 
     def march(self, n: int) -> March:
-        """For n cells."""
+        """Prepare the memory of n cells."""
 
 
 class Closure:
@@ -84,11 +84,11 @@ class Closure:
         return np.asarray(self.law.stress(self.C)) / self.De
 
     def state(self) -> np.ndarray:
-        """C, shape [n, 4]."""
+        """The conformation C of the cells, shape [n, 4]."""
         return self.C.copy()
 
     def restore(self, state: np.ndarray) -> None:
-        """Go on from a kept C."""
+        """Go on from a conformation that was kept."""
         self.C = state.copy()
 
 

@@ -44,11 +44,11 @@ class Corrected:
         return np.asarray(self.closure.advance(kappa, dt) + extra)
 
     def state(self) -> np.ndarray:
-        """C and the time."""
+        """The conformation C and the time it has reached."""
         return np.append(self.closure.state().ravel(), self.t)
 
     def restore(self, state: np.ndarray) -> None:
-        """Go on from it."""
+        """Go on from a conformation and a time that were kept."""
         self.closure.restore(state[:-1].reshape(self.closure.C.shape))
         self.t = float(state[-1])
 

@@ -64,7 +64,7 @@ class GaussianProcess:
         return self.standard(self.X)
 
     def covariance(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Of the standardised values at standardised inputs, shape [a, b]."""
+        """Covariance of the standardised values at standardised inputs, shape [a, b]."""
         amplitude = np.exp(2 * self.log_amplitude)
         if self.kernel == "product":
             square = (A**2).sum(1)[:, None] + (B**2).sum(1) - 2 * A @ B.T

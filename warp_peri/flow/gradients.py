@@ -35,7 +35,7 @@ class TorchSpring:
         return self.law.rest
 
     def spring(self, C: torch.Tensor) -> torch.Tensor:
-        """S(C), shape [n, 4]."""
+        """The spring's moments S(C), shape [n, 4]."""
         process = self.law.process
         c1, c2, c3, cosine, sine = eigenvalues(C)
         c = torch.clamp(torch.stack([c1, c2, c3], dim=-1), min=1e-6)
@@ -52,13 +52,13 @@ class TorchSpring:
         return tensor
 
     def stress(self, C: torch.Tensor) -> torch.Tensor:
-        """S − I."""
+        """The stress s = S − I, shape [n, 4]."""
         xx, xy, yy, zz = unpack(self.spring(C))
         tensor: torch.Tensor = stack([xx - 1, xy, yy - 1, zz - 1])
         return tensor
 
     def rate(self, K: torch.Tensor, C: torch.Tensor) -> torch.Tensor:
-        """dC/dt."""
+        """dC/dt of conformations, shape [n, 4]."""
         tensor: torch.Tensor = carried(K, C) - self.stress(C)
         return tensor
 

@@ -36,10 +36,10 @@ class Law(Protocol):
         """C of the fluid at rest, shape [4]."""
 
     def rate(self, K: Any, C: Any) -> Any:
-        """dC/dt."""
+        """dC/dt of conformations, shape [n, 4]."""
 
     def stress(self, C: Any) -> Any:
-        """The stress s = De σ."""
+        """The stress s = De σ of conformations, shape [n, 4]."""
 
     def check(self, K: np.ndarray, C: np.ndarray) -> None:
         """Raises InputError for a state that the law does not know; may warn."""
@@ -53,15 +53,15 @@ class UpperConvectedMaxwell:
 
     @property
     def rest(self) -> np.ndarray:
-        """I."""
+        """The conformation at rest, I."""
         return IDENTITY
 
     def rate(self, K: Any, C: Any) -> Any:
-        """(F7)."""
+        """dC/dt of Hookean dumbbells (F7)."""
         return carried(K, C) - self.stress(C)
 
     def stress(self, C: Any) -> Any:
-        """C − I."""
+        """The stress C − I of Hookean dumbbells."""
         xx, xy, yy, zz = unpack(C)
         return stack([xx - 1, xy, yy - 1, zz - 1])
 
@@ -82,7 +82,7 @@ class Giesekus(UpperConvectedMaxwell):
             raise InputError(f"alpha: expected a number from 0 to 1, got {self.alpha}")
 
     def rate(self, K: Any, C: Any) -> Any:
-        """(F9)."""
+        """dC/dt of Giesekus' law (F9)."""
         s = self.stress(C)
         xx, xy, yy, zz = unpack(s)
         square = stack([xx * xx + xy * xy, xy * (xx + yy), xy * xy + yy * yy, zz * zz])
@@ -102,16 +102,16 @@ class FENEP:
 
     @property
     def rest(self) -> Any:
-        """I b/(b + 3)."""
+        """The conformation at rest, I b/(b + 3)."""
         c = self.b / (self.b + 3)
         return stack([c, 0 * c, c, c]) if isinstance(c, torch.Tensor) else c * IDENTITY
 
     def rate(self, K: Any, C: Any) -> Any:
-        """(F8)."""
+        """dC/dt of FENE-P (F8)."""
         return carried(K, C) - self.stress(C)
 
     def stress(self, C: Any) -> Any:
-        """C/(1 − tr C/b) − I."""
+        """The stress C/(1 − tr C/b) − I of FENE-P."""
         f = 1 / (1 - trace(C) / self.b)
         xx, xy, yy, zz = unpack(C)
         return stack([xx * f - 1, xy * f, yy * f - 1, zz * f - 1])

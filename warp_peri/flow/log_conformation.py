@@ -27,17 +27,17 @@ class LogConformation:
 
     @property
     def name(self) -> str:
-        """For tables and figures."""
+        """The law's name in tables and figures."""
         return f"{getattr(self.law, 'name', type(self.law).__name__)}, log C"
 
     @property
     def rest(self) -> np.ndarray:
-        """Ψ at rest."""
+        """Ψ = log C at rest."""
         rest: np.ndarray = logarithm(np.asarray(self.law.rest)[None])[0]
         return rest
 
     def rate(self, K: np.ndarray, Psi: np.ndarray) -> np.ndarray:
-        """dΨ/dt (F37)."""
+        """dΨ/dt of Ψ = log C (F37)."""
         C = exponential_of(Psi)
         rate = np.asarray(self.law.rate(K, C))
         blocks = range(0, C.shape[-1], 4)
@@ -46,11 +46,11 @@ class LogConformation:
         return np.concatenate(slopes, axis=-1)
 
     def stress(self, Psi: np.ndarray) -> np.ndarray:
-        """That of the law."""
+        """The stress that the law gives at C = exp Ψ."""
         return np.asarray(self.law.stress(exponential_of(Psi)))
 
     def check(self, K: np.ndarray, Psi: np.ndarray) -> None:
-        """As the law does."""
+        """Check C = exp Ψ as the law checks its states."""
         self.law.check(K, exponential_of(Psi))
 
 

@@ -25,7 +25,7 @@ def stack(parts: list[Any]) -> Any:
 
 
 def unpack(A: Any) -> tuple[Any, Any, Any, Any]:
-    """The four components."""
+    """The components xx, xy, yy, zz of tensors [n, 4]."""
     return A[..., 0], A[..., 1], A[..., 2], A[..., 3]
 
 
@@ -56,7 +56,7 @@ def carried(K: Any, C: Any) -> Any:
 
 
 def trace(C: Any) -> Any:
-    """The trace."""
+    """The trace of tensors [n, 4]."""
     return C[..., 0] + C[..., 2] + C[..., 3]
 
 

@@ -50,7 +50,7 @@ class RateLaw:
 
     @property
     def name(self) -> str:
-        """For tables and figures."""
+        """The law's name in tables and figures."""
         known = ", kinematics known" if self.kinematics else ""
         return f"learned rate, {self.processes[0].kernel} kernel{known}"
 
@@ -60,7 +60,7 @@ class RateLaw:
         return IDENTITY
 
     def stress(self, C: np.ndarray) -> np.ndarray:
-        """C − I."""
+        """The stress C − I, shape [n, 4]."""
         return np.asarray(C - IDENTITY)
 
     def learned(self, X: np.ndarray) -> list[np.ndarray]:
@@ -78,12 +78,12 @@ class RateLaw:
 
     @cached_property
     def cloud(self) -> Cloud:
-        """Where the data are."""
+        """Where the training data are."""
         process = self.processes[0]
         return Cloud(process.X, process.scale)
 
     def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """Of states [n, 4] from the data, in gaps, shape [n]."""
+        """How far states [n, 4] are from the data, in gaps, shape [n]."""
         return self.cloud.distance(inputs(K, C - IDENTITY))
 
     def check(self, K: np.ndarray, C: np.ndarray) -> None:

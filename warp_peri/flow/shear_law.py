@@ -30,16 +30,16 @@ class ShearLaw:
 
     @property
     def name(self) -> str:
-        """For tables and figures."""
+        """The law's name in tables and figures."""
         return "learned shear rate" + (", kinematics known" if self.kinematics else "")
 
     @property
     def rest(self) -> np.ndarray:
-        """I."""
+        """The conformation at rest, I."""
         return IDENTITY
 
     def stress(self, C: np.ndarray) -> np.ndarray:
-        """C − I."""
+        """The stress C − I, shape [n, 4]."""
         return np.asarray(C - IDENTITY)
 
     def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
@@ -51,7 +51,7 @@ class ShearLaw:
 
     @cached_property
     def cloud(self) -> Cloud:
-        """Where the data are."""
+        """Where the training data are."""
         return Cloud(self.process.X, self.process.scale)
 
     def check(self, K: np.ndarray, C: np.ndarray) -> None:

@@ -51,7 +51,7 @@ class SpringLaw:
 
     @property
     def name(self) -> str:
-        """For tables and figures."""
+        """The law's name in tables and figures."""
         return "learned spring"
 
     def stiffness(self, X: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class SpringLaw:
         return float(np.exp(root)) * IDENTITY
 
     def spring(self, C: np.ndarray) -> np.ndarray:
-        """S(C), shape [n, 4]."""
+        """The spring's moments S(C), shape [n, 4]."""
         c1, c2, c3, cosine, sine = eigenvalues(C)
         c = np.maximum(np.stack([c1, c2, c3], axis=-1), LEAST)
         h = np.exp(self.stiffness(invariants(c).reshape(-1, 3)).reshape(c.shape))
@@ -84,16 +84,16 @@ class SpringLaw:
         return np.asarray(from_eigenvalues(S[..., 0], S[..., 1], S[..., 2], cosine, sine))
 
     def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """dC/dt."""
+        """dC/dt of conformations, shape [n, 4]."""
         return np.asarray(carried(K, C) + IDENTITY - self.spring(C))
 
     def stress(self, C: np.ndarray) -> np.ndarray:
-        """S − I."""
+        """The stress S − I, shape [n, 4]."""
         return np.asarray(self.spring(C) - IDENTITY)
 
     @cached_property
     def cloud(self) -> Cloud:
-        """Where the data are."""
+        """Where the training data are."""
         return Cloud(self.process.X, self.process.scale)
 
     def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:

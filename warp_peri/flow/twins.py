@@ -53,7 +53,7 @@ class Twins(Dumbbells):
         return super().state() | {"twin": self.twin.q.numpy(), "exact": self.exact}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from it."""
+        """Go on from a state that was kept."""
         super().restore(state)
         self.twin.restore({"q": state["twin"], "steps": state["steps"]})
         self.exact = np.array(state["exact"])
@@ -64,7 +64,7 @@ class Twins(Dumbbells):
         return super().key + ", twins"
 
     def _controlled(self) -> Moments:
-        """(F35), an ensemble at a time."""
+        """Moments with the twin as control variate (F35), an ensemble at a time."""
         assert self.b is not None
         values = np.empty((self.ensembles, 8))
         for i, (q, h) in enumerate(zip(self.q.numpy(), self.twin.q.numpy())):

@@ -48,12 +48,12 @@ class TwistedSpringLaw:
 
     @property
     def name(self) -> str:
-        """For tables and figures."""
+        """The law's name in tables and figures."""
         return "learned spring, second memory"
 
     @cached_property
     def twin(self) -> FENEP:
-        """The law of P."""
+        """The law of the second memory P."""
         return FENEP(self.b)
 
     @cached_property
@@ -73,16 +73,16 @@ class TwistedSpringLaw:
         return np.asarray(from_frame(s1, s2, s12, s3, cosine, sine))
 
     def stress(self, state: np.ndarray) -> np.ndarray:
-        """S − I."""
+        """The stress S − I, shape [n, 4]."""
         return np.asarray(self.spring(state) - IDENTITY)
 
     def rate(self, K: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Of C and of P, shape [n, 8]."""
+        """dC/dt and dP/dt, shape [n, 8]."""
         dC = carried(K, state[..., :4]) + IDENTITY - self.spring(state)
         return np.concatenate([dC, self.twin.rate(K, state[..., 4:])], axis=-1)
 
     def distance(self, K: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Of states [n, 8] from the data of the spring, in gaps, shape [n]."""
+        """How far states [n, 8] are from the data of the spring, in gaps, shape [n]."""
         return self.spring_law.distance(K, state[..., :4])
 
     def check(self, K: np.ndarray, state: np.ndarray) -> None:

@@ -39,7 +39,7 @@ class Checkpoint:
     def save(
         self, tensors: Sequence[np.ndarray], *, losses: list[float], penalty: float, iteration: int
     ) -> None:
-        """Keep the state."""
+        """Write the state to the checkpoint's file, whole."""
         content: dict[str, Any] = {"key": np.array(self.key), "losses": np.array(losses)}
         content |= {"penalty": penalty, "iteration": iteration}
         content |= {f"tensor{number}": value for number, value in enumerate(tensors)}

@@ -68,7 +68,7 @@ class Stages:
         return parameters
 
     def ended(self, scale: Scale) -> Stages:
-        """Itself, with what was found in the units of the data."""
+        """These stages, with what was found in the units of the data."""
         self.history = [
             dataclasses.replace(stage, parameters=scale.parameters(stage.parameters))
             for stage in self.history

@@ -133,7 +133,7 @@ class Model:
 
     @property
     def degree(self) -> int:
-        """M."""
+        """Degree M of the Bernstein polynomial."""
         return len(self.D) - 1
 
     @property

@@ -79,7 +79,7 @@ class NonlinearModel:
 
     @property
     def horizon(self) -> float:
-        """δ [Å]."""
+        """The horizon δ [Å]."""
         return self.linear.horizon
 
     @property

@@ -54,7 +54,7 @@ class Smoothing:
         return transform
 
     def inverse(self, k: np.ndarray) -> np.ndarray:
-        """(1 + ρ) ω̂/(ω̂² + ρ)."""
+        """The Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ)."""
         smooth = self.transform(k)
         return (1 + self.ridge) * smooth / (smooth**2 + self.ridge)
 

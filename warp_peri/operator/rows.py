@@ -139,7 +139,7 @@ def rows_of(
     room = reach * (width + 1) + BYTES  # for bonds off the rectangle, and the last piece's lanes
 
     def places(steps: np.ndarray) -> np.ndarray:
-        """Of nodes that are so many steps from the first corner."""
+        """Places of nodes that are so many steps from the first corner."""
         corner: np.ndarray = room + (steps + ring) @ (width, 1)
         return corner
 

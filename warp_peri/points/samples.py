@@ -70,7 +70,7 @@ class Samples:
 
     @property
     def box(self) -> tuple[float, float] | None:
-        """Periods [Å]."""
+        """Periods [Å] of the points, or None."""
         return self.points.box
 
     @property

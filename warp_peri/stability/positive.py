@@ -21,7 +21,7 @@ class FullFactors:
         self.factor = factor
 
     def solve(self, y: np.ndarray) -> np.ndarray:
-        """K⁻¹ y."""
+        """K⁻¹ y by the factors."""
         x: np.ndarray = lapack.dpotrs(self.factor, y, lower=1)[0].reshape(y.shape)
         return x
 

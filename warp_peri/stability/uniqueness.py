@@ -138,7 +138,7 @@ def largest_parts(model: NonlinearModel) -> list[float]:
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of polynomials by degree."""
+    """The product of polynomials, by degree."""
     product = np.zeros((len(a) + len(b) - 1, *a.shape[1:]))
     for i, coefficient in enumerate(a):
         product[i : i + len(b)] += coefficient * b

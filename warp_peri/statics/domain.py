@@ -68,7 +68,7 @@ class Domain:
         return field.reshape(2, *self.mask.shape)
 
     def scatter_free(self, field: torch.Tensor) -> torch.Tensor:
-        """The other way."""
+        """A field of the box as vectors of the interior nodes [I, 2]."""
         return field.reshape(2, -1)[:, self.free].T @ self.axes.T
 
     def gather_near(self, values: torch.Tensor) -> torch.Tensor:
@@ -79,7 +79,7 @@ class Domain:
         return field.reshape(2, n, m)
 
     def scatter_near(self, field: torch.Tensor, nodes: int) -> torch.Tensor:
-        """The other way, zero at nodes outside the wider box: shape [nodes, 2]."""
+        """A field of the wider box as vectors of all nodes [nodes, 2]; zero at those outside it."""
         n, m = self.wide
         values = torch.zeros(nodes, 2, dtype=field.dtype, device=field.device)
         values[self.near] = field[:, :n, :m].reshape(2, -1)[:, self.place].T @ self.axes.T

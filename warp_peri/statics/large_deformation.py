@@ -335,7 +335,7 @@ class StaticProblem:
         return None
 
     def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
-        """Of the tangent between interior nodes at u."""
+        """Smallest eigenvalue of the tangent between interior nodes at u."""
         if self.pattern is not None:
             K = self.pattern.matrix(u, c)
             factor = splu(K)

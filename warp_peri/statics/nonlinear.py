@@ -213,7 +213,7 @@ class _Solver:
         return answer
 
     def smallest_eigenvalue(self, field: np.ndarray) -> float | None:
-        """Of the symmetric part of the tangent on the unknowns [TPa/Å²]."""
+        """Smallest eigenvalue of the symmetric part of the tangent on the unknowns [TPa/Å²]."""
         if np.count_nonzero(self.inside) > DIRECT:
             return None
         return smallest_tangent(self.operator, field)

@@ -123,7 +123,7 @@ def additive(domain: Domain, A: torch.Tensor) -> Preconditioner:
 
 
 def nothing(domain: Domain, A: torch.Tensor) -> Preconditioner:
-    """The identity, scaled."""
+    """No preconditioner: the identity, scaled."""
     middle = A.shape[-1] // 2
     diagonal = float(A[0, 0, middle, middle])
     return lambda r: r / diagonal
