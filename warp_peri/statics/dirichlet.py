@@ -21,7 +21,7 @@ from warp_peri.statics.strip import Strip
 MOST_ITERATIONS = 1500
 RESTARTS = 2
 """Times that a solve goes on from where the true residual was found too large."""
-STRIP, EDGE = 2, 2
+STRIP, EDGE = 2, 3
 """Widths of the strip that is eliminated: with λ ≫ μ in reaches, beside multigrid in nodes."""
 SINGULAR = 1e-13
 """A bound of the smallest eigenvalue below this fraction of the largest is no bound."""
