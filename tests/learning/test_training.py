@@ -220,7 +220,7 @@ def test_a_reduced_loss_that_departs_from_the_full_one_is_caught(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0 Å\), got 0.5"),
+        ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0\), got 0.5"),
         ({"horizon": np.nan}, "horizon: expected at least one spacing"),
         ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
         ({"horizon": 3.0}, "twice the horizon: .* the largest that fits is"),
