@@ -45,6 +45,16 @@ _count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else o
 _pool: ThreadPoolExecutor | None = None
 
 
+def _without_pool() -> None:
+    """Forget the pool: a process that forks from this one has none of its threads."""
+    global _pool
+    _pool = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_without_pool)
+
+
 def set_threads(count: int) -> None:
     """Run the sweeps of a point set on `count` Python threads (default: all processors).
 
@@ -116,9 +126,7 @@ def launch_slices(
     node being 1. Must not be called while a tape records. A GPU takes all of them at once.
     """
     device = outputs[0].device
-    work = count * max(samples, 1) * weight
-    slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
-    ends = [count * n // slices for n in range(slices + 1)]
+    slices, ends = _slices(count, count * max(samples, 1) * weight, device)
 
     def job(first: int, last: int) -> Callable[[], None]:
         dim = (samples, last - first) if samples else last - first
@@ -129,8 +137,19 @@ def launch_slices(
     at_once([job(first, last) for first, last in pairwise(ends)])
 
 
+def _slices(count: int, work: int, device: Any) -> tuple[int, list[int]]:
+    """How many slices of 0 … count are worth a thread each, and where they end."""
+    slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
+    return slices, [count * n // slices for n in range(slices + 1)]
+
+
 def recorded_slices(
-    kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any]
+    kernel: Any,
+    count: int,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    *,
+    weight: int = 1,
 ) -> Callable[[], None]:
     """What `launch_slices` does, packed once, to be called again and again on the same arrays.
 
@@ -138,8 +157,7 @@ def recorded_slices(
     of now.
     """
     device = outputs[0].device
-    slices = max(1, min(_count, count // SLICE)) if device.is_cpu else 1
-    ends = [count * n // slices for n in range(slices + 1)]
+    _, ends = _slices(count, count * weight, device)
     kernel.module.load(device)
     jobs = [
         wp.launch(

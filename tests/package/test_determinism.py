@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -73,3 +74,23 @@ def test_sweeps_and_solves_have_the_same_bits_on_any_number_of_threads():
         solutions.add(solve(model, small, small.b, small.u).tobytes())
     assert len(solutions) == 1
     assert np.isfinite(np.frombuffer(solutions.pop())).all()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes do not fork here")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.usefixtures("_threads")
+def test_a_process_that_forks_after_threads_have_run_has_threads_of_its_own(monkeypatch):
+    monkeypatch.setattr("warp_peri.launch.SLICE", 10)
+    set_threads(2)
+    points = lattice(10, 2.5)
+    operator, u = LPSOperator(kernel("positive", 2.5), points), noise(points)
+    expected = operator(u)
+    child = os.fork()
+    if child == 0:  # an alarm ends it where it waits for threads that are not there
+        signal.alarm(20)
+        status = 1
+        try:
+            status = int(not np.array_equal(operator(u), expected))
+        finally:
+            os._exit(status)
+    assert os.waitpid(child, 0)[1] == 0

@@ -179,10 +179,11 @@ def check_field(bonds: Bonds, u: torch.Tensor) -> None:
     nodes, dtype = bonds.nodes, getattr(torch, bonds.scalar.__name__)
     if u.device != torch.device(bonds.device):
         raise InputError(f"u: expected a tensor on {bonds.device}, got one on {u.device}")
-    if u.dtype != dtype or u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
+    fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and u.shape[0] > 0
+    if u.dtype != dtype or not fits:
         raise InputError(
-            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, 2] or [{nodes}, 2], "
-            f"got {u.dtype} of shape {list(u.shape)}"
+            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, 2], S ≥ 1, or "
+            f"[{nodes}, 2], got {u.dtype} of shape {list(u.shape)}"
         )
 
 
