@@ -155,6 +155,9 @@ def test_a_deviation_beyond_every_solid_is_still_told():
     assert ratio == pytest.approx(1e5, rel=0.3)
 
 
+GPA = ("angstrom", "GPa")
+
+
 def test_what_it_cannot_do_is_refused():
     true = kernel("1/r", HORIZON, lam=-0.1, mu=0.7)
     data = waves(true, cells=3, highest=2)
@@ -164,6 +167,10 @@ def test_what_it_cannot_do_is_refused():
         fit_uncertainty(result, data, fluctuation(data, 1, SIZE, seed=2))
     with pytest.raises(InputError, match="expected 1 sets"):
         fit_uncertainty(result, [data, data], noise)
+    there = dataclasses.replace(data, points=dataclasses.replace(data.points, units=GPA))
+    for sets in ((there, noise), (data, dataclasses.replace(noise, points=there.points))):
+        with pytest.raises(InputError, match="units: the model is in angstrom and TPa"):
+            fit_uncertainty(result, *sets)
     with pytest.raises(InputError, match="wave_vector"):
         fit_uncertainty(
             dataclasses.replace(result, loss=LossChoice("output", "")),

@@ -26,6 +26,7 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import check_same
 from warp_peri.points.wave_number import WAVE_VECTOR
 from warp_peri.regression.optimum import Problem, coordinates_of
 from warp_peri.regression.parameters import Parameters
@@ -92,11 +93,13 @@ def fit_uncertainty(
         points: the training sets that it learned from, in that order.
         noise: fields of noise alone for each, two at least.
 
-    Raises InputError for data that the fit cannot have learned from, or for a loss "output" on
-    loads that are not single waves.
+    Raises InputError for data that the fit cannot have learned from, data in other units, or for a
+    loss "output" on loads that are not single waves.
     """
     model, settings = found.model, found.settings
     sets, fields = _sets_and_noise(points, noise, len(settings.conditions))
+    for samples in (*sets, *fields):
+        check_same(model.units, samples.points.units)
     weights = sample_weights(sets, normalise=settings.normalise)
     losses = [_linearised(found.loss.name, model, *each) for each in zip(sets, fields, weights)]
     own = model.dilatation if settings.two_functions else None
