@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.points.arrays import is_number
 from warp_peri.statics.solve import DIRECT
 from warp_peri.transfer.kept import on_lattice
 
@@ -26,8 +27,8 @@ class Scene:
     """What is to be solved.
 
     Attributes:
-        size: extents of the domain [Å].
-        shortest_wave: shortest wavelength of the load [Å].
+        size: extents of the domain [Å]; where a model is given, in its unit of length.
+        shortest_wave: shortest wavelength of the load, likewise.
         rectangle: whether the unknown nodes fill the box of that size.
     """
 
@@ -36,12 +37,18 @@ class Scene:
     rectangle: bool = False
 
     def __post_init__(self) -> None:
-        if np.shape(self.size) != (2,):
+        pair = isinstance(self.size, (tuple, list, np.ndarray)) and np.ndim(self.size[:1]) == 1
+        if not pair or len(self.size) != 2:
             raise InputError(f"scene: expected two extents (x, y) [Å], got size {self.size!r:.60}")
-        if not all(math.isfinite(v) and v > 0 for v in (*self.size, self.shortest_wave)):
+        if not all(_above_zero(v) for v in (*self.size, self.shortest_wave)):
             raise InputError(
                 f"scene: expected lengths > 0 Å, got size {self.size}, wave {self.shortest_wave}"
             )
+
+
+def _above_zero(value: Any) -> bool:
+    """Whether it is a finite number above zero."""
+    return is_number(value) and math.isfinite(value) and value > 0
 
 
 @dataclass(frozen=True)
@@ -128,9 +135,11 @@ def choose_model(
     proportion to them from a large domain, where the horizon hardly matters. Of two that cost the
     same the more accurate is taken.
 
-    Raises InputError for a wave shorter than any that was measured, or a tolerance that nothing in
-    the table keeps.
+    Raises InputError for a wave shorter than any that was measured, or a tolerance that is no
+    number above zero or that nothing in the table keeps.
     """
+    if not _above_zero(tolerance):
+        raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
     table = shipped_table() if table is None else table
     if model is not None:
         return _of_transfers(model, tolerance, scene, table)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.support.problems import kernel
@@ -80,6 +81,16 @@ def test_what_was_not_measured_is_refused():
         choose_model(tolerance=0.001, scene=SMALL, table=TABLE)
     with pytest.raises(InputError, match="scene: expected lengths > 0"):
         Scene((100.0, 0.0), 20.0)
+
+
+@pytest.mark.parametrize("wrong", ["20", None, np.nan, True, -1.0])
+def test_what_is_no_number_above_zero_is_refused(wrong):
+    with pytest.raises(InputError, match="scene: expected lengths > 0"):
+        Scene((100.0, wrong), 20.0)
+    with pytest.raises(InputError, match="scene: expected lengths > 0"):
+        Scene((100.0, 100.0), wrong)
+    with pytest.raises(InputError, match="tolerance: expected a fraction > 0"):
+        choose_model(tolerance=wrong, scene=SMALL, table=TABLE)
 
 
 def test_the_shipped_table_serves_a_real_scene():

@@ -109,7 +109,8 @@ def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -
     """
     if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
         raise InputError(
-            f"spacing: expected that of the points, {points.spacing:g} Å, got {spacing:g}"
+            f"spacing: expected that of the points, {points.spacing:g} "
+            f"{symbols(model.units)[0]}, got {spacing:g}"
         )
     spacing = model.nominal_spacing(spacing)
     classes = bond_classes(spacing, model.horizon)
