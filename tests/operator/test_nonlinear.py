@@ -242,5 +242,6 @@ def test_what_is_refused():
     with pytest.raises(InputError, match="certified on 1 Å, not on 2 Å"):
         NonlinearOperator(model, lattice(2, HORIZON, spacing=2.0))
     points = lattice(2, HORIZON)
-    with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 196, 2\]"):
-        NonlinearOperator(model, points)(points.x[:-1])
+    for u in (points.x[:-1], points.x[None, :0], np.zeros((0, *points.x.shape))):
+        with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 196, 2\]"):
+            NonlinearOperator(model, points)(u)

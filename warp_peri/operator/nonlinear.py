@@ -122,9 +122,10 @@ def nonlinear_force(
     Raises InputError for a u of another shape or type.
     """
     nodes = sweeps.nodes
-    if u.dtype != torch.float64 or u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
+    fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and u.shape[0] > 0
+    if u.dtype != torch.float64 or not fits:
         raise InputError(
-            f"u: expected float64 of shape [S, {nodes}, 2] or [{nodes}, 2], "
+            f"u: expected float64 of shape [S, {nodes}, 2], S ≥ 1, or [{nodes}, 2], "
             f"got {u.dtype} of shape {list(u.shape)}"
         )
     Lu = _force(sweeps, radius, u.reshape(-1, nodes, 2), tables, bulk, numbers)

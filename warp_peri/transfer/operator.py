@@ -91,11 +91,11 @@ class LPSOperator(lps.NodeOperator):
     def _check(self, u: torch.Tensor) -> None:
         """Raises InputError for fields that are not on the nodes."""
         device, nodes = torch.device(self.bonds.device), self._onto.shape[1]
-        fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2)
+        fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and u.shape[0] > 0
         if not fits or u.dtype != torch.float64 or u.device != device:
             raise InputError(
-                f"u: expected float64 of shape [S, {nodes}, 2] or [{nodes}, 2] on {device}, got "
-                f"{u.dtype} of shape {list(u.shape)} on {u.device}"
+                f"u: expected float64 of shape [S, {nodes}, 2], S ≥ 1, or [{nodes}, 2] on "
+                f"{device}, got {u.dtype} of shape {list(u.shape)} on {u.device}"
             )
 
     def load(self, b: np.ndarray) -> np.ndarray:
