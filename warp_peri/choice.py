@@ -13,6 +13,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.arrays import is_number
+from warp_peri.points.unit_names import symbols
 from warp_peri.statics.solve import DIRECT
 from warp_peri.transfer.kept import on_lattice
 
@@ -199,7 +200,8 @@ def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str,
         reached = max((e for length, e in pairs if length >= wave), default=tolerance)
         words = (
             f"{record['statement']}; the coarsest of {number + 1} lattices within "
-            f"{100 * tolerance:g} % of the model at home on waves of {wave:g} Å, by {method}, "
+            f"{100 * tolerance:g} % of the model at home on waves of {wave:g} "
+            f"{symbols(model.units)[0]}, by {method}, "
             f"about {seconds:.2g} s for {nodes:.0f} nodes."
         )
         return Choice(

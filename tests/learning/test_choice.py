@@ -107,6 +107,10 @@ def test_spacing_and_horizon_from_transfers_of_a_model():
     assert choice.spacing <= 1.05 * 8.0 / 3  # to two digits
     assert choice.error <= 0.02
     assert "coarsest of" in choice.reason
+    there = home.in_units(("nm", "TPa"))
+    other = choose_model(tolerance=0.02, scene=Scene((6.0, 6.0), 0.8), table=TABLE, model=there)
+    assert other.spacing == pytest.approx(choice.spacing / 10)
+    assert "on waves of 0.8 nm, by" in other.reason
     here = on_lattice(home, spacing=choice.spacing, tolerance=0.02, shortest_wave=8.0)
     assert here.horizon == choice.horizon
     with pytest.raises(InputError, match="the data held waves down to 3.14 Å"):

@@ -153,6 +153,15 @@ def test_an_early_interrupt_is_no_traceback(module):
     assert process.stderr == "interrupted; what is finished is kept\n"
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_an_interrupt_that_the_shell_ignores_stays_ignored():
+    ignoring = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+    words = [sys.executable, "-c", ignoring + RINGS.format(module="numpy")]
+    process = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert process.returncode == 2
+    assert "no such model file" in process.stderr
+
+
 def test_commands_end_with_one_status_and_one_line(capsys):
     def failing(error):
         def work():

@@ -11,10 +11,13 @@ from types import FrameType
 def main() -> int:
     """Run `warp-peri`; see warp_peri.cli.main."""
     # An interrupt inside the import of a compiled module may come out as any error: leave at once.
-    usual = signal.signal(signal.SIGINT, _leave)
+    usual = signal.getsignal(signal.SIGINT)
+    if usual is signal.default_int_handler:  # not where the shell has it ignored
+        signal.signal(signal.SIGINT, _leave)
     from warp_peri.cli.main import main as run  # all that takes time to import
 
-    signal.signal(signal.SIGINT, usual)
+    if usual is signal.default_int_handler:
+        signal.signal(signal.SIGINT, usual)
     try:
         return run()
     except KeyboardInterrupt:
