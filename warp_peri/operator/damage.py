@@ -23,8 +23,8 @@ from warp_peri.points.body import Body
 from warp_peri.points.families import BondClasses
 
 PAIR = 2
-"""Nodes that the recorded sweeps take at a time. Two threads pay from 4000 nodes on: at 4200 in
-135 µs for 172 of one (bond-based), at 2000 in no less."""
+"""Nodes that the recorded sweeps take at a time. Two threads pay from 4000 nodes on, see
+docs/cracks.md."""
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
