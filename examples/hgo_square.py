@@ -39,7 +39,8 @@ NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESS = 0.35
 """Least coefficient of the deviations, against hourglasses [stress of the data]."""
 LITTLE = {"linear": 0.5, "quadratic": 0.3}
-"""The same for free signs: the least with which all disks were solved."""
+"""The same for free signs. 0.5 is the least of 0.2, 0.35 and 0.5 that lost none of forty other disks;
+0.3 was picked with the test disks in sight, so that their errors there are no forecast."""
 RIVAL = 0.2
 """The same for the rival without fibres."""
 QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)
@@ -47,11 +48,17 @@ AREA = (Term("log_area"), Term("area"), Term("inverse_area"))
 MATRIX = (Term("neo_hookean"), Term("volumetric"))
 STEPS = tuple(Term(kind, across=bond) for kind in ("trace", "shear") for bond in ACROSS)
 """Energies of steps of the strain, which finite elements have and smooth strains lack."""
+FIBRE_STEPS = tuple(
+    Term("fibre_power", np.pi * n / 8, 2.0, across=bond) for n in range(8) for bond in ACROSS
+)
+"""The same for fibres, which carry tension only."""
 
 FREE = Dictionary(
     3.0, ("square", "cube", "tension"), NEAREST, (*QUADRATIC, *AREA, *rose(8), *STEPS)
 )
-SAFE = Dictionary(3.0, ("log", "tension", "tension_cube"), NEAREST, (*MATRIX, *rose(16), *STEPS))
+SAFE = Dictionary(
+    3.0, ("log", "tension", "tension_cube"), NEAREST, (*MATRIX, *rose(16), *STEPS, *FIBRE_STEPS)
+)
 BONDS = Dictionary(3.0, ("square", "cube", "tension", "tension_cube", "log", "compression"))
 ISOTROPIC = Dictionary(3.0, ("square", "cube"), NEAREST, (*QUADRATIC[:1], *AREA, *MATRIX))
 

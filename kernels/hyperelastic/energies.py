@@ -246,6 +246,26 @@ def _slope_by_exponent(scalar):
 
 
 @cache
+def _slope_by(scalar):
+    vec = wp.types.vector(3, scalar)
+    slope, slope_by_angle = _slope(scalar), _slope_by_angle(scalar)
+    slope_by_exponent = _slope_by_exponent(scalar)
+
+    @wp.func
+    def slope_by(by: wp.int32, kind: wp.int32, angle: scalar, p: scalar, E: vec):
+        """∂Φ/∂E, or its derivative by a fibre's angle (by = 1) or exponent (2)."""
+        if by == 0:
+            return slope(kind, angle, p, E)
+        if kind != 12 and kind != 13:
+            return vec()
+        if by == 1:
+            return slope_by_angle(kind, angle, p, E)
+        return slope_by_exponent(kind, angle, p, E)
+
+    return slope_by
+
+
+@cache
 def _bond(scalar):
     vec = wp.types.vector(3, scalar)
     zero, half, one, two = scalar(0.0), scalar(0.5), scalar(1.0), scalar(2.0)
@@ -285,7 +305,6 @@ def energies(scalar):
         value=_value(scalar),
         slope=_slope(scalar),
         curve=_curve(scalar),
-        slope_by_angle=_slope_by_angle(scalar),
-        slope_by_exponent=_slope_by_exponent(scalar),
+        slope_by=_slope_by(scalar),
         bond=_bond(scalar),
     )

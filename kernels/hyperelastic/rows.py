@@ -135,6 +135,7 @@ def _step_row(scalar):
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     across, short, add, curve = part.across, part.short, _add(scalar), energies(scalar).curve
     pair, wide = wp.types.matrix((2, 2), scalar), wp.types.matrix((2, 3), scalar)
+    half, two = scalar(0.5), scalar(2.0)
 
     @wp.func
     def step_row(
@@ -149,15 +150,18 @@ def _step_row(scalar):
         own: wp.int32,
         K: wp.array2d(dtype=pair),
     ):
-        """gᵀ Σ c Φ″ ∂(E_n − E_m)/∂u_b of the terms that act across bonds of node n."""
+        """gᵀ Σ c ∂(2 Φ′(E_n) − 2 Φ′(mean))/∂u_b of the terms that act across bonds of node n."""
         for k in range(terms.kind.shape[0]):
             for side in range(2):
                 m = across(lattice, terms.seen[k], side, n)
                 if m >= 0:
-                    step = short(E[0, n]) - short(E[0, m])
-                    A = curve(terms.kind[k], terms.angle[k], terms.exponent[k], step)
-                    held = wide(g[0, 3], g[0, 4], g[0, 5], g[1, 3], g[1, 4], g[1, 5])
-                    T = terms.c[terms.first_term + k] * held * A
+                    middle = half * (short(E[0, n]) + short(E[0, m]))
+                    B = curve(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
+                    A = curve(terms.kind[k], terms.angle[k], terms.exponent[k], short(E[0, n]))
+                    held = terms.c[terms.first_term + k] * wide(
+                        g[0, 3], g[0, 4], g[0, 5], g[1, 3], g[1, 4], g[1, 5]
+                    )
+                    T, far = held * (two * A - B), held * B
                     away = own + window.shift[terms.seen[k] - 2 + side * (lattice.xi.shape[0] / 2)]
                     for t in range(window.near.shape[0]):
                         q = window.near[t]
@@ -165,6 +169,7 @@ def _step_row(scalar):
                         Y = lattice.xi[q] + u[0, lattice.neighbour[n, q]] - u[0, n]
                         add(K, r, own + window.shift[q], f, Y)
                         add(K, r, own, -f, Y)
+                        f = far * short(lattice.weight[q])
                         Z = lattice.xi[q] + u[0, lattice.neighbour[m, q]] - u[0, m]
                         add(K, r, away + window.shift[q], -f, Z)
                         add(K, r, away, f, Z)

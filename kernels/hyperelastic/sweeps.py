@@ -300,7 +300,7 @@ def _stress(scalar):
     by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
     acts, across, short = part.acts, part.across, part.short
     slope = energy.slope
-    half = scalar(0.5)
+    half, two = scalar(0.5), scalar(2.0)
 
     @wp.kernel(enable_backward=False)
     def stress(
@@ -323,9 +323,11 @@ def _stress(scalar):
             for side in range(2):
                 j = across(lattice, terms.seen[k], side, i)
                 if j >= 0:
-                    step = short(state) - short(E[s, j])
-                    local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], step)
-                    total += terms.c[terms.first_term + k] * on_short(local)
+                    own = short(state)
+                    middle = half * (own + short(E[s, j]))
+                    local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], own)
+                    local -= slope(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
+                    total += two * terms.c[terms.first_term + k] * on_short(local)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
             if deviates(lattice, p, i, j):
@@ -415,7 +417,7 @@ def _energy_of_nodes(scalar):
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     seen, acts, across, short = part.seen, part.acts, part.across, part.short
     value, bond = energy.value, energy.bond
-    half = scalar(0.5)
+    half, two = scalar(0.5), scalar(2.0)
 
     @wp.kernel(enable_backward=False)
     def energy_of_nodes(
@@ -440,9 +442,11 @@ def _energy_of_nodes(scalar):
             for side in range(2):
                 j = across(lattice, terms.seen[k], side, i)
                 if j >= 0:
-                    step = short(E[s, i]) - short(E[s, j])
-                    local = value(terms.kind[k], terms.angle[k], terms.exponent[k], step)
-                    total += half * terms.c[terms.first_term + k] * local
+                    own = short(E[s, i])
+                    middle = half * (own + short(E[s, j]))
+                    local = value(terms.kind[k], terms.angle[k], terms.exponent[k], own)
+                    local -= value(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
+                    total += two * terms.c[terms.first_term + k] * local
         count = terms.bond_kind.shape[0]
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]

@@ -101,9 +101,12 @@ def _stress_rate(scalar):
             for side in range(2):
                 j = across(lattice, terms.seen[k], side, i)
                 if j >= 0:
-                    step = short(E[s, i]) - short(E[s, j])
-                    bent = curve(terms.kind[k], terms.angle[k], terms.exponent[k], step)
-                    rate = bent * (short(dE[s, i]) - short(dE[s, j]))
+                    here, rate_here = short(E[s, i]), short(dE[s, i])
+                    middle = half * (here + short(E[s, j]))
+                    bent = curve(terms.kind[k], terms.angle[k], terms.exponent[k], here)
+                    rate = two * (bent * rate_here)
+                    bent = curve(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
+                    rate -= bent * (rate_here + short(dE[s, j]))
                     total += terms.c[terms.first_term + k] * on_short(rate)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
@@ -198,9 +201,8 @@ def _stress_of_each(scalar):
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
     acts, across, short = part.acts, part.across, part.short
-    slope, slope_by_angle = energy.slope, energy.slope_by_angle
-    slope_by_exponent = energy.slope_by_exponent
-    half = scalar(0.5)
+    slope_by = energy.slope_by
+    half, two = scalar(0.5), scalar(2.0)
 
     @wp.kernel(enable_backward=False)
     def stress_of_each(
@@ -220,27 +222,25 @@ def _stress_of_each(scalar):
         total = six()
         if k >= deviations:
             t = k - deviations
+            kind, angle, exponent = terms.kind[t], terms.angle[t], terms.exponent[t]
             if acts(terms.seen[t], lattice.whole[i]):
                 strained = seen(terms.seen[t], E[s, i])
-                kind, angle, exponent = terms.kind[t], terms.angle[t], terms.exponent[t]
-                local = slope(kind, angle, exponent, strained)
-                if by == 1:
-                    local = slope_by_angle(kind, angle, exponent, strained)
-                if by == 2:
-                    local = slope_by_exponent(kind, angle, exponent, strained)
+                local = slope_by(by, kind, angle, exponent, strained)
                 total = placed(terms.seen[t], local)
             for side in range(2):
                 j = across(lattice, terms.seen[t], side, i)
-                if j >= 0 and by == 0:
-                    step = short(E[s, i]) - short(E[s, j])
-                    local = slope(terms.kind[t], terms.angle[t], terms.exponent[t], step)
-                    total += on_short(local)
+                if j >= 0:
+                    own = short(E[s, i])
+                    middle = half * (own + short(E[s, j]))
+                    local = slope_by(by, kind, angle, exponent, own)
+                    local -= slope_by(by, kind, angle, exponent, middle)
+                    total += two * on_short(local)
         else:
             for p in range(lattice.xi.shape[0]):
                 j = lattice.neighbour[i, p]
                 if lattice.deviation[p] == k and deviates(lattice, p, i, j):
-                    own = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
-                    d = deviation(lattice, p, own, E[s, i], E[s, j])
+                    strain = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
+                    d = deviation(lattice, p, strain, E[s, i], E[s, j])
                     total += half * by_mean(d) * on_short(lattice.unit[p])
         G[s, i, k] = total
 

@@ -212,13 +212,33 @@ def test_a_step_of_the_strain_costs_what_its_bond_says():
     op = HyperelasticOperator(Dictionary(3.0, terms=(Term("trace", across=(1, 0)),)), points)
     x, _ = points.x.T
     along = np.zeros_like(points.x)
-    assert abs(op.energy(along + 0.1 * points.x, np.ones(1))) < 1e-20  # uniform strain
+    whole = 0.5 * 0.21**2 * np.ptp(x) ** 2  # energy of the uniform strain itself
+    assert abs(op.energy(along + 0.1 * points.x, np.ones(1))) < 1e-14 * whole
     along[:, 0] = 0.5 * x**2  # E11 = x + x²/2 and a fourth moment that is the same everywhere
     E = x + x**2 / 2
     columns = np.unique(np.rint(x / SPACING).astype(int))
     inner = E.reshape(len(columns), -1)[1:-1, 1:-1]  # nodes with a whole short family
     expected = 0.5 * SPACING**2 * (np.diff(inner, axis=0) ** 2).sum()
     assert op.energy(along, np.ones(1)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_step_of_fibres_costs_what_the_mean_of_its_ends_saves():
+    points = square(3)
+    fibres = (Term("fibre_power", 0.0, 2.0, across=(0, 1)),)
+    op = HyperelasticOperator(Dictionary(3.0, terms=fibres), points)
+    u = waves(points, 0.3)
+    strain = 2 * op.states(u, np.ones(1))[0][:, 3]
+    stretch = strain.reshape(2 * [int(np.sqrt(len(u)))])[1:-1, 1:-1]
+    assert stretch.min() < -0.05 and stretch.max() > 0.05
+
+    def energy(x):
+        return np.maximum(x, 0) ** 2 / 2
+
+    left, right = stretch[:, :-1], stretch[:, 1:]
+    gaps = energy(left) + energy(right) - 2 * energy((left + right) / 2)
+    assert gaps.min() >= -1e-16
+    expected = SPACING**2 * 2 * gaps.sum()
+    assert op.energy(u, np.ones(1)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_stress_is_the_slope_of_the_energy_density(problem):

@@ -16,7 +16,7 @@ from warp_peri.learning.energy_fit import (
     non_negative,
     residual,
 )
-from warp_peri.models.hyperelastic import ACROSS, FIBRES, Dictionary, HyperelasticSolid, Term
+from warp_peri.models.hyperelastic import ACROSS, Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.points.samples import Samples
 
@@ -47,7 +47,7 @@ def rose_of(solid: HyperelasticSolid) -> dict[float, float]:
     values = solid.coefficients[solid.dictionary.first_term :]
     energies: dict[float, float] = {}
     for term, value in zip(solid.dictionary.terms, values):
-        if term.kind in FIBRES:
+        if term.is_fibre:
             angle = float(np.mod(term.angle, np.pi))
             energies[angle] = energies.get(angle, 0.0) + value * fibre_energy(term, strain)
     return energies
@@ -73,10 +73,10 @@ def families(
     total = sum(energy.values())
     kept = {angle: value for angle, value in energy.items() if value > share * total}
     groups = grouped(kept, within)
-    own = [term for term in dictionary.terms if term.kind == "fibre_exponential"]
+    own = [term for term in dictionary.terms if term.is_fibre and term.kind == "fibre_exponential"]
     exponent = float(np.median([term.exponent for term in own])) if own else 1.0 / strain
     first = dictionary.first_term
-    others = [n for n, term in enumerate(dictionary.terms) if term.kind not in FIBRES]
+    others = [n for n, term in enumerate(dictionary.terms) if not term.is_fibre]
     terms = [dictionary.terms[n] for n in others]
     fibres = [Term("fibre_exponential", angle, exponent) for angle, _ in groups]
     start = [value / fibre_energy(term, strain) for (_, value), term in zip(groups, fibres)]
@@ -96,11 +96,11 @@ def with_directions(
         solid: in whose fibres the directions were unknowns, as read_material gives.
         within: no direction is added that differs from one there is by less [rad].
     """
-    known = [term.angle for term in dictionary.terms if term.kind in FIBRES]
+    known = [term.angle for term in dictionary.terms if term.is_fibre]
     added: list[Term] = []
     for term in solid.dictionary.terms:
         gaps = [abs((term.angle - angle + np.pi / 2) % np.pi - np.pi / 2) for angle in known]
-        if term.kind in FIBRES and min(gaps, default=np.pi) > within:
+        if term.is_fibre and min(gaps, default=np.pi) > within:
             added += [Term("fibre_power", term.angle, p) for p in (2.0, 3.0, 4.0)] + [term]
             known.append(term.angle)
     return dictionary.with_terms((*dictionary.terms, *added))
@@ -175,7 +175,7 @@ def move(
     """Least squares over coefficients ≥ 0, angles and exponents, from where they are."""
     op = HyperelasticOperator(solid.dictionary, samples)
     first = solid.dictionary.first_term
-    moving = [first + n for n, t in enumerate(solid.dictionary.terms) if t.kind in FIBRES]
+    moving = [first + n for n, t in enumerate(solid.dictionary.terms) if t.is_fibre]
     lower = lower_bounds(solid.dictionary, stiffness)
     c = non_negative(equations(op, samples), lower=lower)
     if not moving:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.learning.energy_fit import largest_stretch, lower_bounds
-from warp_peri.models.hyperelastic import FIBRES, Dictionary, HyperelasticSolid
+from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
@@ -149,7 +149,7 @@ class _Path:
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         first = dictionary.first_term
-        fibres = [first + n for n, term in enumerate(dictionary.terms) if term.kind in FIBRES]
+        fibres = [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
         self.moving = fibres if moving else []
         self.fields = self.data.copy()
         self.squares = np.full(len(self.data), np.inf)

@@ -37,8 +37,8 @@ KINDS = {
 """Strain energies Φ(E) by number; docs/theory.md lists them in (H5)."""
 NAMED = {number: kind for kind, number in KINDS.items()}
 FIBRES = ("fibre_power", "fibre_exponential")
-GRADIENTS = ("trace", "shear", "along")
-"""Kinds that may act on a difference of strains, (H17)."""
+STEPPING = ("trace", "shear", "along", *FIBRES)
+"""Kinds that may act across a bond, (H17): those convex everywhere."""
 ACROSS = ((0, 1), (1, 0), (1, -1), (1, 1))
 """Near bonds, in the order of a half family."""
 GUARANTEED = {
@@ -66,8 +66,8 @@ class Term:
         angle: direction n of a fibre [rad], where the kind has one.
         exponent: p of a fibre's power or k₂ of its exponential.
         ripple: acts on the difference of the two nodal strains, (H4), instead of on the strain.
-        across: a near bond in lattice steps; the term then acts on the difference of the short
-            strains of its ends, (H17). Quadratic kinds only.
+        across: a near bond in lattice steps; the term is then the energy of the step of the short
+            strain between its ends, (H17). Convex kinds only.
 
     Raises InputError for an unknown kind, an exponent that the kind cannot take, or a difference
     that it cannot act on.
@@ -90,11 +90,16 @@ class Term:
             raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
         if self.across is not None:
             object.__setattr__(self, "across", tuple(self.across))
-            if self.across not in ACROSS or self.kind not in GRADIENTS or self.ripple:
+            if self.across not in ACROSS or self.kind not in STEPPING or self.ripple:
                 raise InputError(
-                    f"across: expected {', '.join(GRADIENTS)} across one of {ACROSS}, "
+                    f"across: expected {', '.join(STEPPING)} across one of {ACROSS}, "
                     f"got {self.kind} across {self.across}"
                 )
+
+    @property
+    def is_fibre(self) -> bool:
+        """Whether it is the energy of a family of fibres, and not of their steps."""
+        return self.kind in FIBRES and self.across is None
 
     @property
     def label(self) -> str:
