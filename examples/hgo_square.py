@@ -39,8 +39,8 @@ NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESS = 0.35
 """Least coefficient of the deviations, against hourglasses [stress of the data]."""
 LITTLE = {"linear": 0.5, "quadratic": 0.3}
-"""The same for free signs. 0.5 is the least of 0.2, 0.35 and 0.5 that lost none of forty other disks;
-0.3 was picked with the test disks in sight, so that their errors there are no forecast."""
+"""The same for free signs. 0.5 is the least of 0.2, 0.35 and 0.5 that lost none of forty other
+disks; 0.3 was picked with the test disks in sight, so errors on them are no forecast."""
 RIVAL = 0.2
 """The same for the rival without fibres."""
 QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)

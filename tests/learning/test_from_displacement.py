@@ -5,7 +5,14 @@ import pytest
 
 from tests.support.sheets import NEAREST, square, waves
 from warp_peri import InputError
-from warp_peri.learning.fibres import families, grouped, read_material, rose, with_directions
+from warp_peri.learning.fibres import (
+    families,
+    grouped,
+    read_material,
+    rose,
+    rose_of,
+    with_directions,
+)
 from warp_peri.learning.from_displacement import (
     _Path,
     fit_displacement,
@@ -121,6 +128,17 @@ def test_families_come_from_a_rose():
     assert [round(np.rad2deg(t.angle), 1) for t in together.terms[1:]] == [75.0, 135.0]
     assert start[dictionary.first_term] == 0.07
     assert grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
+
+
+def test_steps_of_fibres_are_no_families():
+    step = Term("fibre_power", 0.3, 2.0, across=(1, 1))
+    dictionary = Dictionary(3.0, terms=(Term("neo_hookean"), *rose(4, (2.0,)), step))
+    solid = HyperelasticSolid(dictionary, np.array([0.1, 0.0, 0.2, 0.0, 0.0, 5.0]), 0.1)
+    assert [angle for angle, energy in rose_of(solid).items() if energy] == [np.pi / 4]
+    found, start = families(solid)
+    assert found.terms[:2] == (Term("neo_hookean"), step)
+    assert [term.angle for term in found.terms[2:]] == [np.pi / 4]
+    assert start[:2].tolist() == [0.1, 5.0]
 
 
 def test_a_material_is_read_out_of_loaded_fields():
