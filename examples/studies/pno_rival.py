@@ -226,19 +226,25 @@ def chosen_setting(sets: dict[str, Samples], minutes: float, quiet: bool) -> dic
     errors = {}
     for widths, rate in CHOICES:
         model, _ = train(sets, minutes, widths, rate, quiet)
-        errors[widths, rate] = float(residuals(model, sets["val"]).mean())
+        error = float(residuals(model, sets["val"]).mean())
+        errors[widths, rate] = error if np.isfinite(error) else np.inf  # training may diverge
     widths, rate = min(errors, key=lambda choice: errors[choice])
-    tried = {f"widths {w}, rate {r:g}": error for (w, r), error in errors.items()}
+    tried = {f"widths {w}, rate {r:g}": finite(error) for (w, r), error in errors.items()}
     return {"widths": widths, "rate": rate, "tried": tried}
+
+
+def finite(error: float) -> float | None:
+    """The error, or None where there is none, as JSON wants it."""
+    return error if np.isfinite(error) else None
 
 
 def record_of(
     model: PeridynamicOperator, sets: dict[str, Samples], solved: int
-) -> dict[str, float | int]:
+) -> dict[str, float | int | None]:
     """Errors of a trained network on every set."""
-    record: dict[str, float | int] = {}
+    record: dict[str, float | int | None] = {}
     for name, samples in sets.items():
-        record[name] = float(residuals(model, samples).mean())
+        record[name] = finite(float(residuals(model, samples).mean()))
         if solved and name in ("val", "disks"):
             errors = solved_errors(model, samples, min(solved, len(samples)))
             missing = np.isnan(errors)
@@ -291,7 +297,7 @@ def main() -> None:
         if name == "setting":
             continue
         keys = [key for key in ("train", "val", "test", "disks") if key in errors]
-        parts = [f"{key} {100 * errors[key]:.2f}" for key in keys]
+        parts = [f"{key} {100 * (errors[key] or np.nan):.2f}" for key in keys]
         print(f"{name:26} E_res in %: {'  '.join(parts)}")
 
 
