@@ -227,7 +227,7 @@ def chosen_setting(sets: dict[str, Samples], minutes: float, quiet: bool) -> dic
     for widths, rate in CHOICES:
         model, _ = train(sets, minutes, widths, rate, quiet)
         error = float(residuals(model, sets["val"]).mean())
-        errors[widths, rate] = error if np.isfinite(error) else np.inf  # training may diverge
+        errors[widths, rate] = error if np.isfinite(error) else np.inf
     widths, rate = min(errors, key=lambda choice: errors[choice])
     tried = {f"widths {w}, rate {r:g}": finite(error) for (w, r), error in errors.items()}
     return {"widths": widths, "rate": rate, "tried": tried}
