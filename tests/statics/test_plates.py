@@ -102,13 +102,37 @@ def test_the_exact_field_is_in_balance_and_kirsch_when_isotropic():
         ({"displacement": {"sides": (0, np.nan)}}, "hold the body against shifts and turns"),
         ({"displacement": {"sides": (0, 0, 0)}}, "part 'sides': expected vectors of shape"),
         ({"traction": {"rim": (0, 1)}}, "part 'rim': the outline has"),
-        ({"coupling": Coupling(degree=3)}, "degree: expected 1 or 2"),
+        ({"displacement": {"sides": (np.inf, 0)}}, "part 'sides': expected finite numbers or NaN"),
+        ({"displacement": {"sides": "left"}}, "part 'sides': expected vectors of shape"),
+        ({"traction": {"hole": (np.nan, 0)}}, "part 'hole': expected finite numbers"),
+        ({"traction": {"hole": 0.1}}, "part 'hole': expected vectors of shape"),
+        ({"b": (0.0, 0.0)}, "b: expected a function"),
+        ({"b": lambda x: x[:, 0]}, r"b: expected vectors of shape \[\d+, 2\], got shape"),
+        ({"b": lambda x: np.nan * x}, "b: expected finite numbers"),
+        ({"edge": {"hole": "soft"}}, "edge 'hole': expected a finite stiffness"),
+        ({"edge": {"hole": -100.0}}, "edge: with this negative stiffness"),
     ],
 )
 def test_bad_input_is_named(model, change, message):
     asked = {"displacement": {"sides": (0.0, 0.0)}} | change
     with pytest.raises(InputError, match=message):
         solve_body(model, plate(RADIUS, HALF, 8, 32), **asked)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"degree": 3}, "degree: expected 1 or 2"),
+        ({"spacing": 0.0}, "spacing: expected a lattice spacing > 0"),
+        ({"overlap": np.nan}, "overlap: expected a length > 0"),
+        ({"overlap": -1.0}, "overlap: expected a length > 0"),
+        ({"tolerance": 0.0}, "tolerance: expected a number between 0 and 1"),
+        ({"tolerance": "fine"}, "tolerance: expected a number between 0 and 1"),
+    ],
+)
+def test_a_coupling_that_cannot_be(change, message):
+    with pytest.raises(InputError, match=message):
+        Coupling(**change)
 
 
 @pytest.mark.parametrize("unit", [1e-10, 1e10])

@@ -22,6 +22,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
+from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.body_loads import check_part, loads_on
 from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
@@ -39,6 +40,10 @@ ALONE = (
 )
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+
+
 @dataclass(frozen=True)
 class Coupling:
     """How rim and bulk meet.
@@ -48,12 +53,25 @@ class Coupling:
         overlap: width of what both solve for [Å]; None for two horizons.
         degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
         tolerance: of the mismatch on the rim's inner side.
+
+    Raises InputError for lengths that are not > 0, another degree, or a tolerance outside (0, 1).
     """
 
     spacing: float | None = None
     overlap: float | None = None
     degree: int = 2
     tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        for name, expected, value, largest in (
+            ("spacing", "a lattice spacing > 0", self.spacing, np.inf),
+            ("overlap", "a length > 0", self.overlap, np.inf),
+            ("tolerance", "a number between 0 and 1", self.tolerance, 1.0),
+        ):
+            if value is not None and not (_is_number(value) and 0 < value < largest):
+                raise InputError(f"{name}: expected {expected}, got {value!r}")
+        if self.degree not in (1, 2):
+            raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,14 +192,13 @@ def solve_body(
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
-    Raises InputError for parts that are not there, other shapes, a body free to move, a mesh
-    in another unit, a hole below the overlap, moduli or an operator that are not positive definite.
+    Raises InputError for parts that are not there, other shapes, loads that are not finite, a body
+    free to move, a mesh in another unit, a hole below the overlap, and moduli, edges or an operator
+    that are not positive definite.
     """
-    if coupling.degree not in (1, 2):
-        raise InputError(f"degree: expected 1 or 2, got {coupling.degree!r}")
     loads = loads_on(mesh, displacement, traction, b)
     springs = _springs(edge or {}, mesh)
-    model, spacing, tried = _on_lattice(model, mesh, b, coupling, allowed=allow_uncertified)
+    model, spacing, tried = _on_lattice(model, mesh, loads.b, coupling, allowed=allow_uncertified)
     stiff = long_wave(model, spacing)
     overlap = OVERLAP * model.horizon if coupling.overlap is None else coupling.overlap
     lattice = bulk_points(mesh, spacing, model.horizon, units=model.units)
@@ -193,6 +210,8 @@ def solve_body(
     loads.refuse_loose(rim, fixed)
     fixed[rim.inner] = True
     problem = RimProblem(stiffness(rim, stiff, springs), fixed.ravel())
+    if min(springs.values(), default=0.0) < 0:
+        _refuse_soft_edges(problem)
     told = model, spacing, tried, stiff, rim
     if lattice is None or kept.all():
         warnings.warn(ALONE.format(collar + overlap, symbols(model.units)[0]), stacklevel=2)
@@ -249,9 +268,18 @@ def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
     """Edge stiffnesses by part, checked."""
     for name, size in edge.items():
         check_part(name, mesh)
-        if not np.isfinite(size):
-            raise InputError(f"edge '{name}': expected a finite stiffness, got {size}")
+        if not (_is_number(size) and np.isfinite(size)):
+            raise InputError(f"edge '{name}': expected a finite stiffness, got {size!r}")
     return {name: float(size) for name, size in edge.items()}
+
+
+def _refuse_soft_edges(problem: RimProblem) -> None:
+    """Raise InputError where negative stiffness of edges outweighs the elements beside them."""
+    if definite_factors(problem.inside) is None:
+        raise InputError(
+            "edge: with this negative stiffness the rim is not positive definite, so that its "
+            "equilibria are not stable; expected a smaller size, or larger triangles at the edge"
+        )
 
 
 def stiffness(rim: Rim, stiff: Moduli, springs: Mapping[str, float]) -> sp.csr_array:

@@ -70,10 +70,19 @@ def loads_on(
     traction: Mapping[str, Traction | ArrayLike] | None,
     b: Field | None,
 ) -> Loads:
-    """Loads as functions; InputError for a part that the mesh has not."""
-    held = {name: _field(name, value, mesh) for name, value in displacement.items()}
-    pulls = {name: _field(name, value, mesh) for name, value in (traction or {}).items()}
-    return Loads(held, pulls, b)
+    """Loads as functions, which raise InputError for other shapes and what is not finite.
+
+    Raises InputError for a part that the mesh has not, or a body force that is no function.
+    """
+    for name in (*displacement, *(traction or {})):
+        check_part(name, mesh)
+    held = {
+        name: _field(f"part '{name}'", value, free=True) for name, value in displacement.items()
+    }
+    pulls = {name: _field(f"part '{name}'", value) for name, value in (traction or {}).items()}
+    if b is not None and not callable(b):
+        raise InputError(f"b: expected a function of positions [n, 2], got {b!r:.60}")
+    return Loads(held, pulls, None if b is None else _field("b", b))
 
 
 def check_part(name: str, mesh: Mesh) -> None:
@@ -82,18 +91,29 @@ def check_part(name: str, mesh: Mesh) -> None:
         raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")
 
 
-def _field(name: str, value: Field | Traction | ArrayLike, mesh: Mesh) -> Any:
-    """A value on a part as a function that answers with vectors of the right shape."""
-    check_part(name, mesh)
+def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False) -> Any:
+    """A value as a function that answers with finite vectors of the right shape.
+
+    Args:
+        name: of it in messages.
+        value: vectors, or a function of positions, and of normals where it is a traction.
+        free: NaN is taken, for a component that is not held.
+    """
 
     def answer(*where: np.ndarray) -> np.ndarray:
-        vectors = np.asarray(value(*where) if callable(value) else value, dtype=float)
+        given = value(*where) if callable(value) else value
         try:
-            return np.broadcast_to(vectors, where[0].shape)
-        except ValueError:
+            vectors = np.asarray(given, dtype=float)
+            vectors = np.broadcast_to(vectors, where[0].shape) if vectors.ndim else vectors
+        except (TypeError, ValueError):
+            vectors = np.empty(0)
+        if vectors.shape != where[0].shape:
             raise InputError(
-                f"part '{name}': expected vectors of shape {list(where[0].shape)}, got "
-                f"{list(vectors.shape)}"
-            ) from None
+                f"{name}: expected vectors of shape {list(where[0].shape)}, got shape "
+                f"{list(np.shape(given))}" + (f" ({given!r:.40})" if np.ndim(given) == 0 else "")
+            )
+        if not (np.isfinite(vectors) | (free & np.isnan(vectors))).all():
+            raise InputError(f"{name}: expected finite numbers" + (" or NaN" if free else ""))
+        return vectors
 
     return answer
