@@ -10,7 +10,8 @@ from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import UpperConvectedMaxwell
+from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
+from warp_peri.flow.log_conformation import LogConformation
 
 
 def run(flow, until, fraction=0.9, every=10, **more):
@@ -67,6 +68,22 @@ def test_runs_resume_with_the_same_bits_and_go_to_paraview(tmp_path):
     assert len(whole.save_vtu(tmp_path / "fields")) == len(whole.t)
     with pytest.raises(InputError, match="another channel"):
         run_channel(flow, fluid(), 0.02, 5e-5, checkpoint=file)
+    n = Particles(flow).fluid
+    for other in (
+        Closure(FENEP(20.0), 1e-2, n),
+        Closure(UpperConvectedMaxwell(), 2e-2, n),
+        Closure(LogConformation(UpperConvectedMaxwell()), 1e-2, n),
+        CoupledDumbbells(Dumbbells(n, 20, common=True), 1e-2),
+    ):
+        with pytest.raises(InputError, match="another channel, fluid"):
+            run_channel(flow, other, 0.02, 1e-4, every=2, checkpoint=file)
+    shorter = run_channel(flow, fluid(), 0.01, 1e-4, every=2, checkpoint=file)
+    assert np.array_equal(shorter.t, whole.t[:50])
+    _, u = whole.profile(33)
+    filled = np.zeros(33, bool)
+    filled[(whole.x[-1, :, 1] * 33).astype(int)] = True
+    assert np.array_equal(np.isfinite(u[-1]), filled)
+    assert not filled.all()
 
 
 def test_a_run_that_fails_leaves_its_last_record(tmp_path):
@@ -118,8 +135,16 @@ def test_bad_input_is_refused():
         run_channel(flow, fluid, 1.0, 1e-3)
     with pytest.raises(InputError, match="period above 0.63"):
         ChannelFlow(1e-2, across=15)
-    with pytest.raises(InputError, match="above 0"):
-        ChannelFlow(-1.0)
+    for wrong in ({"De": -1.0}, {"force": np.nan}, {"solvent": np.inf}, {"across": 30.5}):
+        with pytest.raises(InputError, match="above 0"):
+            ChannelFlow(**{"De": 1e-2} | wrong)
+    for until, every in ((1e-3, 0), (np.nan, 1), (-1.0, 1), (1e-4, 5)):
+        with pytest.raises(InputError, match="run: expected every"):
+            run_channel(flow, fluid, until, 1e-4, every=every)
+    with pytest.raises(InputError, match="velocity gradient: expected shape"):
+        fluid.advance(np.zeros((3, 4)), 1e-4)
+    with pytest.raises(InputError, match="check_every: expected 1"):
+        Closure(UpperConvectedMaxwell(), 1e-2, 3, check_every=0)
     particles = Particles(flow)
     x = particles._x.numpy()
     x[3, 1] = -0.01

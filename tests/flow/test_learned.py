@@ -196,6 +196,18 @@ def test_a_second_memory_turns_the_spring(tmp_path):
     again, state = load_law(tmp_path / "law.json"), homogeneous(law, K, 0.1)[-1]
     assert np.allclose(again.rate(K[0], state), law.rate(K[0], state), atol=1e-12)
     still = np.eye(4)[[0, 2, 3]].sum(0) * np.ones((3, 1, 1))
+    content = json.loads((tmp_path / "law.json").read_text())
+    for change in (
+        lambda file: file | {"outside": "ask"},
+        lambda file: file | {"b": 2.0},
+        lambda file: file | {"processes": [file["processes"][0] | {"size": "1"}] * 2},
+        lambda file: file | {"processes": [file["processes"][0] | {"kernel": "none"}] * 2},
+    ):
+        (tmp_path / "bad.json").write_text(json.dumps(change(content)))
+        with pytest.raises(InputError, match="do not fit together"):
+            load_law(tmp_path / "bad.json")
+    with pytest.raises(InputError, match="records: expected one or more"):
+        learn_twisted([], 50.0)
     with pytest.raises(InputError, match="shear or mixed"):
         learn_twisted(Ensembles(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)
 

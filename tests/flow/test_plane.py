@@ -121,6 +121,11 @@ def test_plane_flows_resume_and_write_tables(tmp_path):
     assert np.allclose(np.loadtxt(tmp_path / "u.csv", delimiter=",")[:, 1:], whole.u)
     with pytest.raises(InputError, match="another flow"):
         run_plane(flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), 0.02, 1e-4, checkpoint=file)
+    pushed = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 13.0)
+    for other, law in ((flow, FENEP(20.0)), (pushed, UpperConvectedMaxwell())):
+        with pytest.raises(InputError, match="another flow, fluid"):
+            run_plane(other, Closure(law, 1e-2, 16), 0.02, 2e-4, every=5, checkpoint=file)
+    assert np.array_equal(run(0.01, checkpoint=file).u, whole.u[: len(whole.u) // 2 + 1])
 
 
 def test_bad_input_is_refused():

@@ -110,6 +110,9 @@ def test_a_lattice_loads_its_own_nodes():
     b = np.random.default_rng(0).normal(size=(2, len(points.x), 2))
     loads = LPSOperator(HOME, points).load(b)
     assert np.array_equal(loads, b[:, points.interior])
+    for wrong in (b[:, points.interior], b[0, :, 0]):
+        with pytest.raises(InputError, match="b: expected shape"):
+            LPSOperator(HOME, points).load(wrong)
 
 
 def test_what_does_not_carry_a_lattice():
@@ -123,5 +126,16 @@ def test_what_does_not_carry_a_lattice():
         ThroughLattice(HOME, Points(wide.x[hole], wide.interior[hole], 0.0))
     with pytest.raises(InputError, match="b: expected shape"):
         ThroughLattice(HOME, wide).load(np.zeros((1, 7, 2)))
+    for u in (np.zeros((len(wide.x), 2)), np.zeros((1, 7, 2))):
+        with pytest.raises(InputError, match="u: expected shape"):
+            ThroughLattice(HOME, wide)(u)
     with pytest.raises(InputError, match="broken bonds do not go through a lattice"):
         ThroughLattice(HOME, replace(wide, outside=np.zeros(len(wide.x), bool)))
+
+
+def test_points_that_fill_no_plane():
+    x = np.stack([np.arange(50.0), np.zeros(50)], axis=1)
+    with pytest.raises(InputError, match="they are on a line"):
+        LPSOperator(HOME, Points(x, x[:, 0] == 25, 0.0))
+    with pytest.raises(InputError, match="expected at least 40 nodes"):
+        LPSOperator(HOME, Points(np.eye(2)[[0, 1, 0]] * 2.0, np.array([True, False, False]), 0.0))

@@ -152,7 +152,8 @@ def velocity_verlet(
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.
 
-    Only on lattices with full families: elsewhere L is not symmetric and no energy is kept.
+    Only on lattices: on scattered points ``op(u)`` of LPSOperator is a node's share of the load
+    around it, whose mass is a matrix.
 
     Args:
         model: certified on some lattice, transferred to others.
@@ -170,7 +171,7 @@ def velocity_verlet(
     step that is too long; it says how long a step may be.
     """
     if points.spacing == 0:
-        raise InputError("points: expected a lattice; on scattered points L is not symmetric")
+        raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
     start = _checked(points, {"u": u, "v": v, "b": 0 * points.x if b is None else b})
     _positive("step", step)
     for name, number in (("steps", steps), ("every", every)):

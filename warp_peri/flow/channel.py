@@ -41,8 +41,8 @@ class ChannelFlow:
         smoothing: length of the bell, in spacings.
         solvent: its viscosity β over that of the polymer (Oldroyd-B and the like).
 
-    Raises InputError for numbers that are not positive, fewer than 10 particles across, or a period
-    shorter than twice the reach.
+    Raises InputError for numbers that are not positive or not finite, fewer than 10 particles across
+    or no whole number of them, or a period shorter than twice the reach.
     """
 
     De: float
@@ -57,7 +57,8 @@ class ChannelFlow:
     def __post_init__(self) -> None:
         numbers = (self.De, self.Re, self.sound, self.length, self.smoothing)
         positive = all(math.isfinite(n) and n > 0 for n in numbers) and self.solvent >= 0
-        if not (positive and self.across >= 10):
+        finite = math.isfinite(self.solvent) and math.isfinite(self.force)
+        if not (positive and finite and self.across >= 10 and self.across == int(self.across)):
             raise InputError(
                 f"channel: expected numbers above 0 and 10 particles across, got {self}"
             )

@@ -14,7 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import whole_file, write_text
 from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.closure import Stress
+from warp_peri.flow.closure import Stress, key_of
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,20 @@ class ChannelRecord:
         return np.asarray((self.v[:, :, 0] * near).sum(axis=1) / near.sum(axis=1))
 
     def profile(self, bins: int) -> tuple[np.ndarray, np.ndarray]:
-        """Heights of equal bins [bins], and the mean u of the particles in them [T, bins]."""
+        """Heights of equal bins [bins], and the mean u of the particles in them [T, bins].
+
+        NaN where there are none. Raises InputError for fewer bins than one.
+        """
+        if bins < 1:
+            raise InputError(f"bins: expected 1 or more, got {bins}")
         heights = (np.arange(bins) + 0.5) / bins
         place = np.clip((self.x[:, :, 1] * bins).astype(int), 0, bins - 1)
-        count = [np.bincount(row, minlength=bins) for row in place]
+        count = np.array([np.bincount(row, minlength=bins) for row in place])
         total = [np.bincount(row, v[:, 0], bins) for row, v in zip(place, self.v)]
-        return heights, np.array(total) / np.maximum(count, 1)
+        return heights, np.array(total) / np.where(count, count, np.nan)
 
     def save_csv(self, path: str | os.PathLike[str], bins: int = 30) -> None:
-        """A line a time: t, then the mean u in bins from wall to wall."""
+        """A line a time: t, then the mean u in bins from wall to wall, nan in empty ones."""
         heights, u = self.profile(bins)
         head = "# time in t0 = L/U; u in U at y = " + ",".join(f"{y:.6g}" for y in heights)
         rows = [",".join(f"{x:.12g}" for x in (t, *now)) for t, now in zip(self.t, u)]
@@ -96,13 +101,18 @@ def run_channel(
             run that finds its own goes on from it.
         progress: whether to show a bar.
 
-    Raises InputError for a time step beyond `flow.longest_step`, a checkpoint of another run, and
-    as Particles.step does.
+    Raises InputError for a time step beyond `flow.longest_step`, a run shorter than one record, a
+    checkpoint of another run, and as Particles.step does.
     """
     if not 0 < dt <= flow.longest_step * (1 + 1e-9):
         raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    if every < 1 or not until >= every * dt * (1 - 1e-9) or until == np.inf:
+        raise InputError(
+            f"run: expected every ≥ 1 and until of so many steps of {dt:g} or more, got {every} "
+            f"and {until}"
+        )
     particles, steps = Particles(flow), round(until / dt)
-    key = f"{flow} dt {dt} every {every}"
+    key = "" if checkpoint is None else f"{flow} dt {dt} every {every} {key_of(stress)}"
     kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
     first = 0
     if checkpoint is not None and Path(checkpoint).exists():
@@ -132,7 +142,8 @@ def run_channel(
         if checkpoint is not None:
             _write(checkpoint, good)
         raise
-    return ChannelRecord(*(np.array(rows) for rows in kept.values()))
+    asked = steps // every  # a checkpoint may have gone further
+    return ChannelRecord(*(np.array(rows[:asked]) for rows in kept.values()))
 
 
 def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
@@ -149,7 +160,7 @@ def _resume(
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a channel ({error})") from None
     if kept_key != key:
-        raise InputError(f"{path}: the checkpoint of another channel or time step")
+        raise InputError(f"{path}: the checkpoint of another channel, fluid or time step")
     head = "particles_"
     particles.restore({k[len(head) :]: v for k, v in content.items() if k.startswith(head)})
     stress.restore(content["stress"])

@@ -5,7 +5,9 @@ Both take macroscopic numbers, the gradient κ in 1/t0 and Δt in t0, and give �
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
@@ -25,7 +27,10 @@ LARGEST_STRAIN = 0.25
 
 
 class Stress(Protocol):
-    """What a flow solver asks of the fluid in its cells."""
+    """What a flow solver asks of the fluid in its cells.
+
+    A `key`, where it has one, says in a checkpoint which fluid it is.
+    """
 
     def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
         """σ [n, 4] after dt under κ [n, 4]."""
@@ -54,12 +59,15 @@ class Closure:
         n: cells.
         check_every: steps between two checks of the state.
 
-    Raises InputError for a De that is not positive; `advance` raises what the law's check raises.
+    Raises InputError for a De that is not positive or a check_every below 1; `advance` raises what
+    the law's check raises, and for gradients of another number of cells.
     """
 
     def __init__(self, law: Law, De: float, n: int, *, check_every: int = 10) -> None:
         if not (math.isfinite(De) and De > 0):
             raise InputError(f"De: expected a number above 0, got {De}")
+        if check_every < 1:
+            raise InputError(f"check_every: expected 1 step or more, got {check_every}")
         self.law, self.De, self.check_every = law, De, check_every
         self.C = np.tile(law.rest, (n, 1))
         self.steps = 0
@@ -67,6 +75,10 @@ class Closure:
 
     def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
         """σ [n, 4] after dt under κ [n, 4] held."""
+        if kappa.shape != (len(self.C), 4):
+            raise InputError(
+                f"velocity gradient: expected shape [{len(self.C)}, 4], got {list(kappa.shape)}"
+            )
         K, t = self.De * kappa, dt / self.De
         strain = float(np.abs(K).max()) * t
         if not math.isfinite(strain):
@@ -82,6 +94,12 @@ class Closure:
         if self.steps % self.check_every == 0:
             self.law.check(K, self.C)
         return np.asarray(self.law.stress(self.C)) / self.De
+
+    @property
+    def key(self) -> str:
+        """What the run depends on: De and the law's numbers."""
+        law = re.sub(r" at 0x[0-9a-f]+", "", repr(self.law))
+        return f"De {self.De}, law {hashlib.sha256(law.encode()).hexdigest()[:16]}"
 
     def state(self) -> np.ndarray:
         """The conformation C of the cells, shape [n, 4]."""
@@ -107,6 +125,11 @@ class CoupledDumbbells:
         moments = self.dumbbells.advance(self.De * kappa, dt / self.De)
         return np.asarray((moments.S - IDENTITY) / self.De)
 
+    @property
+    def key(self) -> str:
+        """What the run depends on."""
+        return f"De {self.De}, {self.dumbbells.key}"
+
     def state(self) -> np.ndarray:
         """The dumbbells and the number of their steps, in one row."""
         return np.concatenate([np.ravel(part) for part in self.dumbbells.state().values()])
@@ -118,6 +141,11 @@ class CoupledDumbbells:
             parts[name] = state[first : first + part.size].astype(part.dtype).reshape(part.shape)
             first += part.size
         self.dumbbells.restore(parts)
+
+
+def key_of(stress: Stress) -> str:
+    """What a checkpoint says of a fluid: its `key`, and the shape of its state."""
+    return f"fluid {getattr(stress, 'key', '')} {list(stress.state().shape)}"
 
 
 def heun(law: Law, K: Any, C: Any, h: Any) -> Any:

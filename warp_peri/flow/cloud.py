@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 
+OUTSIDE = ("warn", "refuse", "allow")
 WIDER = 3.0
 """A state is outside beyond so many times the widest gap between neighbours of the data."""
 
@@ -45,7 +46,7 @@ class Cloud:
 
         Raises InputError for "refuse", with the number of states and the farthest.
         """
-        if how not in ("warn", "refuse", "allow"):
+        if how not in OUTSIDE:
             raise InputError(f"outside: expected warn, refuse or allow, got {how!r}")
         if how == "allow":
             return

@@ -66,7 +66,7 @@ class Dumbbells:
             raise InputError(f"dumbbells: expected ≥ 2 in ≥ 1 ensembles, got {count}, {ensembles}")
         if b is not None and not (np.isfinite(b) and b > 3):
             raise InputError(f"b: expected a number above 3, got {b}")
-        self.b, self.seed, self.common = b, seed, common
+        self.b, self.seed, self.common, self.matched = b, seed, common, matched
         self.count, self.ensembles, self.steps = count, ensembles, 0
         start = np.random.default_rng(seed)
         drawn = rest(1 if common else ensembles, count, b, start)
@@ -158,7 +158,7 @@ class Dumbbells:
         """What the run depends on."""
         return (
             f"{self.ensembles} x {self.count} dumbbells, b {self.b}, seed {self.seed}, "
-            f"common {self.common}"
+            f"common {self.common}, matched {self.matched}"
         )
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_json
-from warp_peri.flow.gaussian_process import GaussianProcess
+from warp_peri.flow.cloud import OUTSIDE
+from warp_peri.flow.gaussian_process import KERNELS, GaussianProcess
 from warp_peri.flow.rate_law import RateLaw
 from warp_peri.flow.shear_law import ShearLaw
 from warp_peri.flow.spring_law import SpringLaw
@@ -74,12 +75,16 @@ def load_law(
     try:
         processes = [process_of(saved) for saved in content["processes"]]
         outside, kinematics = str(content["outside"]), bool(content["kinematics"])
+        if outside not in OUTSIDE:
+            raise ValueError(f"outside {outside!r}")
         if head["kind"] == "rate":
             first, second, third = processes
             return RateLaw((first, second, third), kinematics, outside)
         if head["kind"] == "twisted":
             spring, turn = processes
-            return TwistedSpringLaw(SpringLaw(spring, outside), turn, float(content["b"]))
+            law = TwistedSpringLaw(SpringLaw(spring, outside), turn, float(content["b"]))
+            _ = law.twin  # an InputError where b is none
+            return law
         (process,) = processes
         if head["kind"] == "shear":
             return ShearLaw(process, kinematics, outside)
@@ -107,6 +112,11 @@ def process_of(content: dict[str, Any]) -> GaussianProcess:
     shapes += [process.centre.shape, process.scale.shape]
     if shapes != [(n,), (n,), (d,), (d,), (d,)]:
         raise ValueError(f"shapes {shapes}")
-    if not all(np.isfinite(values[name]).all() for name in arrays):
+    numbers = [values[name] for name in ("log_amplitude", "log_pairs", "mean", "size")]
+    if not all(isinstance(number, (int, float)) for number in numbers):
+        raise ValueError(f"numbers {numbers}")
+    if not all(np.isfinite(part).all() for part in (*numbers, *(values[a] for a in arrays))):
         raise ValueError("numbers that are not finite")
+    if process.kernel not in KERNELS:
+        raise ValueError(f"kernel {process.kernel!r}")
     return process

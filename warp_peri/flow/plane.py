@@ -18,7 +18,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import whole_file, write_text
-from warp_peri.flow.closure import Stress
+from warp_peri.flow.closure import Stress, key_of
 from warp_peri.flow.planar import shear
 
 
@@ -119,8 +119,10 @@ def run_plane(
     """
     if not 0 < dt <= flow.longest_step * (1 + 1e-9):
         raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    if every < 1 or not (math.isfinite(until) and until > 0):
+        raise InputError(f"run: expected until > 0 and every ≥ 1, got {until} and {every}")
     steps, dy = round(until / dt), 1 / flow.cells
-    key = f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every}"
+    key = "" if checkpoint is None else _key(flow, stress, dt, every)
     u, sigma = np.zeros(flow.cells + 1), np.zeros((flow.cells, 4))
     times, us, sigmas = [0.0], [u.copy()], [sigma.copy()]
     first = 0
@@ -151,7 +153,15 @@ def run_plane(
         if checkpoint is not None:
             kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
             _save(checkpoint, kept | {"t": times, "us": us, "sigmas": sigmas, "key": key})
-    return Profiles(np.array(times), np.array(us), np.array(sigmas))
+    asked = 1 + steps // every  # a checkpoint may have gone further
+    return Profiles(*(np.array(rows[:asked]) for rows in (times, us, sigmas)))
+
+
+def _key(flow: PlaneFlow, stress: Stress, dt: float, every: int) -> str:
+    """What a run depends on; its force and its wall by a few of their values."""
+    values = [(flow.force(n * dt), flow.top(n * dt)) for n in (0, 1, 10, 100, 1000)]
+    numbers = f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every}"
+    return f"{numbers} {values} {key_of(stress)}"
 
 
 def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
@@ -161,5 +171,5 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None
     if kept_key != key:
-        raise InputError(f"{path}: the checkpoint of another flow or time step")
+        raise InputError(f"{path}: the checkpoint of another flow, fluid or time step")
     return kept

@@ -5,6 +5,7 @@ A protocol is an array K [T, m, 4]: in interval n ensemble i feels K[n, i], in r
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,10 +94,10 @@ def simulate(
     K = np.asarray(K, dtype=float)
     if K.ndim != 3 or K.shape[1:] != (dumbbells.ensembles, 4):
         raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
-    first = 0
+    first, key = 0, f"{dumbbells.key}, {protocol_key(K, interval, steps)}"
     moments = np.zeros((2, len(K) + 1, *K.shape[1:]))
     if checkpoint is not None and Path(checkpoint).exists():
-        first, moments = _resume(checkpoint, dumbbells, moments)
+        first, moments = _resume(checkpoint, dumbbells, moments, key)
     else:
         now = dumbbells.moments()
         moments[:, 0] = now.C, now.S
@@ -106,30 +107,36 @@ def simulate(
         now = dumbbells.advance(K[n], interval / steps, steps)
         moments[:, n + 1] = now.C, now.S
         if checkpoint is not None and ((n + 1) % often == 0 or n + 1 == len(K)):
-            _keep(checkpoint, dumbbells, moments, n + 1)
+            _keep(checkpoint, dumbbells, moments, n + 1, key)
     return Ensembles(interval, K, moments[0], moments[1], dumbbells.count)
 
 
+def protocol_key(K: np.ndarray, interval: float, steps: int) -> str:
+    """What is done to dumbbells, in a few words."""
+    digest = hashlib.sha256(np.ascontiguousarray(K).tobytes()).hexdigest()[:16]
+    return f"K {digest}, interval {interval}, steps {steps}"
+
+
 def _keep(
-    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, done: int
+    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, done: int, key: str
 ) -> None:
     content: dict[str, Any] = {**dumbbells.state(), "moments": moments}
-    content |= {"done": np.array(done), "key": np.array(dumbbells.key)}
+    content |= {"done": np.array(done), "key": np.array(key)}
     with whole_file(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **content)
 
 
 def _resume(
-    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray
+    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, key: str
 ) -> tuple[int, np.ndarray]:
     try:
         content = read_arrays(path)
-        key, done = str(content["key"]), int(content["done"])
+        kept_key, done = str(content["key"]), int(content["done"])
         kept, state = content["moments"], {name: content[name] for name in dumbbells.state()}
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of dumbbells ({error})") from None
-    if key != dumbbells.key or kept.shape != moments.shape:
-        raise InputError(f"{path}: the checkpoint of another run ({key})")
+    if kept_key != key or kept.shape != moments.shape:
+        raise InputError(f"{path}: the checkpoint of another run ({kept_key})")
     dumbbells.restore(state)
     return done, kept
 

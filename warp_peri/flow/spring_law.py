@@ -186,11 +186,14 @@ def learn_spring(
             points taken evenly.
         options: of fit_process.
 
-    Raises InputError for moments that are not positive definite, or fewer points than 2.
+    Raises InputError for moments that are not positive definite, no records, or fewer points than
+    2.
     """
     records = [records] if isinstance(records, Ensembles) else records
     if points < 2:
         raise InputError(f"points: expected 2 or more, got {points}")
+    if not records:
+        raise InputError("records: expected one or more, got none")
     samples = [spring_data(record.C, record.S) for record in records]
     X, y = np.concatenate([x for x, _ in samples]), np.concatenate([v for _, v in samples])
     even = np.unique(np.linspace(0, len(y) - 1, min(points, SUBSET, len(y))).astype(int))

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh
 
+from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.interpolation import NEIGHBOURS
@@ -59,7 +60,11 @@ class ThroughLattice(Carrier):
         self._A = A
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
-        """A u on the interior nodes [TPa/Å], of u [Å] of shape [S, N, 2]: shape [S, I, 2]."""
+        """A u on the interior nodes [TPa/Å], of u [Å] of shape [S, N, 2]: shape [S, I, 2].
+
+        Raises InputError for another shape.
+        """
+        self._check(u)
         flat = u.reshape(len(u), -1).T
         return np.asarray((self._A @ flat).T.reshape(len(u), -1, 2))
 
@@ -69,10 +74,18 @@ class ThroughLattice(Carrier):
         Args:
             b: as for `load`.
             u: [Å], shape [S, N, 2]; only collar values count.
+
+        Raises InputError for other shapes.
         """
+        self._check(u)
         right = np.zeros(u.shape)
         right[:, self.points.interior] = self.load(b)
         return self.problem.solve(right, u)
+
+    def _check(self, u: np.ndarray) -> None:
+        shape = len(self.points.x), 2
+        if u.ndim != 3 or u.shape[1:] != shape:
+            raise InputError(f"u: expected shape [S, {shape[0]}, 2], got {list(u.shape)}")
 
     def figures(self) -> ScatteredFigures:
         """What holds of the operator, computed."""

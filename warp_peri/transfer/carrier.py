@@ -29,6 +29,9 @@ FINER = 2.0
 SMALLEST = 1e-6
 """Singular values of T below this count as zero: then two unknowns are one on the lattice."""
 
+FLAT = 1e-9
+"""Extent of the points across a line, over that along it, that counts as none."""
+
 
 class Carrier:
     """T, from displacement at scattered nodes to a lattice of half their spacing (M6).
@@ -67,6 +70,7 @@ class Carrier:
                 "lattice; expected box=None and outside=None"
             )
         check_same(model.units, nodes_of(points).units)
+        _check_plane(points, neighbours)
         dense = mean_spacing(points)
         if spacing is None:
             spacing = float(f"{dense / FINER:.2g}")
@@ -94,15 +98,19 @@ class Carrier:
         Args:
             b: [TPa/Å], at the places of the lattice, shape [S, Y, 2], where those in `loaded`
                 count; or at the nodes, shape [S, N, 2], from where it is interpolated first.
+
+        Raises InputError for other shapes.
         """
-        if b.shape[1:] == (len(self.points.x), 2):
+        b = np.asarray(b, dtype=float)
+        if b.shape[1:] == (len(self.points.x), 2) and len(b):
             b = np.stack([self._for_loads @ field for field in b])
         if b.shape[1:] != (len(self.x), 2):
             raise InputError(
                 f"b: expected shape [S, {len(self.points.x)}, 2] at the nodes or "
                 f"[S, {len(self.x)}, 2] on the lattice, got {list(b.shape)}"
             )
-        return np.stack([self.unknown.T @ field[self.loaded] for field in b])
+        carried = [self.unknown.T @ field[self.loaded] for field in b]
+        return np.array(carried).reshape(len(b), -1, 2)
 
     def _check_unknowns(self) -> None:
         """Refuse unknowns that the lattice cannot tell apart; splu finds a pivot of zero."""
@@ -116,6 +124,17 @@ class Carrier:
                 "points: the lattice cannot tell their displacements apart; expected interior "
                 "nodes no closer than its spacing, or a finer lattice"
             )
+
+
+def _check_plane(points: PointsLike, neighbours: int) -> None:
+    """Refuse points too few to interpolate from, or on a line."""
+    if len(points.x) < neighbours:
+        raise InputError(
+            f"points: expected at least {neighbours} nodes to interpolate from, got {len(points.x)}"
+        )
+    spread = np.linalg.svd(points.x - points.x.mean(axis=0), compute_uv=False)
+    if not spread[1] > FLAT * spread[0]:
+        raise InputError("points: expected nodes that fill a part of the plane, they are on a line")
 
 
 def _places(
