@@ -79,8 +79,8 @@ def test_seeds_repeat_on_any_number_of_threads_and_runs_resume(b, tmp_path):
     with pytest.raises(InputError, match="another run"):
         simulate(Dumbbells(3, 5000, b=b, seed=8), K, 0.1, steps=2, checkpoint=file)
     for other in ((2 * K, 0.1, 2), (K, 0.2, 2), (K, 0.1, 3)):
+        made = Dumbbells(3, 5000, b=b, seed=7)
         with pytest.raises(InputError, match="another run"):
-            made = Dumbbells(3, 5000, b=b, seed=7)
             simulate(made, *other[:2], steps=other[2], checkpoint=file)
 
 

@@ -41,8 +41,8 @@ class ChannelFlow:
         smoothing: length of the bell, in spacings.
         solvent: its viscosity β over that of the polymer (Oldroyd-B and the like).
 
-    Raises InputError for numbers that are not positive or not finite, fewer than 10 particles across
-    or no whole number of them, or a period shorter than twice the reach.
+    Raises InputError for numbers that are not positive or not finite, fewer than 10 particles
+    across or no whole number of them, or a period shorter than twice the reach.
     """
 
     De: float
