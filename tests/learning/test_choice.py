@@ -79,8 +79,12 @@ def test_what_was_not_measured_is_refused():
         choose_model(tolerance=0.05, scene=Scene((100.0, 100.0), 10.0), table=TABLE)
     with pytest.raises(InputError, match="no measured model comes within 0.1 %"):
         choose_model(tolerance=0.001, scene=SMALL, table=TABLE)
-    with pytest.raises(InputError, match="scene: expected lengths > 0"):
-        Scene((100.0, 0.0), 20.0)
+    for scene in (((100.0, 0.0), 20.0), ((100.0, "wide"), 20.0), ((100.0, 100.0), np.nan)):
+        with pytest.raises(InputError, match="scene: expected lengths > 0"):
+            Scene(*scene)
+    for tolerance in (-1.0, np.nan, "small"):
+        with pytest.raises(InputError, match="tolerance: expected a fraction > 0"):
+            choose_model(tolerance=tolerance, scene=SMALL, table=TABLE)
 
 
 @pytest.mark.parametrize("wrong", ["20", None, np.nan, True, -1.0])

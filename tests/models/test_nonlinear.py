@@ -62,6 +62,8 @@ def test_numbers_that_are_none_are_refused():
             replace(solid("energy"), tq2=value)
     with pytest.raises(InputError, match="ridge: expected a number ≥ 0"):
         Smoothing(10.0, -0.1)
+    with pytest.raises(InputError, match="radius: expected a length > 0"):
+        Smoothing("wide")
 
 
 def test_energy_form_takes_the_weights_of_the_dilatation():

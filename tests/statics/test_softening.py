@@ -76,10 +76,12 @@ def test_dilatation_and_laws_that_are_none_are_refused():
     body = lattice(8, 8)
     with pytest.raises(InputError, match="expected λ = μ"):
         SoftBody(solid(0.5).model, body, BondLaw(1.0), np.abs(body.x) > 3)
-    for law in ((-1.0,), (1.0, 0.0), (1.0, 0.1, -0.1), (1.0, 0.1, np.inf)):
+    for law in ((-1.0,), (np.inf,), ("soft",), (1.0, 0.0), (1.0, 0.1, -0.1), (1.0, 0.1, np.inf)):
         with pytest.raises(InputError, match="expected a"):
             BondLaw(*law)
-    for law, times in ((BondLaw(1.0), 2.0), (BondLaw(1.0, 0.1), 0.0)):
+    assert (BondLaw(2.0).spent(), BondLaw(0.0).spent()) == (0.25, np.inf)
+    assert BondLaw(2.0, 50.0).spent() == pytest.approx(0.25)
+    for law, times in ((BondLaw(1.0), 2.0), (BondLaw(1.0, 0.1), "2"), (BondLaw(1.0, 0.1), 0.0)):
         with pytest.raises(InputError, match="at_horizon: expected"):
             law.at_horizon(times)
 

@@ -65,6 +65,12 @@ def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
     assert hashes(second, first, load_model(beside)) == 1
 
 
+def test_what_is_no_number_is_refused():
+    for asked in ({"spacing": "2"}, {"spacing": None}, {"spacing": 2.0, "horizon": "wide"}):
+        with pytest.raises(InputError, match="expected a number > 0, got"):
+            on_lattice(HOME, **asked)
+
+
 def test_a_folder_that_cannot_be_written(file, monkeypatch):
     (file.parent / "model.lattices").write_text("in the way")
     first = again(file)

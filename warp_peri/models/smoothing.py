@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import j0
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import is_number
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
@@ -40,9 +41,9 @@ class Smoothing:
     ridge: float = 0.1
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.radius) and self.radius > 0):
+        if not (is_number(self.radius) and 0 < self.radius < np.inf):
             raise InputError(f"radius: expected a length > 0 Å, got {self.radius!r}")
-        if not (np.isfinite(self.ridge) and self.ridge >= 0):
+        if not (is_number(self.ridge) and 0 <= self.ridge < np.inf):
             raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")
 
     def transform(self, k: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.stress import node_fields
 from warp_peri.operator.symbol import moduli
+from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
@@ -38,10 +39,6 @@ ALONE = (
     "mesh: no triangle is {:g} {} from the body's edge, two horizons and the overlap; it is solved "
     "by elements alone"
 )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ class Coupling:
             ("overlap", "a length > 0", self.overlap, np.inf),
             ("tolerance", "a number between 0 and 1", self.tolerance, 1.0),
         ):
-            if value is not None and not (_is_number(value) and 0 < value < largest):
+            if value is not None and not (is_number(value) and 0 < value < largest):
                 raise InputError(f"{name}: expected {expected}, got {value!r}")
         if self.degree not in (1, 2):
             raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
@@ -268,7 +265,7 @@ def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
     """Edge stiffnesses by part, checked."""
     for name, size in edge.items():
         check_part(name, mesh)
-        if not (_is_number(size) and np.isfinite(size)):
+        if not (is_number(size) and np.isfinite(size)):
             raise InputError(f"edge '{name}': expected a finite stiffness, got {size!r}")
     return {name: float(size) for name, size in edge.items()}
 

@@ -17,6 +17,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights
+from warp_peri.points.arrays import is_number
 from warp_peri.points.body import Body, cracked, crossing_bonds
 from warp_peri.stability.breaking import check_breakable
 from warp_peri.statics.cracked import symmetric_factors
@@ -44,13 +45,14 @@ class BondLaw:
     tail: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value, fine in (
-            ("softness: expected a number ≥ 0", self.softness, self.softness >= 0),
-            ("stretch: expected a number > 0", self.stretch, self.stretch > 0),
-            ("tail: expected a finite number ≥ 0", self.tail, 0 <= self.tail < np.inf),
+        for name, value, positive in (
+            ("softness: expected a finite number ≥ 0", self.softness, False),
+            ("stretch: expected a number > 0", self.stretch, True),
+            ("tail: expected a finite number ≥ 0", self.tail, False),
         ):
+            fine = is_number(value) and (value > 0 if positive else 0 <= value < np.inf)
             if not fine:
-                raise InputError(f"{name}, got {value}")
+                raise InputError(f"{name}, got {value!r}")
 
     def pull(self, s: np.ndarray) -> np.ndarray:
         """Pull over k r² of a bond that has not begun to fail."""
@@ -68,8 +70,13 @@ class BondLaw:
         return np.where(beyond, np.minimum(ends, 1.0), 1.0)
 
     def spent(self) -> float:
-        """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18)."""
+        """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18).
+
+        Of a bond that never fails what it takes to pull it to any length: 1/β², or inf.
+        """
         b, s = self.softness, self.stretch
+        if np.isinf(s):
+            return 1 / b**2 if b else np.inf
         before = (1 - np.exp(-b * s) * (1 + b * s)) / b**2 if b else s * s / 2
         return float(before + self.pull(np.array(s)) * self.tail / 2)
 
@@ -81,7 +88,7 @@ class BondLaw:
 
         Raises InputError for a law that never fails, or times not > 0.
         """
-        if not (np.isfinite(self.stretch) and 0 < times < np.inf):
+        if not (np.isfinite(self.stretch) and is_number(times) and 0 < times < np.inf):
             raise InputError(
                 "at_horizon: expected a law with a finite stretch and a number > 0, got "
                 f"{self.stretch} and {times}"

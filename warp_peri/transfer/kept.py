@@ -10,6 +10,7 @@ from typing import Any
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, load_model, model_content
+from warp_peri.points.arrays import is_number
 from warp_peri.transfer.lattice import RECIPE, new_lattice
 
 FOLDER = ".lattices"
@@ -40,6 +41,9 @@ def on_lattice(
         "shortest_wave": shortest_wave,
         "largest_horizon": largest_horizon,
     }
+    for word, value in {"spacing": spacing, **asked}.items():
+        if not (is_number(value) or (value is None and word != "spacing")):
+            raise InputError(f"{word}: expected a number > 0, got {value!r}")
     home = model_content(model)["sha256"]
     named = {"spacing": spacing, **asked}
     name = "_".join(f"{key}_{value:.9g}" for key, value in named.items() if value is not None)
