@@ -91,7 +91,7 @@ class LPSOperator(lps.NodeOperator):
     def _check(self, u: torch.Tensor) -> None:
         """Raises InputError for fields that are not on the nodes."""
         device, nodes = torch.device(self.bonds.device), self._onto.shape[1]
-        fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and u.shape[0] > 0
+        fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and len(u) > 0
         if not fits or u.dtype != torch.float64 or u.device != device:
             raise InputError(
                 f"u: expected float64 of shape [S, {nodes}, 2], S ≥ 1, or [{nodes}, 2] on "
@@ -103,12 +103,19 @@ class LPSOperator(lps.NodeOperator):
 
         Args:
             b: at the nodes, shape [N, 2] or [S, N, 2]; on scattered points also at the places of
-                the lattice, shape [S, Y, 2], as Carrier.load takes it.
+                the lattice, shape [Y, 2] or [S, Y, 2], as Carrier.load takes it.
+
+        Raises InputError for other shapes.
         """
+        b, nodes = np.asarray(b, dtype=float), len(self._interior)
         if self.carrier is None:
-            return np.asarray(b[..., self._interior, :])
-        carried = self.carrier.load(b.reshape(-1, *b.shape[-2:]))
-        return carried.reshape(*b.shape[:-2], *carried.shape[-2:])
+            if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, 2):
+                raise InputError(
+                    f"b: expected shape [S, {nodes}, 2] or [{nodes}, 2], got {list(b.shape)}"
+                )
+            return b[..., self._interior, :]
+        carried = self.carrier.load(b[None] if b.ndim == 2 else b)
+        return carried[0] if b.ndim == 2 else carried
 
 
 def _tensor(matrix: sp.csr_array, device: str) -> torch.Tensor:
@@ -126,4 +133,4 @@ def _applied(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
     """A matrix by the nodes of fields, shape [..., N, 2] to [..., Y, 2]."""
     columns = field.movedim(-2, 0)
     product: torch.Tensor = torch.sparse.mm(matrix, columns.reshape(len(columns), -1))
-    return product.reshape(-1, *columns.shape[1:]).movedim(0, -2).contiguous()
+    return product.reshape(len(product), *columns.shape[1:]).movedim(0, -2).contiguous()
