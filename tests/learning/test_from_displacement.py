@@ -135,9 +135,9 @@ def test_steps_of_fibres_are_no_families():
     dictionary = Dictionary(3.0, terms=(Term("neo_hookean"), *rose(4, (2.0,)), step))
     solid = HyperelasticSolid(dictionary, np.array([0.1, 0.0, 0.2, 0.0, 0.0, 5.0]), 0.1)
     assert [angle for angle, energy in rose_of(solid).items() if energy] == [np.pi / 4]
-    found, start = families(solid)
-    assert found.terms[:2] == (Term("neo_hookean"), step)
-    assert [term.angle for term in found.terms[2:]] == [np.pi / 4]
+    families_of, start = families(solid)
+    assert families_of.terms[:2] == (Term("neo_hookean"), step)
+    assert [term.angle for term in families_of.terms[2:]] == [np.pi / 4]
     assert start[:2].tolist() == [0.1, 5.0]
 
 

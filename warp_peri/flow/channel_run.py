@@ -104,13 +104,7 @@ def run_channel(
     Raises InputError for a time step beyond `flow.longest_step`, a run shorter than one record, a
     checkpoint of another run, and as Particles.step does.
     """
-    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
-        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
-    if every < 1 or not until >= every * dt * (1 - 1e-9) or until == np.inf:
-        raise InputError(
-            f"run: expected every ≥ 1 and until of so many steps of {dt:g} or more, got {every} "
-            f"and {until}"
-        )
+    _check(flow, until, dt, every)
     particles, steps = Particles(flow), round(until / dt)
     key = "" if checkpoint is None else f"{flow} dt {dt} every {every} {key_of(stress)}"
     kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
@@ -144,6 +138,16 @@ def run_channel(
         raise
     asked = steps // every  # a checkpoint may have gone further
     return ChannelRecord(*(np.array(rows[:asked]) for rows in kept.values()))
+
+
+def _check(flow: ChannelFlow, until: float, dt: float, every: int) -> None:
+    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
+        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    if every < 1 or not until >= every * dt * (1 - 1e-9) or until == np.inf:
+        raise InputError(
+            f"run: expected every ≥ 1 and until of so many steps of {dt:g} or more, got {every} "
+            f"and {until}"
+        )
 
 
 def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:

@@ -117,10 +117,7 @@ def run_plane(
     Raises InputError for a time step beyond `flow.longest_step`, a checkpoint of another run, or a
     flow that blows up: the last good state is in the checkpoint.
     """
-    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
-        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
-    if every < 1 or not (math.isfinite(until) and until > 0):
-        raise InputError(f"run: expected until > 0 and every ≥ 1, got {until} and {every}")
+    _check(flow, until, dt, every)
     steps, dy = round(until / dt), 1 / flow.cells
     key = "" if checkpoint is None else _key(flow, stress, dt, every)
     u, sigma = np.zeros(flow.cells + 1), np.zeros((flow.cells, 4))
@@ -155,6 +152,13 @@ def run_plane(
             _save(checkpoint, kept | {"t": times, "us": us, "sigmas": sigmas, "key": key})
     asked = 1 + steps // every  # a checkpoint may have gone further
     return Profiles(*(np.array(rows[:asked]) for rows in (times, us, sigmas)))
+
+
+def _check(flow: PlaneFlow, until: float, dt: float, every: int) -> None:
+    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
+        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    if every < 1 or not (math.isfinite(until) and until > 0):
+        raise InputError(f"run: expected until > 0 and every ≥ 1, got {until} and {every}")
 
 
 def _key(flow: PlaneFlow, stress: Stress, dt: float, every: int) -> str:

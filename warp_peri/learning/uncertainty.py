@@ -126,25 +126,28 @@ def fit_uncertainty(
         _warn_of_bias(axes.T @ (follow @ pull), deviation)
     if found.loss.name == "corrected":
         _warn_of_curvature(step.T @ np.concatenate(bends) @ step)
-
-    def beside(step: np.ndarray) -> tuple[Model, Model, float]:
-        for off in SMALLER:
-            try:
-                above, below = (
-                    replace(
-                        as_model(coordinates.parameters(y + sign * off * step, []), model.horizon),
-                        units=model.units,
-                    )
-                    for sign in (1, -1)
-                )
-            except InputError:  # μ or λ + μ is not above zero there
-                continue
-            if off == SMALLER[-1] or _is_straight(problem, y, off * step):
-                return above, below, off
-        raise InputError("noise: it is so strong that nothing can be said of this fit")
-
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
-    return Uncertainty([beside(step) for step in steps])
+    return Uncertainty([_beside(problem, y, model, step) for step in steps])
+
+
+def _beside(
+    problem: Problem, y: np.ndarray, model: Model, step: np.ndarray
+) -> tuple[Model, Model, float]:
+    """Models a step above and below the fit, within what is linear, and the part of the step."""
+    for off in SMALLER:
+        try:
+            above, below = (
+                replace(
+                    as_model(problem.coordinates.parameters(y + ahead, []), model.horizon),
+                    units=model.units,
+                )
+                for ahead in (off * step, -off * step)
+            )
+        except InputError:  # μ or λ + μ is not above zero there
+            continue
+        if off == SMALLER[-1] or _is_straight(problem, y, off * step):
+            return above, below, off
+    raise InputError("noise: it is so strong that nothing can be said of this fit")
 
 
 def _steps(problem: Problem, y: np.ndarray) -> np.ndarray:

@@ -189,9 +189,8 @@ def solve_body(
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
-    Raises InputError for parts that are not there, other shapes, loads that are not finite, a body
-    free to move, a mesh in another unit, a hole below the overlap, and moduli, edges or an operator
-    that are not positive definite.
+    Raises InputError for unknown parts, other shapes, loads that are not finite, a body free to
+    move, a mesh in another unit, a hole below the overlap, or what is not positive definite.
     """
     loads = loads_on(mesh, displacement, traction, b)
     springs = _springs(edge or {}, mesh)

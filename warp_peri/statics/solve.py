@@ -80,8 +80,8 @@ def solve(
         quadrature_degree: as for LPSOperator.
         method: "auto" takes the cheapest by size and shape: "lu" for few nodes; on larger lattices
             conjugate gradients with "sine" for rectangles, "multigrid" for any nodes, or "strip"
-            where λ ≫ μ; "gmres" with an incomplete LU for many scattered points, whose operator is
-            not symmetric. "fft" (the inverse symbol) and "cg" (plain) are there to compare.
+            where λ ≫ μ; "gmres" with an incomplete LU for many scattered points. "fft" (the inverse
+            symbol) and "cg" (plain) are there to compare.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
         iteration: tolerance and device of conjugate gradients, and records of what they took.

@@ -70,13 +70,12 @@ def one_kernel(
 
     Raises InputError for ratios that are none, or a kernel without a proof on each of them.
     """
-    low, high = ratios
+    (low, high), unit = ratios, model.mu
     if not 0.02 <= low < high <= 0.45:
         raise InputError(f"ratios: expected 0.02 ≤ smallest < largest ≤ 0.45, got {ratios}")
     home = home_of(model, horizon * high)
     band = min(home.largest, 0.5 * np.pi / home.spacing, 0.5 * np.pi / (horizon * high))
     lattices = [bond_classes(horizon * ratio, horizon) for ratio in _fitted_on(low, high)]
-    unit = model.mu
     start = Parameters(model.lam / unit, 1.0, 1.0, np.ones(degree + 1))
     parameters = _least_squares(_losses(home, band, lattices, unit), start)
     kernel = Model(
