@@ -103,7 +103,6 @@ def solve(
     plain = nodes.is_plain_lattice
     if method == "auto":
         method = choose_method(nodes, plain=plain, stiff=model.lam > STIFF * model.mu)
-    shape = u.shape
     load, u = (field.reshape(-1, len(nodes.x), 2) for field in (load, u))
     if method in PRECONDITIONERS:
         if not plain or quadrature_degree != DEGREE:
@@ -117,7 +116,7 @@ def solve(
         answer = _direct(nodes, load, u, model, *options, allowed=allow_uncertified)
     u[:, nodes.interior] = answer[:, nodes.interior]
     warn_beyond(model, nodes, u)
-    return u.reshape(shape)
+    return u.reshape(np.shape(u_collar))
 
 
 def _direct(
