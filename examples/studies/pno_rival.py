@@ -233,6 +233,13 @@ def chosen_setting(sets: dict[str, Samples], minutes: float, quiet: bool) -> dic
     return {"widths": widths, "rate": rate, "tried": tried}
 
 
+def cleared(value: Any) -> Any:
+    """The same with None for numbers that are none, as in a network that diverged."""
+    if isinstance(value, dict):
+        return {key: cleared(item) for key, item in value.items()}
+    return finite(value) if isinstance(value, float) else value
+
+
 def finite(error: float) -> float | None:
     """The error, or None where there is none, as JSON wants it."""
     return error if np.isfinite(error) else None
@@ -289,6 +296,7 @@ def main() -> None:
         records[name] = record | record_of(model, data, 0 if data is wide else given.solved)
         if data is wide:
             records[name]["within the data"] = record_of(model, sets, 0)
+        records = cleared(records)
         write_json(given.out / f"{given.element}.json", records)  # the next may take minutes
     if given.json:
         print(json.dumps(plain(records), indent=2))
