@@ -29,6 +29,7 @@ from tools.lammps_session import (
     potential_file,
 )
 from tools.statics import find_bonds
+from warp_peri.stability.inertia import symmetric_factors
 
 SWITCH, WIDTH = 2.7, 0.1
 """Middle and half width of the cut-off [Å]."""
@@ -203,11 +204,8 @@ class Pulled:
 
     def factorise(self, x: np.ndarray) -> None:
         """Factors of the Hessian at x, and how many of its eigenvalues are negative."""
-        inner = self._hessian(self.session.forces, x)[self._free][:, self._free].tocsc()
-        options = {"SymmetricMode": True}
-        self._factors = spla.splu(
-            sp.csc_matrix(inner), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
-        )
+        hessian = self._hessian(self.session.forces, x)
+        self._factors = symmetric_factors(hessian[self._free][:, self._free])
         self.negative = int(np.count_nonzero(self._factors.U.diagonal() < 0))
 
     def rest(self, x: np.ndarray, steps: int = 30) -> tuple[np.ndarray, bool]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse.linalg as spla
 from scipy.spatial import cKDTree
 
 from tools.hessian import ColouredHessian
 from tools.lammps_session import LammpsSession
+from warp_peri.stability.inertia import symmetric_factors
 
 TOLERANCE = 1e-9
 """Largest force component left on an atom [eV/Å]."""
@@ -161,12 +161,7 @@ class Statics:
             far = int(np.argmax(np.abs(arm).max(axis=1)))
             pinned.append(2 * far + int(np.argmin(np.abs(arm[far]))))
         free = np.setdiff1d(np.arange(hessian.shape[0]), pinned)
-        lu = spla.splu(
-            hessian[free][:, free].tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        lu = symmetric_factors(hessian[free][:, free])
 
         def solve(r: np.ndarray) -> np.ndarray:
             du = np.zeros(r.size)

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from scipy.ndimage import distance_transform_cdt
-from scipy.sparse.linalg import splu
 
+from warp_peri.stability.inertia import symmetric_factors
 from warp_peri.statics.domain import Domain
 
 
@@ -30,13 +30,7 @@ class Strip:
         depth = distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1]
         near = mask & (depth <= width)
         self.place = torch.from_numpy(np.flatnonzero(near)).to(domain.mask.device)
-        # symmetric and positive definite: no pivots
-        self.factors = splu(
-            block(A.numpy(), near),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        self.factors = symmetric_factors(block(A.numpy(), near))
 
     def __call__(self, r: torch.Tensor) -> torch.Tensor:
         """The displacement [2, n₁, n₂] that leaves no residual on the strip, zero elsewhere."""
