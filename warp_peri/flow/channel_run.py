@@ -14,7 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import whole_file, write_text
 from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.closure import Stress, key_of
+from warp_peri.flow.closure import Stress, check_time_step, key_of
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,7 @@ def run_channel(
 
 
 def _check(flow: ChannelFlow, until: float, dt: float, every: int) -> None:
-    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
-        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    check_time_step(dt, flow.longest_step)
     if every < 1 or not until >= every * dt * (1 - 1e-9) or until == np.inf:
         raise InputError(
             f"run: expected every ≥ 1 and until of so many steps of {dt:g} or more, got {every} "

@@ -26,6 +26,12 @@ LARGEST_STRAIN = 0.25
 """|K| Δt of one step of a law; longer steps are divided."""
 
 
+def check_time_step(dt: float, longest: float) -> None:
+    """Raise InputError for a step of a flow that is none, or beyond its longest stable one [t0]."""
+    if not 0 < dt <= longest * (1 + 1e-9):
+        raise InputError(f"time step: expected up to {longest:.4g} t0, got {dt:g}")
+
+
 class Stress(Protocol):
     """What a flow solver asks of the fluid in its cells.
 

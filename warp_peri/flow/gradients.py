@@ -11,7 +11,7 @@ import torch
 from scipy.optimize import minimize
 
 from warp_peri.errors import InputError
-from warp_peri.flow.closure import heun
+from warp_peri.flow.closure import check_time_step, heun
 from warp_peri.flow.planar import carried, eigenvalues, from_eigenvalues, stack, unpack
 from warp_peri.flow.plane import PlaneFlow
 from warp_peri.flow.spring_law import SpringLaw
@@ -75,8 +75,7 @@ def velocities(law: Any, flow: PlaneFlow, until: float, dt: float, every: int = 
 
     Raises InputError for a time step beyond `flow.longest_step`.
     """
-    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
-        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    check_time_step(dt, flow.longest_step)
     dy, steps = 1 / flow.cells, round(until / dt)
     u = torch.zeros(flow.cells + 1, dtype=torch.float64)
     sigma = torch.zeros(flow.cells, dtype=torch.float64)

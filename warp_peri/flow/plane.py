@@ -18,7 +18,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import whole_file, write_text
-from warp_peri.flow.closure import Stress, key_of
+from warp_peri.flow.closure import Stress, check_time_step, key_of
 from warp_peri.flow.planar import shear
 
 
@@ -155,8 +155,7 @@ def run_plane(
 
 
 def _check(flow: PlaneFlow, until: float, dt: float, every: int) -> None:
-    if not 0 < dt <= flow.longest_step * (1 + 1e-9):
-        raise InputError(f"time step: expected up to {flow.longest_step:.4g} t0, got {dt:g}")
+    check_time_step(dt, flow.longest_step)
     if every < 1 or not (math.isfinite(until) and until > 0):
         raise InputError(f"run: expected until > 0 and every ≥ 1, got {until} and {every}")
 
