@@ -126,21 +126,21 @@ def launch_slices(
     node being 1. Must not be called while a tape records. A GPU takes all of them at once.
     """
     device = outputs[0].device
-    slices, ends = _slices(count, count * max(samples, 1) * weight, device)
+    ends = _slices(count, count * max(samples, 1) * weight, device)
 
     def job(first: int, last: int) -> Callable[[], None]:
         dim = (samples, last - first) if samples else last - first
         return lambda: launch(kernel, dim, [first, *inputs], outputs)
 
-    if slices > 1:
+    if len(ends) > 2:
         kernel.module.load(device)  # not from two threads at once
     at_once([job(first, last) for first, last in pairwise(ends)])
 
 
-def _slices(count: int, work: int, device: Any) -> tuple[int, list[int]]:
-    """How many slices of 0 … count are worth a thread each, and where they end."""
+def _slices(count: int, work: int, device: Any) -> list[int]:
+    """Where the slices of 0 … count that are worth a thread each begin and end."""
     slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
-    return slices, [count * n // slices for n in range(slices + 1)]
+    return [count * n // slices for n in range(slices + 1)]
 
 
 def recorded_slices(
@@ -157,7 +157,7 @@ def recorded_slices(
     of now.
     """
     device = outputs[0].device
-    _, ends = _slices(count, count * weight, device)
+    ends = _slices(count, count * weight, device)
     kernel.module.load(device)
     jobs = [
         wp.launch(
