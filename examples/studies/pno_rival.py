@@ -28,7 +28,7 @@ from scipy.optimize import root
 from tqdm import tqdm
 
 from tools.make_hgo import ELEMENTS, HORIZON, NODES, SPACING, make_hgo
-from warp_peri.files.whole import plain, write_json
+from warp_peri.files.whole import finite, plain, write_json
 from warp_peri.learning.energy_fit import fit_energy
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
 from warp_peri.models.hyperelastic import Dictionary
@@ -229,29 +229,17 @@ def chosen_setting(sets: dict[str, Samples], minutes: float, quiet: bool) -> dic
         error = float(residuals(model, sets["val"]).mean())
         errors[widths, rate] = error if np.isfinite(error) else np.inf
     widths, rate = min(errors, key=lambda choice: errors[choice])
-    tried = {f"widths {w}, rate {r:g}": finite(error) for (w, r), error in errors.items()}
+    tried = {f"widths {w}, rate {r:g}": error for (w, r), error in errors.items()}
     return {"widths": widths, "rate": rate, "tried": tried}
-
-
-def cleared(value: Any) -> Any:
-    """The same with None for numbers that are none, as in a network that diverged."""
-    if isinstance(value, dict):
-        return {key: cleared(item) for key, item in value.items()}
-    return finite(value) if isinstance(value, float) else value
-
-
-def finite(error: float) -> float | None:
-    """The error, or None where there is none, as JSON wants it."""
-    return error if np.isfinite(error) else None
 
 
 def record_of(
     model: PeridynamicOperator, sets: dict[str, Samples], solved: int
-) -> dict[str, float | int | None]:
+) -> dict[str, float]:
     """Errors of a trained network on every set."""
-    record: dict[str, float | int | None] = {}
+    record: dict[str, float] = {}
     for name, samples in sets.items():
-        record[name] = finite(float(residuals(model, samples).mean()))
+        record[name] = float(residuals(model, samples).mean())
         if solved and name in ("val", "disks"):
             errors = solved_errors(model, samples, min(solved, len(samples)))
             missing = np.isnan(errors)
@@ -296,10 +284,10 @@ def main() -> None:
         records[name] = record | record_of(model, data, 0 if data is wide else given.solved)
         if data is wide:
             records[name]["within the data"] = record_of(model, sets, 0)
-        records = cleared(records)
+        records = finite(plain(records))  # a network that diverged has no errors
         write_json(given.out / f"{given.element}.json", records)  # the next may take minutes
     if given.json:
-        print(json.dumps(plain(records), indent=2))
+        print(json.dumps(records, indent=2))
         return
     for name, errors in records.items():
         if name == "setting":

@@ -8,12 +8,10 @@ them are caught as a user would see them.
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -41,7 +39,7 @@ from examples.studies import (
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from warp_peri.errors import InputError
-from warp_peri.files.whole import plain, write_json, write_text
+from warp_peri.files.whole import finite, plain, write_json, write_text
 
 STEPS = 100_000
 TEMPLATE = Path(__file__).parent / "atlas" / "page.md"
@@ -90,15 +88,6 @@ def section(name: str, entry: Entry, figures: str) -> str:
         f"## {entry.title}\n\n**{entry.number}**\n\n{entry.text}\n\n"
         f"![{entry.title}]({figures}/{name}.png)\n\nWhat a user sees:\n\n{seen}\n"
     )
-
-
-def finite(value: Any) -> Any:
-    """None for what JSON has no number for."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def main(arguments: list[str] | None = None) -> int:
