@@ -20,7 +20,7 @@ import warp_peri
 from examples import graphene_report as report
 from examples.studies import sweep_report
 from warp_peri.cluster import scheduler
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked
 from warp_peri.learning import methods
 from warp_peri.learning.options import METHODS
@@ -262,31 +262,25 @@ def main(arguments: list[str] | None = None) -> int:
         given.out = OUT.with_name(name)
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/train_graphene.py", *words])
-    try:
-        if given.sweep:
-            with scheduler(given.scheduler):
-                run_sweep(given)
-            print((given.out / "sweep.md").read_text(encoding="utf-8").split("## All")[0])
-            print(f"everything is in {given.out}/ (start with sweep.md)")
-            return 0
-        with locked(given.out), scheduler(given.scheduler):
-            numbers = run(given)
-    except KeyboardInterrupt:
-        print("interrupted; finished samples are kept and the next run goes on", file=sys.stderr)
-        return 130
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except (OSError, RuntimeError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    return exit_status(lambda: work(given), "finished samples are kept and the next run goes on")
+
+
+def work(given: argparse.Namespace) -> None:
+    """The sweep or the main job, and what is printed of it."""
+    if given.sweep:
+        with scheduler(given.scheduler):
+            run_sweep(given)
+        print((given.out / "sweep.md").read_text(encoding="utf-8").split("## All")[0])
+        print(f"everything is in {given.out}/ (start with sweep.md)")
+        return
+    with locked(given.out), scheduler(given.scheduler):
+        numbers = run(given)
     text = (given.out / "report.md").read_text(encoding="utf-8")
     print("\n".join(text.splitlines()[4 : 11 if "nonlinear" in numbers else 10]))
     print(
         f"λ = {numbers['lambda']:.4f} TPa, μ = {numbers['mu']:.4f} TPa; "
         f"everything is in {given.out}/ (start with report.md)"
     )
-    return 0
 
 
 if __name__ == "__main__":
