@@ -31,7 +31,8 @@ from scipy.spatial import cKDTree
 import warp_peri
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
-from warp_peri import Bernstein, InputError, Model, Points, Samples, ThroughLattice, on_lattice
+from warp_peri import Bernstein, Model, Points, Samples, ThroughLattice, on_lattice
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import locked, whole_file, write_json, write_text
 from warp_peri.transfer import kept
 from warp_peri.transfer.lattice import new_lattice
@@ -270,7 +271,7 @@ def figure(model: Model, file: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -279,21 +280,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "any_lattice")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args(arguments)
-    try:
-        model, data = warp_peri.load_model(given.model), warp_peri.load_dataset(given.data)
-        with locked(given.out), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # each transfer would say so
-            part = functools.partial(kept_part, given.out / "parts")
-            tables = measure(model, data, given.data.with_suffix(".cache"), part)
-            write_json(given.out / "any_lattice.json", tables)
-            write_text(given.out / "report.md", report(tables))
-            figure(model, given.out / "any_lattice.png")
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    model, data = warp_peri.load_model(given.model), warp_peri.load_dataset(given.data)
+    with locked(given.out), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # each transfer would say so
+        part = functools.partial(kept_part, given.out / "parts")
+        tables = measure(model, data, given.data.with_suffix(".cache"), part)
+        write_json(given.out / "any_lattice.json", tables)
+        write_text(given.out / "report.md", report(tables))
+        figure(model, given.out / "any_lattice.png")
     print(json.dumps(tables) if given.json else report(tables))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from warp_peri import Model
 from warp_peri.dynamics.breaking import BreakingBody
 from warp_peri.dynamics.crack_run import CrackRun
+from warp_peri.errors import exit_status
 from warp_peri.models.damage import BrittleSolid
 from warp_peri.points.body import lattice_body, rectangle
 
@@ -172,4 +173,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

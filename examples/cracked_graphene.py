@@ -25,6 +25,7 @@ from tools.cracked_sheet import critical_strain, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from warp_peri import Model
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 from warp_peri.points.body import lattice_body, rectangle
 from warp_peri.statics.cracked import CutSolid
@@ -168,4 +169,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model, Points
+from warp_peri.errors import exit_status
 from warp_peri.models.diffusion import Conductor
 from warp_peri.operator.diffusion import DiffusionOperator
 from warp_peri.points.body import lattice_body
@@ -176,4 +177,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

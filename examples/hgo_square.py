@@ -25,6 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tools.make_hgo import ELEMENTS, Material, make_hgo
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import plain, write_json
 from warp_peri.learning.energy_fit import fit_energy
 from warp_peri.learning.fibres import read_material, rose, with_directions
@@ -204,4 +205,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

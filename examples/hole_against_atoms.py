@@ -35,6 +35,7 @@ from tools.holed_sheet import (
 )
 from tools.lammps_session import CARBON_MASS
 from tools.samples import Sample
+from warp_peri.errors import exit_status
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.sources.coarse_graining import (
@@ -200,4 +201,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model
+from warp_peri.errors import exit_status
 from warp_peri.operator.damage import bond_weights
 from warp_peri.points.body import lattice_body, rectangle
 from warp_peri.statics.inclusions import (
@@ -91,4 +92,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -22,7 +22,7 @@ import numpy as np
 from examples.leaflet_pictures import draw
 from examples.studies.leaflet_rivals import RIVALS, rival_errors
 from tools.make_leaflet import Leaflet, make_leaflet, noisy
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import plain, write_json
 from warp_peri.learning.fibres import families, rose
 from warp_peri.learning.from_displacement import DisplacementFit, fit_displacement
@@ -184,4 +184,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

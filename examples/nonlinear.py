@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 import warp_peri
 from examples.train_graphene import DATA, make_data
 from warp_peri import Bernstein, Dataset, Nonlinear, Optimum, Smoothing
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked, whole_file, write_json
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
@@ -116,7 +116,7 @@ def draw(path: Path, numbers: dict[str, Any]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, 1 after a failure, 2 for bad input."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -127,17 +127,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
-    try:
-        with locked(given.out):
-            numbers = run(given)
-            write_json(given.out / "metrics.json", numbers)
-            draw(given.out / "errors.png", numbers)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except (OSError, RuntimeError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    with locked(given.out):
+        numbers = run(given)
+        write_json(given.out / "metrics.json", numbers)
+        draw(given.out / "errors.png", numbers)
     if given.json:
         print(json.dumps(numbers))
         return 0
@@ -151,4 +144,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -20,10 +20,11 @@ from tqdm import tqdm
 
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length, sheet
-from tools.lammps_session import LammpsError, LammpsSession, potential_file
+from tools.lammps_session import LammpsSession, potential_file
 from tools.loads import WaveLoad
 from tools.statics import Statics
 from warp_peri.cli.main import main as warp_peri
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import locked, write_json
 from warp_peri.models.lps import load_model
 
@@ -95,23 +96,19 @@ def run(out: Path) -> dict[str, dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, or 1 after a failure."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "boron_nitride")
     given = parser.parse_args(arguments)
-    try:
-        with locked(given.out):
-            rows = run(given.out)
-            write_json(given.out / "constants.json", rows)
-    except (LammpsError, OSError, RuntimeError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    with locked(given.out):
+        rows = run(given.out)
+        write_json(given.out / "constants.json", rows)
     for name, row in rows.items():
         print(f"{name:16}", ", ".join(f"{key} = {value:.4f}" for key, value in row.items()))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

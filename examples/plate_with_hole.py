@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 import warp_peri
+from warp_peri.errors import exit_status
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.statics.body import BodySolution, Coupling, long_wave, solve_body
 from warp_peri.statics.hole import hoop_stress, plate_with_hole
@@ -134,4 +135,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -25,6 +25,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import plain, write_json, write_text
 from warp_peri.flow import series
 from warp_peri.flow.channel import ChannelFlow, Particles
@@ -168,7 +169,7 @@ def table(numbers: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: list[str] | None = None) -> dict[str, Any]:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--dumbbells", type=int, default=10_000, help="in each Hookean run")
     parser.add_argument("--fene", type=int, default=4000, help="in each FENE run")
@@ -186,8 +187,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     write_json(folder / "numbers.json", numbers)
     write_text(folder / "table.md", table(numbers))
     print(json.dumps(plain(numbers), indent=2) if options.json else table(numbers))
-    return numbers
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

@@ -25,6 +25,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 from warp_peri.flow.active import LearningClosure, replayed
 from warp_peri.flow.closure import Closure, CoupledDumbbells
@@ -47,7 +48,7 @@ def run(fluid: Any) -> Profiles:
     return run_plane(FLOW, fluid, 6.0, 0.01, every=10)
 
 
-def main(arguments: list[str] | None = None) -> dict[str, Any]:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--dumbbells", type=int, default=3000, help="in each record")
     parser.add_argument("--reference", type=int, default=3000, help="in each cell")
@@ -83,8 +84,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     figure.savefig(folder / "velocity.png", dpi=130)
     plt.close(figure)
     print(json.dumps(numbers, indent=None if options.json else 2))
-    return numbers
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
 
 from warp_peri import Model
+from warp_peri.errors import exit_status
 from warp_peri.points.body import lattice_body
 from warp_peri.statics.softening import BondLaw, Pull, SoftBody
 
@@ -154,4 +155,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

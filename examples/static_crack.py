@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model
+from warp_peri.errors import exit_status
 from warp_peri.points.body import lattice_body, rectangle
 from warp_peri.statics.cracked import CutSolid, contour_integral, energy_release, westergaard
 from warp_peri.statics.growth import apparent_toughness
@@ -83,4 +84,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -11,14 +11,14 @@ sys.path.insert(0, str(ROOT))
 
 import warp_peri
 from examples import graphene_report as report
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -29,15 +29,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--allow-uncertified", action="store_true")
     given = parser.parse_args(arguments)
     out = given.out or given.model.parent
-    try:
-        model = warp_peri.load_model(given.model)
-        points = warp_peri.load_dataset(given.data)[given.set]
-        table = warp_peri.evaluate(model, points, allow_uncertified=given.allow_uncertified)
-        report.draw_disks(out / f"{given.set}.png", model, points, table)
-        write_json(out / f"{given.set}.json", table)
-    except (InputError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    model = warp_peri.load_model(given.model)
+    points = warp_peri.load_dataset(given.data)[given.set]
+    table = warp_peri.evaluate(model, points, allow_uncertified=given.allow_uncertified)
+    report.draw_disks(out / f"{given.set}.png", model, points, table)
+    write_json(out / f"{given.set}.json", table)
     names = points.arrays.get("load_id", range(1, len(points) + 1))
     width = max(len(str(name)) for name in [*names, "mean"])
     print(f"{'load':{width}}  E_u [%]  ‖L u − b‖ [TPa/Å]")
@@ -49,4 +45,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

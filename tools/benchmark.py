@@ -31,6 +31,7 @@ import warp as wp
 from tools import numba_rival, numba_rows, rivals, roofline, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri import set_threads
+from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
 from warp_peri.models.solid import Solid
@@ -362,7 +363,7 @@ def ceilings(*, quick: bool) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -384,4 +385,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -25,6 +25,7 @@ import numpy as np
 import warp as wp
 
 from warp_peri import Model, set_threads
+from warp_peri.errors import exit_status
 from warp_peri.launch import floats, zeros
 from warp_peri.operator.damage import CutOperator
 from warp_peri.points.body import lattice_body, rectangle
@@ -182,4 +183,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -32,7 +32,7 @@ from tools.hyperelastic_elements import (
 )
 from tools.hyperelastic_energies import Family, Matrix, hgo
 from tools.random_field import RandomField
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import locked, whole_file
 from warp_peri.points.points import Points
@@ -287,4 +287,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

@@ -25,6 +25,7 @@ from tqdm import tqdm
 
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
+from warp_peri.errors import exit_status
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.whole import locked, whole_file
 from warp_peri.points.points import Points
@@ -180,4 +181,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

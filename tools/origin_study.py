@@ -17,7 +17,7 @@ if __name__ == "__main__":
 import numpy as np
 
 from tools.make_graphene import point_set, read_samples
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.models.lps import load_model
 
@@ -25,18 +25,14 @@ FRACTIONS = np.arange(8) / 8
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; prints a table of E_res [%], returns the exit status."""
+    """Command line; prints a table of E_res [%]."""
     root = Path(__file__).resolve().parent.parent
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", type=Path, default=root / "runs/graphene_0K/model.json")
     parser.add_argument("--cache", type=Path, default=root / "data/graphene_0K.cache")
     given = parser.parse_args(arguments)
-    try:
-        body, loads, samples = read_samples(given.cache, "val")
-        model = load_model(given.model)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    body, loads, samples = read_samples(given.cache, "val")
+    model = load_model(given.model)
     spacing = model.trained_on[0]
     rows = [0.0, 0.25, 0.5, 0.75]
     print(f"E_res validation [%], nodes {spacing:g} Å; shift along x (across), y (down), in cells")
@@ -52,4 +48,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

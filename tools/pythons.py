@@ -21,6 +21,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from warp_peri.errors import exit_status
+
 ROOT = Path(__file__).resolve().parent.parent
 OLDEST = (3, 11)
 NEEDS_TORCH = "No module named 'torch'"
@@ -94,7 +96,7 @@ def counted(report: Path) -> dict[str, int]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0 when no test failed."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -126,4 +128,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -26,7 +26,7 @@ from tqdm import tqdm
 import warp_peri
 from examples.train_graphene import DATA, make_data
 from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import write_json, write_text
 from warp_peri.learning.fit import fit
 from warp_peri.learning.margins import DenseMargins
@@ -168,21 +168,17 @@ def report(single: list[dict[str, Any]], double: list[dict[str, Any]], dense: fl
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "compare_fits")
     given = parser.parse_args(arguments)
-    try:
-        data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
-        body, loads, samples = read_samples(DATA.with_suffix(".cache"), "test")
-        unseen = point_set(body, loads, samples, spacing=UNSEEN_SPACING)
-        single, double = one_grid(data), two_grids(data, unseen)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    body, loads, samples = read_samples(DATA.with_suffix(".cache"), "test")
+    unseen = point_set(body, loads, samples, spacing=UNSEEN_SPACING)
+    single, double = one_grid(data), two_grids(data, unseen)
     dense = dense_seconds(data["train"])
     write_json(
         given.out / "compare_fits.json",
@@ -195,4 +191,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

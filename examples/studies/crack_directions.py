@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from tools.cracked_sheet import cracked_sheet, critical_strain
 from tools.graphene import bond_length
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 
 HALF = 40
@@ -91,4 +92,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -30,7 +30,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 from PIL import Image
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import whole_file, write_text
 
 LARGEST, WIDTH = 150_000, 1000
@@ -234,22 +234,18 @@ def stress(source: Path) -> Canvas:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="of the other examples")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="default: docs/")
     given = parser.parse_args(arguments)
-    try:
-        for figure in FIGURES:
-            needed = given.runs / figure.source if figure.source else given.out / figure.path
-            if not needed.exists():
-                made = " && ".join(c for c in figure.commands if "gallery.py" not in c)
-                raise InputError(f"{needed}: no such file; it is made by: {made}")
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    for figure in FIGURES:
+        needed = given.runs / figure.source if figure.source else given.out / figure.path
+        if not needed.exists():
+            made = " && ".join(c for c in figure.commands if "gallery.py" not in c)
+            raise InputError(f"{needed}: no such file; it is made by: {made}")
     for figure in FIGURES:
         if figure.source:
             collect(given.runs / figure.source, given.out / figure.path)
@@ -258,4 +254,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -21,7 +21,7 @@ from tqdm import tqdm
 import warp_peri
 from examples.train_graphene import make_data
 from tools.make_graphene import SMOOTHING_RADIUS
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import whole_file, write_json, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.models.shapes import InfluenceFunction, damped_wave, named, table
@@ -132,18 +132,14 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence_shapes")
     given = parser.parse_args(arguments)
-    try:
-        data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
     learned = fits(data["train"])
     rows = [row(name, count, fit, data) for name, (count, fit) in learned.items()]
     write_json(given.out / "metrics.json", {"fits": rows})
@@ -154,4 +150,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

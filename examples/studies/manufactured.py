@@ -35,6 +35,7 @@ from scipy.special import j0, j1
 from tqdm import tqdm
 
 from examples.graphene_report import save_figure
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import ReducedLoss, class_weights, reduce
@@ -192,7 +193,7 @@ def run(out: Path, seed: int, *, quintic: bool) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -219,4 +220,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

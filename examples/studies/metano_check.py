@@ -27,7 +27,7 @@ from tools.hyperelastic_elements import (
     triangles,
 )
 from tools.hyperelastic_energies import Family, Matrix, hgo
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import plain
 
 DATA = "data/Example1_HGO/Neumann_indis_sensitive_analysis_balance_range_grf_alpha_2"
@@ -113,4 +113,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

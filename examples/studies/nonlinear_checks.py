@@ -34,7 +34,7 @@ from tools.make_graphene import (
 )
 from tools.samples import Sample
 from warp_peri import NonlinearModel, NonlinearOperator, Points, Samples
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.gradient_sweeps import GradientSweeps
@@ -163,29 +163,25 @@ def costs(model: NonlinearModel) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, or 2 for bad input."""
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of the models")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     numbers: dict[str, Any] = {}
-    try:
-        data, cache = warp_peri.load_dataset(given.data), given.data.with_suffix(".cache")
-        for name in ("energy", "filtered"):
-            model = warp_peri.load_nonlinear(given.models / f"{name}.json")
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
-                numbers[name] = {
-                    "turned_body": turned_body(model, data["val"]),
-                    "turned_disks": turned_crystal(model, cache, "test"),
-                    "turned_patches": turned_crystal(model, cache, "val"),
-                    "cost": costs(model),
-                }
-        write_json(given.models / "checks.json", numbers)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    data, cache = warp_peri.load_dataset(given.data), given.data.with_suffix(".cache")
+    for name in ("energy", "filtered"):
+        model = warp_peri.load_nonlinear(given.models / f"{name}.json")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            numbers[name] = {
+                "turned_body": turned_body(model, data["val"]),
+                "turned_disks": turned_crystal(model, cache, "test"),
+                "turned_patches": turned_crystal(model, cache, "val"),
+                "cost": costs(model),
+            }
+    write_json(given.models / "checks.json", numbers)
     if given.json:
         print(json.dumps(numbers))
         return 0
@@ -197,4 +193,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

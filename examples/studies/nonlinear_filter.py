@@ -23,7 +23,7 @@ import warp_peri
 from examples.nonlinear import OUT
 from examples.train_graphene import make_data
 from warp_peri import Bernstein, Nonlinear, NonlinearOperator, Optimum, Samples, Smoothing
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 from warp_peri.learning.nonlinear import NonlinearFit
 
@@ -89,7 +89,7 @@ def run(given: argparse.Namespace) -> dict[str, dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, or 2 for bad input."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -99,14 +99,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=OUT, help="folder for filter.json")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            rows = run(given)
-        write_json(given.out / "filter.json", rows)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        rows = run(given)
+    write_json(given.out / "filter.json", rows)
     if given.json:
         print(json.dumps(rows))
         return 0
@@ -117,4 +113,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -32,7 +32,7 @@ from examples.prose import table
 from examples.studies.pno_rival import network
 from examples.train_graphene import DATA
 from warp_peri import NonlinearModel, NonlinearOperator, Samples
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json, write_text
 from warp_peri.points.families import families_of
 from warp_peri.statics.nonlinear import anderson, linear_solver
@@ -342,7 +342,7 @@ def page(tables: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, or 2 for bad input."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -354,11 +354,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
-    try:
-        tables = run(given)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    tables = run(given)
     if given.json:
         print(json.dumps(tables))
         return 0
@@ -367,4 +363,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -28,6 +28,7 @@ from scipy.optimize import root
 from tqdm import tqdm
 
 from tools.make_hgo import ELEMENTS, HORIZON, NODES, SPACING, make_hgo
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import finite, plain, write_json
 from warp_peri.learning.energy_fit import fit_energy
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
@@ -298,4 +299,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

@@ -29,6 +29,7 @@ import numpy as np
 
 from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
 from warp_peri import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import plain, write_json
 from warp_peri.flow import series
 from warp_peri.flow.channel import ChannelFlow, Particles
@@ -333,4 +334,4 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

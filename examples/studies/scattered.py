@@ -23,7 +23,7 @@ import warp_peri
 from examples.train_graphene import DATA, make_data
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
-from warp_peri.errors import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 from warp_peri.learning.fit import fit
 from warp_peri.points.points import Points
@@ -63,7 +63,7 @@ def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[S
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, or 2 for input that cannot be used."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -75,25 +75,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "scattered")
     given = parser.parse_args(arguments)
-    try:
-        data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
-        sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)
-        begin = time.perf_counter()
-        learned = fit(
-            sets,
-            horizon=given.horizon,
-            kernel=Bernstein(given.degree),
-            method=TwoStage(
-                seed=given.seed, checkpoint=given.out / "stage2.npz", lattice_spacing=SPACING
-            ),
-            progress=True,
-        )
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; stage 2 goes on where it was with the next run", file=sys.stderr)
-        return 130
+    data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)
+    begin = time.perf_counter()
+    learned = fit(
+        sets,
+        horizon=given.horizon,
+        kernel=Bernstein(given.degree),
+        method=TwoStage(
+            seed=given.seed, checkpoint=given.out / "stage2.npz", lattice_spacing=SPACING
+        ),
+        progress=True,
+    )
     seconds = time.perf_counter() - begin
     errors = {
         name: warp_peri.evaluate(learned.model, data[name], allow_uncertified=True)["E_u"]
@@ -112,4 +105,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main, "stage 2 goes on where it was with the next run"))

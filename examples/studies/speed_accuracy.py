@@ -37,6 +37,7 @@ from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positiv
 from examples.studies.speed_chart import chart, markdown
 from tools import make_graphene as making
 from warp_peri import Model, Optimum, Samples, fit, load_dataset, load_model, on_lattice
+from warp_peri.errors import exit_status
 from warp_peri.files.whole import whole_file, write_json
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
@@ -328,7 +329,7 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -354,4 +355,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

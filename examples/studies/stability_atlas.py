@@ -38,7 +38,7 @@ from examples.studies import (
 )
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import finite, plain, write_json, write_text
 
 STEPS = 100_000
@@ -91,7 +91,7 @@ def section(name: str, entry: Entry, figures: str) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, or 2 for bad input."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -99,26 +99,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="some entries, no page")
     parser.add_argument("--steps", type=int, default=STEPS, help="of the energy drift")
     given = parser.parse_args(arguments)
-    try:
-        path = make_data(-1, SMOOTHING_RADIUS)
-        data = warp_peri.load_dataset(path)
-        works = entries(data, DATA.with_suffix(".cache"), given.steps)
-        unknown = set(given.only or ()) - set(works)
-        if unknown:
-            raise InputError(f"--only: expected some of {', '.join(works)}, got {sorted(unknown)}")
-        sections, values = [], {}
-        for name in given.only or works:
-            begin = time.perf_counter()
-            entry = works[name]()
-            save_figure(entry.figure, given.out / "stability" / f"{name}.png")
-            sections.append(section(name, entry, "stability"))
-            values[name] = {"number": entry.number, "seen": entry.seen, "values": entry.values}
-            print(
-                f"{entry.title}: {entry.number} ({time.perf_counter() - begin:.0f} s)", flush=True
-            )
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    path = make_data(-1, SMOOTHING_RADIUS)
+    data = warp_peri.load_dataset(path)
+    works = entries(data, DATA.with_suffix(".cache"), given.steps)
+    unknown = set(given.only or ()) - set(works)
+    if unknown:
+        raise InputError(f"--only: expected some of {', '.join(works)}, got {sorted(unknown)}")
+    sections, values = [], {}
+    for name in given.only or works:
+        begin = time.perf_counter()
+        entry = works[name]()
+        save_figure(entry.figure, given.out / "stability" / f"{name}.png")
+        sections.append(section(name, entry, "stability"))
+        values[name] = {"number": entry.number, "seen": entry.seen, "values": entry.values}
+        print(f"{entry.title}: {entry.number} ({time.perf_counter() - begin:.0f} s)", flush=True)
     if not given.only:
         page = fill(TEMPLATE, sections="\n".join(sections))
         write_text(given.out / "stability.md", page)
@@ -127,4 +121,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

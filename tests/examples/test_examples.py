@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -182,3 +184,12 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     assert f"{100 * float(error):.2f}" == printed
     assert statement.startswith("Every static problem on any finite set of nodes")
     assert load_model("model.json").certified_on == (5.0,)
+
+
+def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path):
+    missing = [str(tmp_path / "model.json")]
+    words = [sys.executable, str(ROOT / "examples" / "validate_disks.py"), *missing]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: ")
+    assert ended.stderr.count("\n") == 1

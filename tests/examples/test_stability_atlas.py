@@ -8,6 +8,7 @@ import pytest
 
 from examples.studies import atlas_kernels, atlas_points, atlas_solves, stability_atlas
 from examples.studies.atlas_entry import words
+from warp_peri.errors import InputError
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
@@ -64,8 +65,8 @@ def test_an_unprovoked_failure_is_not_taken_for_one():
         words(lambda: None)
 
 
-def test_an_unknown_entry_is_named(monkeypatch, tmp_path, capsys):
+def test_an_unknown_entry_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(stability_atlas, "make_data", lambda *_: tmp_path)
     monkeypatch.setattr(stability_atlas.warp_peri, "load_dataset", lambda _: {})
-    assert stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)]) == 2
-    assert "--only: expected some of sign-changing" in capsys.readouterr().err
+    with pytest.raises(InputError, match="--only: expected some of sign-changing"):
+        stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)])
