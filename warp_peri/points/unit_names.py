@@ -25,7 +25,7 @@ USUAL: Units = ("angstrom", "TPa")
 def check_units(units: Any) -> Units:
     """The units, if they are known by name; InputError with the names that are."""
     try:
-        length, stress = units
+        length, stress = [units] if isinstance(units, str) else list(units)
     except (TypeError, ValueError):
         raise InputError(f"units: expected (length, stress), got {units!r:.60}") from None
     if (length, stress) == REDUCED:
