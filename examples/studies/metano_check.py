@@ -1,9 +1,10 @@
 """The published HGO fields of the MetaNO repository, held against our finite elements.
 
 The repository (github.com/fishmoon1234/MetaNO, MIT licence) has displacement of a square on 41 × 41
-nodes: one edge fixed, traction on the other, six parameters a task. It is read where you put it and
-never shipped. Linear triangles on the same nodes give the published numbers back; what quadratic
-elements and fibres that carry compression would change is measured beside it.
+nodes: one edge fixed, traction on the other, six parameters a task. It is read where you put it;
+two of its loads are kept with the tests (tests/examples/metano, with its licence). Linear triangles
+on the same nodes give the published numbers back; what quadratic elements and fibres that carry
+compression would change is measured beside it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def published(repository: Path, task: int) -> tuple[np.ndarray, np.ndarray, np.n
     """Parameters E, ν, k1, k2, α; tractions, shape [S, 41]; displacements, shape [S, 41, 41, 2]."""
     folder = repository / DATA
     try:
-        table = np.loadtxt(folder / TABLE)
+        table = np.loadtxt(folder / TABLE, ndmin=2)
         tractions = np.loadtxt(folder / "Traction_neumann.txt")
         u = np.loadtxt(folder / f"displacement_neumann{task}.txt")
     except OSError as error:
