@@ -130,6 +130,24 @@ def test_a_turned_lattice_and_crystal_give_the_turned_force(form):
     assert np.abs(unlike - force @ turn.T).max() > 1e-6 * np.abs(force).max()
 
 
+@pytest.mark.parametrize("degrees", [5.0, 17.0, 30.0, 45.0, 90.0])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_crystal_turned_on_the_same_nodes_has_the_turned_stress(form, degrees):
+    """Of affine fields, at any angle, and the same energy: only short waves can differ."""
+    points, model, turn = lattice(3, HORIZON), solid(form), rotation(np.deg2rad(degrees))
+    turned = replace(model, axis=model.axis + np.deg2rad(degrees))
+    gradient = np.array([[0.05, 0.03], [-0.02, -0.06]])
+    there = turn @ gradient @ turn.T
+    op, straight = NonlinearOperator(turned, points), NonlinearOperator(model, points)
+    field = points.x @ there.T
+    H, P = op.gradients(field)
+    _, before = straight.gradients(points.x @ gradient.T)
+    assert np.abs(op(field)).max() <= 1e-11
+    assert np.abs(P - turn @ before @ turn.T).max() <= 1e-12
+    energies = psi(H, turned), psi(np.broadcast_to(gradient, H.shape), model)
+    assert np.abs(energies[0] - energies[1]).max() <= 1e-13
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_tangent(form):
     points = lattice(3, HORIZON)
