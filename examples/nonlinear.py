@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 import warp_peri
 from examples.train_graphene import DATA, make_data
-from warp_peri import Bernstein, Dataset, Nonlinear, Optimum, Smoothing
+from warp_peri import Bernstein, Conditions, Dataset, Nonlinear, Optimum, Smoothing
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import locked, whole_file, write_json
 
@@ -43,14 +43,13 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     truth = larger.provenance.get("truth", {})
     train, kernel = data["train"], Bernstein(given.degree, two_functions=True)
     begin = time.perf_counter()
-    method = Optimum(moduli="isotropic")
-    linear = warp_peri.fit(train, given.horizon, kernel, method=method, normalise=True).model
+    options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
+    options["conditions"] = Conditions(zeta=given.zeta)
+    linear = warp_peri.fit(train, given.horizon, kernel, **options).model
     numbers: dict[str, Any] = {"truth": truth, "horizon": given.horizon}
     numbers["linear"] = {"seconds": time.perf_counter() - begin, **errors(linear, data, larger)}
     for name, form in FORMS.items():
-        learned = warp_peri.fit(
-            train, given.horizon, kernel, method=method, normalise=True, nonlinear=form
-        )
+        learned = warp_peri.fit(train, given.horizon, kernel, nonlinear=form, **options)
         model = learned.model
         table = errors(model, data, larger)
         guarantee = model.proven.get(f"{train.spacing:g}", {})
@@ -122,6 +121,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
     parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    parser.add_argument(
+        "--zeta",
+        type=float,
+        help="ζ [TPa]: a larger one can prove larger strains (as fit takes it)",
+    )
     parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
     parser.add_argument("--strained", type=Path, help="data at larger strain (made if not there)")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")

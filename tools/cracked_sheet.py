@@ -45,12 +45,18 @@ PLACE = 1e-4
 """Largest force at rest [eV/Å]."""
 
 
-def longer_cutoff(folder: Path) -> Path:
-    """The wheel's potential with the cut-off moved, one carbon, as a file in a folder."""
+def longer_cutoff(folder: Path, *, middle: float = SWITCH, width: float = WIDTH) -> Path:
+    """The wheel's potential with the cut-off moved, one carbon, as a file in a folder.
+
+    Args:
+        folder: to write to.
+        middle: of the switch [Å].
+        width: half of the switch [Å].
+    """
     for line in potential_file().read_text().splitlines():
         words = line.split()
         if words[:3] == ["C", "C", "C"]:
-            words[13], words[14] = str(SWITCH), str(WIDTH)
+            words[13], words[14] = str(middle), str(width)
             path = folder / "carbon.tersoff"
             path.write_text(" ".join(words) + "\n")
             return path

@@ -1,4 +1,4 @@
-"""Nonlinear solids held to what they promise: turned bodies, turned crystals, their cost.
+"""Nonlinear solids held to what they promise: turned bodies, other lattices, their cost.
 
 Takes the models that examples/nonlinear.py left, prints numbers, and leaves them as JSON.
 """
@@ -23,6 +23,7 @@ import numpy as np
 import torch
 
 import warp_peri
+from examples.any_lattice import SmoothedAtoms, lattice
 from examples.nonlinear import OUT
 from examples.train_graphene import DATA
 from tools.make_graphene import (
@@ -40,9 +41,12 @@ from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.nonlinear import class_tables, nonlinear_force
+from warp_peri.transfer.nonlinear import nonlinear_for
 
 TURN, CRYSTAL = 10.0, 17.0
 """Degrees that bodies and crystals are turned by."""
+LATTICES = {"2.5": (2.5, 0.0), "4": (4.0, 0.0), "4 turned": (4.0, 30.0), "7.5": (7.5, 0.0)}
+"""Spacing [Å] and turn [degrees] of lattices that the models are transferred to."""
 NODES, REPEATS = 200, 15
 
 
@@ -114,6 +118,21 @@ def images(
     return far[near], np.tile(displacement, copies)[:, near], np.tile(force, copies)[:, near]
 
 
+def other_lattices(model: NonlinearModel, atoms: SmoothedAtoms) -> dict[str, Any]:
+    """E_u and proven strain of the model on lattices that it was transferred to."""
+    table = {}
+    for name, (spacing, degrees) in LATTICES.items():
+        points = lattice(spacing, degrees)
+        row: dict[str, float] = {}
+        for kind, role in (("patches", "val"), ("disks", "test")):
+            samples = atoms.on(points, role)
+            row[kind] = warp_peri.evaluate(model, samples)["E_u"]
+            row[f"{kind}_linear"] = warp_peri.evaluate(model.linear, samples)["E_u"]
+            row["proven"] = nonlinear_for(model, samples).proven_strain(spacing)
+        table[name] = row
+    return table
+
+
 def costs(model: NonlinearModel) -> dict[str, float]:
     """Force, and force with all gradients, over those of the linear part: medians, alternating."""
     steps = np.argwhere(np.ones((NODES, NODES)))
@@ -171,6 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     numbers: dict[str, Any] = {}
     data, cache = warp_peri.load_dataset(given.data), given.data.with_suffix(".cache")
+    atoms = SmoothedAtoms(cache)
     for name in ("energy", "filtered"):
         model = warp_peri.load_nonlinear(given.models / f"{name}.json")
         with warnings.catch_warnings():
@@ -181,6 +201,8 @@ def main(arguments: list[str] | None = None) -> int:
                 "turned_patches": turned_crystal(model, cache, "val"),
                 "cost": costs(model),
             }
+            there = other_lattices(model, atoms)
+            numbers[name] |= {f"lattice {key} Å": row for key, row in there.items()}
     write_json(given.models / "checks.json", numbers)
     if given.json:
         print(json.dumps(numbers))

@@ -1,5 +1,6 @@
 """Learning nonlinear solids: what made the data is found again, with its guarantee."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -39,23 +40,25 @@ def samples_of(model, size, seed=0, count=6):
 
 @pytest.fixture(scope="module", params=FORMS)
 def learned(request):
-    """A model whose shear modulus is that of long waves, and the fit to data it made."""
+    """A model whose shear modulus is that of long waves, data it made, their fit, its warnings."""
     known = solid(request.param, HORIZON)
     known = replace(known, linear=replace(known.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
     train = samples_of(known, 0.02)
-    result = fit(
-        train,
-        HORIZON,
-        Bernstein(3, two_functions=True),
-        method=Optimum(moduli="isotropic"),
-        normalise=True,
-        nonlinear=Nonlinear(known.smoothing, known.axis),
-    )
-    return known, train, result
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        result = fit(
+            train,
+            HORIZON,
+            Bernstein(3, two_functions=True),
+            method=Optimum(moduli="isotropic"),
+            normalise=True,
+            nonlinear=Nonlinear(known.smoothing, known.axis),
+        )
+    return known, train, result, [str(warning.message) for warning in said]
 
 
 def test_what_made_the_data_is_found_again(learned):
-    known, _, result = learned
+    known, _, result, _ = learned
     model = result.model
     assert result.E_res_train < 1.1 * NOISE
     assert np.allclose([model.t3, model.tq2, model.q3], CONSTANTS, rtol=0.02)
@@ -70,8 +73,18 @@ def test_what_made_the_data_is_found_again(learned):
     assert isinstance(model, NonlinearModel)
 
 
+def test_data_beyond_the_proven_strain_name_the_option_that_proves_more(learned):
+    known, _, result, said = learned
+    beyond = result.largest_gradient > result.model.proven_strain(1.0)
+    assert result.largest_gradient > 0.02
+    assert beyond == (known.form == "filtered")  # whose gradient is that of fields not smoothed
+    options = [message for message in said if "Conditions(zeta=…)" in message]
+    assert len(options) == len(said) == int(beyond)
+    assert all("ridge" in message for message in options)
+
+
 def test_what_cannot_be_learned_from_is_refused(learned):
-    _, train, _ = learned
+    _, train, *_ = learned
     three = Nonlinear()
     with pytest.raises(InputError, match=r"method: expected Optimum\(…\) .* got TwoStage"):
         fit(train, HORIZON, method=TwoStage(), nonlinear=three)

@@ -42,6 +42,7 @@ def test_a_file_gives_the_model_back(form, tmp_path):
         ("smoothing", {"radius": -1.0, "ridge": 0.1}, "radius: expected a length > 0"),
         ("linear", {}, "linear: format: expected 'warp_peri.model'"),
         ("proven", [], "proven: expected an object"),
+        ("gradient", [0.1, "x"], "gradient: expected a list of numbers"),
         ("colour", "red", "unknown keys: colour"),
         ("q3", 7.0, "sha256: the contents are not what was written"),
     ],
@@ -54,6 +55,23 @@ def test_wrong_files_are_refused(key, value, words, tmp_path):
     (tmp_path / "m.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=words):
         load_any(tmp_path / "m.json")
+
+
+def test_a_gradient_of_its_own_has_weights_for_its_classes(tmp_path):
+    classes = bond_classes(1.0, 3.0)
+    model = replace(solid("energy"), gradient=np.linspace(0.0, 0.1, len(classes.r)))
+    model.save(tmp_path / "m.json")
+    again = load_nonlinear(tmp_path / "m.json")
+    assert again.gradient == model.gradient
+    p_in, p_out = again.weights(classes)
+    assert p_in is p_out
+    assert np.array_equal(p_in, np.linspace(0.0, 0.1, len(classes.r)))
+    with pytest.raises(InputError, match="expected weights of 7 classes of bonds, got 6"):
+        again.weights(bond_classes(1.0, 3.5))
+    with pytest.raises(InputError, match="gradient: expected finite weights"):
+        replace(model, gradient=(np.nan,))
+    with pytest.raises(InputError, match="gradient: expected None beside a smoothing"):
+        replace(solid("filtered"), gradient=model.gradient)
 
 
 def test_numbers_that_are_none_are_refused():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,7 @@ from warp_peri.models.smoothing import Smoothing
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
+from warp_peri.points.unit_names import symbols
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -70,6 +72,7 @@ class NonlinearFit:
         linear: the fit of the linear solid that it began with.
         passes: optima that were computed, each with the λ and μ of the one before.
         E_res_train: mean relative residual on the training samples.
+        largest_gradient: largest |H| of the training samples within δ of the interior.
         seconds: of everything after the linear fit.
     """
 
@@ -77,6 +80,7 @@ class NonlinearFit:
     linear: Fit
     passes: int
     E_res_train: float
+    largest_gradient: float
     seconds: float
 
 
@@ -123,6 +127,8 @@ def with_constants(
         method: its search.
         nonlinear: form and axis.
 
+    A UserWarning names what may prove more where the data reach beyond the proven strain.
+
     Raises RuntimeError when an optimum does not keep its conditions, or the reduced loss departs
     from the full one.
     """
@@ -130,8 +136,10 @@ def with_constants(
     task = _Task(linear, sets, method, nonlinear)
     model, passes = task.settle()
     model = _certified(model, sets, linear.model.versions)
-    error = task.check(model)
-    return NonlinearFit(model, linear, passes, error, time.perf_counter() - begin)
+    error, largest = task.check(model)
+    _warn_of_strain(model, largest, sets[0].spacing, linear.settings.conditions[0].zeta)
+    seconds = time.perf_counter() - begin
+    return NonlinearFit(model, linear, passes, error, largest, seconds)
 
 
 def _certified(
@@ -152,6 +160,21 @@ def _certified(
         return model
     proof = uniqueness(model, spacing=certificate.spacing)
     return dataclasses.replace(model, proven={f"{proof.spacing:g}": proof.figures()})
+
+
+def _warn_of_strain(model: NonlinearModel, largest: float, spacing: float, zeta: float) -> None:
+    """Say where training data reach beyond the proven strain, and which option proves more."""
+    proven = model.proven_strain(spacing)
+    if largest <= proven:
+        return
+    options = f"conditions=Conditions(zeta=…) with a larger ζ than {zeta:.3g}"
+    if model.smoothing is not None:
+        options = f"a larger ridge of the smoothing than {model.smoothing.ridge:g}, or " + options
+    warnings.warn(
+        f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data reach "
+        f"{largest:.2%}; {options} {symbols(model.units)[1]} may prove more",
+        stacklevel=4,
+    )
 
 
 class _Task:
@@ -196,13 +219,14 @@ class _Task:
             before = now
         return self.model, passes
 
-    def check(self, model: NonlinearModel) -> float:
-        """Mean relative residual; RuntimeError where the reduced loss is not the full one."""
+    def check(self, model: NonlinearModel) -> tuple[float, float]:
+        """Mean residual, relative, and largest |H|; RuntimeError where the loss departs."""
         if self.smoothing is None:
             self.loss = self._reduced()  # with the weights that were settled on
-        total, errors = 0.0, []
+        total, largest, errors = 0.0, 0.0, []
         for points, weight in zip(self.sets, self.weights):
             operator = NonlinearOperator(model, points, allow_uncertified=True)
+            largest = max(largest, float(operator.largest_gradient(points.u).max()))
             b = points.loads[:, points.interior]
             left = np.linalg.norm((operator(points.u) - b).reshape(len(b), -1), axis=1)
             total += float(weight @ left**2)
@@ -212,7 +236,7 @@ class _Task:
         reduced, full = np.sqrt((loss, total))
         if not abs(reduced - full) <= AGREEMENT * full + ROUNDING:
             raise RuntimeError(f"the reduced residual {reduced:.10e} departs from {full:.10e}")
-        return float(np.concatenate(errors).mean())
+        return float(np.concatenate(errors).mean()), largest
 
     def _reduced(self) -> GradientLoss:
         weights = self.model.weights(self.classes)

@@ -20,6 +20,7 @@ from warp_peri.models.lps import (
     read_content,
 )
 from warp_peri.models.smoothing import Smoothing
+from warp_peri.points.arrays import is_number
 from warp_peri.points.unit_names import Units
 
 if TYPE_CHECKING:  # families load Warp
@@ -28,7 +29,8 @@ if TYPE_CHECKING:  # families load Warp
 KIND = "nonlinear"
 CUBIC = ("t3", "tq2", "q3")
 _RECORDS = ("proven", "errors", "provenance")
-_KEYS = {"format", "version", "kind", "linear", "smoothing", "axis", "sha256", *CUBIC, *_RECORDS}
+_OPTIONAL = {"sha256", "gradient"}
+_KEYS = {"format", "version", "kind", "linear", "smoothing", "axis", *_OPTIONAL, *CUBIC, *_RECORDS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +42,15 @@ class NonlinearModel:
         t3, tq2, q3: third-order elastic constants [TPa].
         smoothing: of the data, for the filtered form; None for the energy form, whose gradient and
             force have the weights of the linear dilatation.
+        gradient: weights by bond class [1/Å²] of the gradient and the force of an energy form that
+            was transferred to another lattice (theory.md, N21); None for those of the dilatation.
         axis: angle [rad] of the crystal's zigzag direction from the x axis of the points.
         proven: figures of the guarantee of uniqueness, by spacing.
         errors: on data sets, by name.
         provenance: of the data and the fit.
 
-    Raises InputError naming the first number that is not finite.
+    Raises InputError naming the first number that is not finite, and for a gradient beside a
+    smoothing, which has weights of its own.
     """
 
     linear: Model
@@ -57,6 +62,7 @@ class NonlinearModel:
     proven: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    gradient: tuple[float, ...] | None = None
 
     @property
     def units(self) -> Units:
@@ -71,6 +77,14 @@ class NonlinearModel:
             if not np.isfinite(value):
                 raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
             object.__setattr__(self, name, float(value))
+        if self.gradient is None:
+            return
+        if self.smoothing is not None:
+            raise InputError("gradient: expected None beside a smoothing")
+        p = np.asarray(self.gradient, float)
+        if p.ndim != 1 or not np.isfinite(p).all():
+            raise InputError(f"gradient: expected finite weights, got {self.gradient!r:.60}")
+        object.__setattr__(self, "gradient", tuple(p.tolist()))
 
     @property
     def form(self) -> str:
@@ -90,9 +104,20 @@ class NonlinearModel:
         return np.array([linear.lam, linear.mu, self.t3, self.tq2, turned.real, turned.imag])
 
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
-        """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C]."""
+        """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C].
+
+        Raises InputError for a lattice of other classes than a `gradient` has weights for.
+        """
         if self.smoothing is not None:
             return self.smoothing.weights(classes)
+        if self.gradient is not None:
+            if len(self.gradient) != len(classes.r):
+                raise InputError(
+                    f"gradient: expected weights of {len(classes.r)} classes of bonds, "
+                    f"got {len(self.gradient)}"
+                )
+            own = np.array(self.gradient)
+            return own, own
         kw = self.linear.influence_dilatation(classes.r) * classes.weight
         p = kw / (classes.count @ (kw * classes.r**2))
         return p, p
@@ -118,6 +143,8 @@ class NonlinearModel:
         content["linear"] = model_content(self.linear)
         content |= {name: getattr(self, name) for name in (*CUBIC, "axis", *_RECORDS)}
         content["smoothing"] = None if self.smoothing is None else asdict(self.smoothing)
+        if self.gradient is not None:
+            content["gradient"] = list(self.gradient)
         content["sha256"] = content_hash(content)
         write_json(path, content)
 
@@ -128,7 +155,7 @@ def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
     Raises InputError naming what is wrong: missing or unknown keys, numbers that are none, contents
     that are not what was written.
     """
-    if missing := sorted(_KEYS - {"sha256"} - set(content)):
+    if missing := sorted(_KEYS - _OPTIONAL - set(content)):
         raise InputError(f"missing keys: {', '.join(missing)}")
     if unknown := sorted(set(content) - _KEYS):
         raise InputError(f"unknown keys: {', '.join(unknown)}")
@@ -146,11 +173,15 @@ def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
             "sha256: the contents are not what was written; remove this key to accept them"
         )
     numbers = {name: content[name] for name in (*CUBIC, "axis", *_RECORDS)}
+    gradient = content.get("gradient")
+    if not (gradient is None or (isinstance(gradient, list) and all(map(is_number, gradient)))):
+        raise InputError(f"gradient: expected a list of numbers, got {gradient!r:.50}")
     try:
         linear = model_from(content["linear"])
     except InputError as error:
         raise InputError(f"linear: {error}") from None
-    return NonlinearModel(linear, smoothing=smoothing, **numbers)
+    own = None if gradient is None else tuple(gradient)
+    return NonlinearModel(linear, smoothing=smoothing, gradient=own, **numbers)
 
 
 def load_nonlinear(path: str | os.PathLike[str]) -> NonlinearModel:

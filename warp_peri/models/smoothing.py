@@ -71,14 +71,20 @@ class Smoothing:
         """
         zone = np.pi / classes.spacing
         core = min(zone, CORE / self.radius)
-        inward = _fitted(classes, self.inverse, zone if self.ridge > 0 else core)
-        return inward, _fitted(classes, self.transform, core)
+        inward = fitted_weights(classes, self.inverse, zone if self.ridge > 0 else core)
+        return inward, fitted_weights(classes, self.transform, core)
 
 
-def _fitted(
+def fitted_weights(
     classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float
 ) -> np.ndarray:
-    """Weights p whose symbol fits k factor(|k|) over the square |k_a| ≤ reach."""
+    """Weights p [1/Å²] whose symbol fits k factor(|k|) over the square |k_a| ≤ reach; Σ n r² p = 1.
+
+    Args:
+        classes: bond classes of a lattice.
+        factor: of wave numbers [1/Å].
+        reach: [1/Å].
+    """
     sigma = classes.count * classes.r**2
     member = np.eye(len(classes.r))[classes.bond_class]
     line = np.linspace(-reach, reach, GRID)

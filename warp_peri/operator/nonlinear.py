@@ -168,7 +168,7 @@ class NonlinearOperator:
             for value in (linear.mu, linear.alpha, linear.D, linear.dilatation)
         )
         weights = None
-        if model.smoothing is not None:
+        if model.smoothing is not None or model.gradient is not None:
             p_in, p_out = model.weights(self.sweeps.classes)
             weights = torch.from_numpy(p_in), torch.from_numpy(p_out)
         self.tables = class_tables(self.sweeps.classes, mu, alpha, D, D_dilatation, weights)

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 
-from warp_peri.models.lps import model_content
+import numpy as np
+
+from warp_peri.models.lps import Model, model_content
 from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.models.smoothing import fitted_weights
+from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.uniqueness import Uniqueness, uniqueness
+from warp_peri.transfer.lattice import home_of
 from warp_peri.transfer.points import model_for
+
+TAIL = 1.2
+"""Beyond the zone at home the gradient falls off to nothing at so many times its half width."""
+WAVES, DIRECTIONS = 200, 19
+"""Wave numbers and directions that the response of the gradient at home is read at."""
 
 _known: dict[tuple[object, ...], Uniqueness] = {}
 
@@ -23,7 +33,7 @@ def nonlinear_for(
     """The model for the spacing of the points and the horizon that their collar carries.
 
     t3, tq2, q3 and the smoothing belong to the material and go along; the weights of Ψ follow the
-    lattice, and the proven strain is that of the model there.
+    lattice, those of the energy form by (N21), and the proven strain is that of the model there.
 
     Args:
         model: certified on some lattice.
@@ -37,10 +47,37 @@ def nonlinear_for(
     linear = model_for(model.linear, points, **options)
     if linear is model.linear:
         return model
-    transferred = dataclasses.replace(model, linear=linear, proven={})
     spacing = linear.nominal_spacing(points.spacing)
+    gradient = None
+    if model.smoothing is None and linear.is_certified_on(spacing):
+        gradient = _gradient(model, linear, spacing)
+    transferred = dataclasses.replace(model, linear=linear, proven={}, gradient=gradient)
     smoothing = None if model.smoothing is None else dataclasses.astuple(model.smoothing)
     key = (model_content(linear)["sha256"], *model.numbers.tolist(), smoothing, spacing)
     if key not in _known:
         _known[key] = uniqueness(transferred, spacing=spacing)
     return dataclasses.replace(transferred, proven={f"{spacing:g}": _known[key].figures()})
+
+
+def _gradient(model: NonlinearModel, there: Model, spacing: float) -> tuple[float, ...]:
+    """Weights that give waves on another lattice the gradient they have at home (N21).
+
+    The dilatation's own would not do: of short waves, which the transfer does not look at, they may
+    take many times the gradient, and little would be proven.
+    """
+    home = home_of(model.linear, spacing).spacing
+    classes = bond_classes(home, model.horizon)
+    p, _ = model.weights(classes)
+    edge = np.pi / home
+    size = edge * (np.arange(WAVES) + 1) / WAVES
+    angle = np.linspace(0, np.pi / 4, DIRECTIONS)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    phase = np.einsum("n,da,ba->ndb", size, along, classes.xi, optimize=True)
+    longitudinal = 2 * np.einsum(
+        "ndb,b,da,ba->nd", np.sin(phase), p[classes.bond_class], along, classes.xi, optimize=True
+    )
+    factor = (longitudinal / size[:, None]).mean(axis=1)
+    known, response = np.append(size, TAIL * edge), np.append(factor, 0.0)
+    classes = bond_classes(spacing, there.horizon)
+    weights = fitted_weights(classes, lambda k: np.interp(k, known, response), np.pi / spacing)
+    return tuple(weights.tolist())
