@@ -26,6 +26,8 @@ MIDDLE, WIDTH = 2.3, 0.1
 """Middle and half width of the cut-off [Å]."""
 FIRST_STEP, LAST_STEP = 0.05, 0.001
 """The load grows by shares of itself; where there is no equilibrium by half of that."""
+LARGEST_CHANGE = 0.03
+"""Of the largest bond strain in a step: more is another state, of atoms that have come apart."""
 TOLERANCE = 1e-6
 """Largest force component left on an atom [eV/Å]."""
 
@@ -73,6 +75,7 @@ def _path(statics: Statics, unit: np.ndarray, start: Sample, most: float) -> lis
         amplitude * unit, name="start", guess=start.displacement, tolerance=TOLERANCE
     )
     u, slope, path = rest.displacement, rest.displacement / amplitude, []
+    reached = statics.max_bond_strain(u)
     while step > LAST_STEP:
         larger = amplitude * (1 + step)
         guess = u + slope * (larger - amplitude)
@@ -83,11 +86,11 @@ def _path(statics: Statics, unit: np.ndarray, start: Sample, most: float) -> lis
             stretch = statics.max_bond_strain(rest.displacement)
         except (ConvergenceError, LammpsError):
             stretch = np.inf
-        if not stretch < most:
-            step /= 2  # none, or atoms that have come apart
+        if not stretch < min(most, reached + LARGEST_CHANGE):
+            step /= 2
             continue
         slope = (rest.displacement - u) / (larger - amplitude)
-        u, amplitude = rest.displacement, larger
+        u, amplitude, reached = rest.displacement, larger, stretch
         path.append(Sample(statics.reference, u, rest.force, amplitude, stretch, rest.residual))
     return path
 

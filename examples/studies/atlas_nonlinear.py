@@ -1,4 +1,4 @@
-"""Stability atlas: one load from small strains to where atoms fail, for linear and nonlinear solids."""
+"""Stability atlas: loads from small strains to where atoms fail, for linear and nonlinear solids."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
+from tools.failure import to_failure
+from tools.loads import TEST, VALIDATION, Load
 from tools.make_graphene import graphene_bodies, point_set
 from tools.make_strained import strained, strained_file
-from tools.samples import Sample, _statics, read_sample, write_record
-from tools.statics import ConvergenceError
+from tools.samples import Piece, Sample, _statics, read_sample, write_record
 from warp_peri import (
     Bernstein,
     Dataset,
@@ -28,14 +29,20 @@ from warp_peri import (
 )
 from warp_peri.errors import InputError
 
-STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2)
-CASE = 2
-"""Number of the validation load: a patch pushed across the crystal's zigzag direction."""
+STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12)
+"""Largest bond strains; from the last on the load grows until atoms fail."""
+CASE, DISK = 2, 1
+"""Numbers of a validation load, a patch pushed across the crystal's zigzag direction, and of a load
+on a disk."""
 
 
 def larger_strains(data: Dataset, cache: Path) -> Entry:
-    """E_u of a patch load against the largest bond strain."""
-    sets = _patches(cache)
+    """E_u of a patch load against the largest bond strain, up to where atoms fail."""
+    sheet, disk = graphene_bodies()
+    patch = VALIDATION[CASE - 1]
+    path = _growing(sheet, patch, cache)
+    sets = _on_nodes(sheet, patch, path)
+    of_disk = _growing(disk, TEST[DISK - 1], cache)[-1].max_bond_strain
     train, kernel = data["train"], Bernstein(10, two_functions=True)
     options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
     filtered = Nonlinear(Smoothing())
@@ -58,13 +65,16 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     percent = 100 * np.array(list(sets))
     for name, values in errors.items():
         axes.semilogy(percent, 100 * np.array(values), "o-", label=name)
+    of_patch = path[-1].max_bond_strain
+    for body, strain, style in (("patch", of_patch, ":"), ("disk", of_disk, "--")):
+        axes.axvline(100 * strain, color="0.6", linestyle=style, label=f"atoms fail ({body})")
     axes.set(xlabel="largest bond strain [%]", ylabel="E_u [%]")
     axes.legend(frameon=False)
     last = sets[max(sets)]
     seen = [words(lambda: warp_peri.evaluate(energy, last))]
     proven = energy.proven_strain(train.spacing)
-    measured = {"strains": list(sets), "proven": proven, **errors}
-    column = list(sets).index(0.04)
+    measured = {"strains": list(sets), "proven": proven, "disk_fails_at": of_disk, **errors}
+    column = STRAINS.index(0.04)
     text = written(
         "larger-strains",
         linear=100 * errors["linear"][column],
@@ -72,29 +82,29 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
         worst=100 * float(np.nanmax(errors["filtered form"])),
         bears_filtered=percent[np.isfinite(errors["filtered form"])].max(),
         bears_energy=percent[np.isfinite(errors["energy form"])].max(),
-        end=100 * max(sets),
+        patch_fails=100 * of_patch,
+        disk_fails=100 * of_disk,
         proven=100 * proven,
     )
     return Entry(*text, seen, figure, measured)
 
 
-def _patches(cache: Path) -> dict[float, Samples]:
-    """The load at growing strains, as far as atoms bear it."""
-    from tools.loads import VALIDATION
-
-    body, load = graphene_bodies()[0], VALIDATION[CASE - 1]
-    sets: dict[float, Samples] = {}
-    before: Sample | None = None
+def _growing(body: Piece, load: Load, cache: Path) -> list[Sample]:
+    """The load at growing strains, to the last equilibrium of the atoms."""
+    path: list[Sample] = []
     for strain in STRAINS:
         file = strained_file(cache, body, load, strain)
         equilibrium = read_sample(file)
         if equilibrium is None:
-            try:
-                equilibrium = strained(body, _statics(body), load, strain, before)
-            except ConvergenceError:
-                return sets
+            equilibrium = strained(body, _statics(body), load, strain, path[-1] if path else None)
             write_record(file, equilibrium)
-        before = equilibrium
-        samples = point_set(body, [load], [equilibrium], spacing=5.0)
-        sets[strain] = replace(samples, arrays={})
-    return sets
+        path.append(equilibrium)
+    return path + to_failure(body, load, path[-1])
+
+
+def _on_nodes(body: Piece, load: Load, path: list[Sample]) -> dict[float, Samples]:
+    """Samples on nodes 5 Å apart by their strain."""
+    return {
+        sample.max_bond_strain: replace(point_set(body, [load], [sample], spacing=5.0), arrays={})
+        for sample in path
+    }
