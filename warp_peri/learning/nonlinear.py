@@ -173,7 +173,7 @@ def _warn_of_strain(model: NonlinearModel, largest: float, spacing: float, zeta:
     warnings.warn(
         f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data reach "
         f"{largest:.2%}; {options} {symbols(model.units)[1]} may prove more",
-        stacklevel=4,
+        stacklevel=5,
     )
 
 
