@@ -5,9 +5,10 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from examples import train_graphene
-from examples.studies import influence_shapes, manufactured
+from examples.studies import influence_shapes, manufactured, pno_graphene
 from warp_peri import load_dataset
 from warp_peri.learning.sweep import sweep
 
@@ -58,3 +59,19 @@ def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_pa
     assert {row["shape"]: round(row["E"], 2) for row in rows}["gaussian"] == 0.04
     influence_shapes.picture(shapes, rows, tmp_path / "shapes.png")
     assert (tmp_path / "shapes.png").stat().st_size > 10_000
+
+
+def test_the_monotone_rival_is_the_derivative_of_a_convex_energy():
+    torch.manual_seed(0)
+    net = pno_graphene.Monotone((8, 8), (6, 6)).double()
+    r = torch.linspace(5.0, 20.0, 12, dtype=torch.float64)
+
+    def force(e):
+        states = [state[None] for state in net.states_of(e, r)]
+        return net(e, states, r)
+
+    stretched = 0.02 * torch.randn(12, dtype=torch.float64) * r
+    stiffness = torch.func.jacrev(force)(stretched)
+    assert (stiffness - stiffness.T).abs().max() <= 1e-12 * stiffness.abs().max()
+    assert torch.linalg.eigvalsh(stiffness).min() >= -1e-12 * stiffness.abs().max()
+    assert force(torch.zeros(12, dtype=torch.float64)).abs().max() == 0
