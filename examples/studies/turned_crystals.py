@@ -29,7 +29,7 @@ import warp_peri
 from examples.nonlinear import OUT
 from examples.train_graphene import DATA
 from tools.loads import TEST, UNLOADED_RADIUS, RimLoad
-from tools.make_graphene import graphene_bodies, on_nodes, short_warning
+from tools.make_graphene import graphene_bodies, on_nodes
 from tools.make_strained import solve_strained, strained_file
 from tools.samples import Sample, read_sample
 from warp_peri import Model, NonlinearModel
@@ -167,7 +167,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns 0, 1 after a failure, 2 for bad input."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
@@ -180,15 +180,10 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if given.loads < 2:
         parser.error(f"--loads: expected a number ≥ 2, got {given.loads}")
-    warnings.showwarning = short_warning
-
-    def work() -> None:
-        numbers = run(given)
-        write_json(given.models / "turned_crystals.json", numbers)
-        print(json.dumps(numbers) if given.json else "\n".join(lines(numbers)))
-
-    kept = "finished disks are kept and the next run goes on"
-    return exit_status(work, kept, name="turned_crystals")
+    numbers = run(given)
+    write_json(given.models / "turned_crystals.json", numbers)
+    print(json.dumps(numbers) if given.json else "\n".join(lines(numbers)))
+    return 0
 
 
 def lines(numbers: Mapping[str, Any]) -> list[str]:
@@ -212,4 +207,4 @@ def lines(numbers: Mapping[str, Any]) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))
