@@ -6,8 +6,9 @@ import pytest
 from examples.static_crack import main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
-from warp_peri import InputError
-from warp_peri.statics.cracked import CutSolid, contour_integral
+from warp_peri import InputError, Model
+from warp_peri.points.body import lattice_body, rectangle
+from warp_peri.statics.cracked import CutSolid, contour_integral, energy_release, westergaard
 from warp_peri.statics.growth import apparent_toughness, grow
 
 SPACINGS = np.array([1 / 8, 1 / 12, 1 / 16])
@@ -81,3 +82,41 @@ def test_the_example_prints_and_draws(tmp_path, capsys):
     assert main(["--cells", "8", "--json", "--out", str(tmp_path)]) == 0
     assert '"G"' in capsys.readouterr().out
     assert (tmp_path / "crack.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5])
+def test_j_does_not_mind_where_the_tip_stands_between_nodes(shift):
+    h, (lam, mu) = 1 / 16, (1.0, 1.0)
+    x = rectangle(2.5, 2.5, h)
+    body = lattice_body(x, h, 3 * h)
+    model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * h)
+    u = westergaard(x - (shift * h, 0.0), 0.5, 1.0, lam, mu)
+    J = contour_integral(model, body, u, (0.5 + shift * h, 0.0), (0.25, 0.5))
+    assert J == pytest.approx(np.pi * 0.5 / model.E, rel=0.006)
+
+
+def test_the_release_of_an_inclined_crack_needs_several_lengths():
+    h, half, angle = 1 / 12, 0.5, np.radians(30)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
+    body = lattice_body(rectangle(2.5, 2.5, h), h, model.horizon)
+    held = (np.abs(body.x) > 1).any(axis=1)
+    middle = np.array([0.05, 0.02])
+    u = westergaard((body.x - middle) @ turn, half, 1.0, 1.0, 1.0) @ turn.T
+    cracks = [
+        [np.array([(-half - d * h, 0.0), (half + d * h, 0.0)]) @ turn.T + middle]
+        for d in np.linspace(-2, 2, 9)
+    ]
+    G = energy_release(model, body, held, u, cracks)
+    assert G == pytest.approx(np.pi * half / model.E, rel=0.03)
+
+
+def test_contours_and_lengths_that_make_no_sense_are_refused():
+    body, model = plate(20, 20), solid().model
+    held, u = np.zeros(400, bool), np.zeros((400, 2))
+    with pytest.raises(InputError, match="smaller < larger"):
+        contour_integral(model, body, u, (0.0, 0.0), (4.0, 4.0))
+    with pytest.raises(InputError, match="more than from the tip to the edge"):
+        contour_integral(model, body, u, (6.0, 0.0), (2.0, 6.0))
+    with pytest.raises(InputError, match="two lengths or more"):
+        energy_release(model, body, held | True, u, [[[(-4, 0), (4, 0)]]])

@@ -125,14 +125,20 @@ def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:
 def energy_release(
     model: Model, body: Body, held: np.ndarray, u: np.ndarray, cracks: Sequence[Sequence[ArrayLike]]
 ) -> float:
-    """G by energies of two cracks, one shorter and one longer, at given displacement (C11).
+    """G by energies of cracks of several lengths at given displacement (C11).
+
+    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
+    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
 
     Args:
         model, body, held: as for CutSolid.
         u: with the given components, shape [N, 2].
-        cracks: the shorter and the longer polylines; what the longer ones add is the new area.
+        cracks: for each length its polylines, two or more; what longer ones add is the new area.
 
-    Returns what is released length added [stress · length]; with two tips, of each.
+    Returns what is released per length added, by least squares [stress · length]; with two tips,
+    of each.
+
+    Raises InputError for fewer than two lengths.
     """
     energies, lengths = [], []
     for polylines in cracks:
@@ -140,7 +146,10 @@ def energy_release(
         energies.append(solid.energy(solid.solve(u)))
         corners = (np.diff(np.asarray(line, dtype=float), axis=0) for line in polylines)
         lengths.append(sum(float(np.hypot(*part.T).sum()) for part in corners))
-    return (energies[0] - energies[1]) / (lengths[1] - lengths[0])
+    if len(set(lengths)) < 2:
+        raise InputError(f"cracks: expected two lengths or more, got {lengths}")
+    off = np.array(lengths) - np.mean(lengths)
+    return -float(off @ np.array(energies) / (off @ off))
 
 
 def contour_integral(
@@ -156,8 +165,12 @@ def contour_integral(
         body: a rectangle of nodes, the tip midway between rows.
         u: displacement, shape [N, 2].
         tip: where the crack ends.
-        radii: half sides of the squares, taken to the nearest spacing: off that, J is off by 10 %.
+        radii: half sides of the squares, the smaller first.
+
+    Raises InputError for a body that is no rectangle, and squares that do not fit into it.
     """
+    if not 0 <= radii[0] < radii[1]:
+        raise InputError(f"radii: expected 0 ≤ smaller < larger, got {radii[0]:g}, {radii[1]:g}")
     h = body.spacing
     place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
     sides = place.max(axis=0) + 1
@@ -166,23 +179,34 @@ def contour_integral(
     order = np.argsort(place @ (sides[1], 1))
     field = u[order].reshape(*sides, 2)
     x, y = (body.x[order, a].reshape(sides) - tip[a] for a in (0, 1))
-    r1, r2 = (round(radius / h) * h for radius in radii)
+    room = min(-x[0, 0], x[-1, 0], -y[0, 0], y[0, -1])
+    if room < radii[1]:
+        raise InputError(f"radii: {radii[1]:g} is more than from the tip to the edge, {room:g}")
     gradient = crack_gradient(field, h, x[:, 0] < 0, int(np.count_nonzero(y[0] < 0)))
     strain = (gradient + gradient.swapaxes(-1, -2)) / 2
     stress = 2 * model.mu * strain
     trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
     stress = stress + model.lam * trace * np.eye(2)
     density = (stress * strain).sum(axis=(-1, -2)) / 2
-    square = np.maximum(np.abs(x), np.abs(y))
-    ring = (square > r1) & (square < r2)
+    r1, r2 = (round(radius / h) * h for radius in radii)
     sideways = np.abs(x) >= np.abs(y)
     slope = [
-        np.where(ring & side, -np.sign(axis) / (r2 - r1), 0.0)
+        np.where(side, np.sign(axis) * _fall(np.abs(axis), h, r1, r2), 0.0)
         for side, axis in ((sideways, x), (~sideways, y))
     ]
     pull = np.einsum("...ij,...i->...j", stress, gradient[..., 0])
     integrand = (density - pull[..., 0]) * slope[0] - pull[..., 1] * slope[1]
     return float(-integrand.sum() * h * h)
+
+
+def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
+    """Mean slope, over a cell, of what falls from 1 to 0 between r1 and r2.
+
+    The tip may then stand anywhere between two columns of nodes.
+    """
+    outer, inner = (np.clip((r2 - away + d) / (r2 - r1), 0.0, 1.0) for d in (-h / 2, h / 2))
+    slope: np.ndarray = (outer - inner) / h
+    return slope
 
 
 def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) -> np.ndarray:
