@@ -31,8 +31,9 @@ from tools.lammps_session import (
 from tools.statics import find_bonds
 from warp_peri.stability.inertia import symmetric_factors
 
-SWITCH, WIDTH = 2.7, 0.1
-"""Middle and half width of the cut-off [Å]."""
+SWITCH, WIDTH = 2.65, 0.05
+"""Middle and half width of the cut-off [Å]; from 2.7 on atoms across a hexagon, 2.92 Å apart at
+rest, stay strangers where the faces of a crack contract."""
 FRAME = 7.0
 """Width of the rim whose displacement is given [Å]."""
 HALF = 100.0
@@ -206,40 +207,51 @@ class Pulled:
         self._hessian = ColouredHessian(body.bonds, len(body.positions))
         self._free = np.repeat(~body.held, 2)
         self._factors: spla.SuperLU | None = None
-        self.negative = 0
 
     def factorise(self, x: np.ndarray) -> None:
-        """Factors of the Hessian at x, and how many of its eigenvalues are negative."""
+        """Factors of the Hessian at x, kept if none of its eigenvalues is negative."""
         hessian = self._hessian(self.session.forces, x)
-        self._factors = symmetric_factors(hessian[self._free][:, self._free])
-        self.negative = int(np.count_nonzero(self._factors.U.diagonal() < 0))
+        factors = symmetric_factors(hessian[self._free][:, self._free])
+        if self._factors is None or not (factors.U.diagonal() < 0).any():
+            self._factors = factors
 
-    def rest(self, x: np.ndarray, steps: int = 30) -> tuple[np.ndarray, bool]:
-        """Atoms at rest near x, the rim held, by modified Newton, and whether they were found."""
+    def rest(self, x: np.ndarray, steps: int = 80) -> tuple[np.ndarray, bool]:
+        """Atoms at rest downhill from x, the rim held, and whether they were found, none parted.
+
+        Newton's method with old factors while they serve. No step goes uphill: a tip that snaps
+        from one equilibrium to the next, a bond further open, is followed there.
+        """
         x = x.copy()
-        force = self.session.forces(x).ravel()[self._free]
+        force, energy = self._pull(x)
         fresh = self._factors is None
         if fresh:
             self.factorise(x)
         for _ in range(steps):
             if np.abs(force).max() < PLACE:
                 return x, True
+            if self.longest(x) > OPEN:
+                break
             assert self._factors is not None
             move = self._factors.solve(force)
             move *= min(1.0, 0.15 / np.abs(move).max())
-            trial = x.copy()
-            trial.reshape(-1)[self._free] += move
-            after = self.session.forces(trial).ravel()[self._free]
-            if np.linalg.norm(after) > 0.5 * np.linalg.norm(force) and not fresh:
+            for _ in range(8):
+                trial = x.copy()
+                trial.reshape(-1)[self._free] += move
+                after, level = self._pull(trial)
+                if level < energy + 1e-11 * abs(energy):
+                    break
+                move = move / 2
+            slow = np.linalg.norm(after) > 0.5 * np.linalg.norm(force)
+            x, force, energy = trial, after, level
+            if slow and not fresh:
                 self.factorise(x)
-                fresh = True
-                if self.negative:
-                    return x, False
-                continue
-            if not np.linalg.norm(after) < 1.5 * np.linalg.norm(force):
-                return x, False
-            x, force, fresh = trial, after, False
+            fresh = slow and not fresh
         return x, False
+
+    def _pull(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """Forces on free atoms [eV/Å], flat, and the energy [eV]."""
+        force = self.session.forces(x).ravel()[self._free]
+        return force, self.session.energy()
 
     def longest(self, x: np.ndarray) -> float:
         """Longest bond that is not cut [Å]."""
@@ -259,7 +271,7 @@ class Pulled:
             trial = rest + (x - rest) * (to / strain) if strain else rest * (1, 1 + to)
             trial[rim] = rest[rim] * (1, 1 + to)
             trial, at_rest = self.rest(trial)
-            if at_rest and self.longest(trial) < OPEN:
+            if at_rest:
                 x, strain, step = trial, to, min(step, 0.08 * expected)
             else:
                 step, self._factors = step / 2, None

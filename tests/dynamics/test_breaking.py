@@ -116,8 +116,36 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     records = sorted((tmp_path / "series").glob("record_*.vtu"))
     assert len(records) == steps
     assert (tmp_path / "series" / "motion.pvd").read_text().count("DataSet") == steps
-    with pytest.raises(InputError, match="another body, load or step"):
+    with pytest.raises(InputError, match="another body, start, load or step"):
         CrackRun(body, dt / 2, **options).march(body.start(cracks=CRACK), steps)
+    with pytest.raises(InputError, match="another body, start, load or step"):
+        CrackRun(body, dt, **options).march(body.start(), steps)
+
+
+def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
+    law, body = solid(0.4, critical_stretch=0.01), plate(12, 12)
+    free = BreakingBody(law, body)
+    run = CrackRun(free, 0.2 * free.longest_step, every=1)
+    run.march(free.start(v=0.05 * body.x * (1, -0.5)), 60)
+    assert run.history.column("dissipated")[-1] > 0
+    assert run.history.missing < 2e-3
+
+
+def test_runs_that_would_record_nothing_are_refused():
+    body = pulled()
+    dt = 0.4 * body.longest_step
+    for options, words in (
+        ({"every": 0}, "every: expected a whole number > 0"),
+        ({"checkpoint_every": -1}, "checkpoint_every: expected"),
+        ({"regions": {"far": body.body.x[:, 0] > 1e3}}, "'far' of shape .* with 0"),
+        ({"regions": {"few": np.ones(3, bool)}}, "'few' of shape"),
+    ):
+        with pytest.raises(InputError, match=words):
+            CrackRun(body, dt, **options)
+    with pytest.raises(InputError, match="nothing has been recorded"):
+        print(CrackRun(body, dt).history.missing)
+    with pytest.raises(InputError, match="grip: expected held components"):
+        BreakingBody(solid(toughness=1.0), plate(6, 6), grip=np.ones((36, 2)))
 
 
 def test_steps_beyond_the_bound_are_refused():

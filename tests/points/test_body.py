@@ -67,3 +67,21 @@ def test_what_is_no_lattice_is_refused():
         lattice_body([*x, (0.2, 0.0)], 1.0, 2.0)
     with pytest.raises(InputError, match="sides: expected multiples"):
         rectangle(4.5, 4, 1.0)
+
+
+def test_a_ring_of_cracks_has_no_tip():
+    body = plate(20, 20)
+    corner = np.array([-5.2, -5.1])  # midway on the bond from (-6.5, -5.5) to (-3.5, -4.5)
+    corner = (body.x[:, None] + body.xi / 2).reshape(-1, 2)[
+        np.argmin(np.abs(body.x[:, None] + body.xi / 2 - corner).max(axis=-1))
+    ]
+    ring = np.array([corner, (5.2, corner[1]), (5.2, 5.1), (corner[0], 5.1), corner])
+    neighbour = cracked(body, [ring])
+    inside = ((body.x > ring.min(axis=0)) & (body.x < ring.max(axis=0))).all(axis=1)
+    node, bond = np.nonzero(neighbour >= 0)
+    assert (inside[node] == inside[neighbour[node, bond]]).all()
+
+
+def test_corners_that_are_no_numbers_are_refused():
+    with pytest.raises(InputError, match="crack: expected corners of shape"):
+        cracked(plate(), [[("a", 0), (1, 0)]])

@@ -120,3 +120,10 @@ def test_contours_and_lengths_that_make_no_sense_are_refused():
         contour_integral(model, body, u, (6.0, 0.0), (2.0, 6.0))
     with pytest.raises(InputError, match="two lengths or more"):
         energy_release(model, body, held | True, u, [[[(-4, 0), (4, 0)]]])
+    short = CutSolid(model, body, (np.abs(body.x) > 5).any(axis=1))
+    with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
+        short.solve(u[:, 0])
+    with pytest.raises(InputError, match="finite numbers where"):
+        short.solve(u + np.nan)
+    with pytest.raises(InputError, match="body: expected the horizon 4"):
+        CutSolid(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, held)

@@ -12,7 +12,7 @@ from warp_peri.operator.damage import bond_weights, cut_matrix
 from warp_peri.points.body import cracked, lattice_body, rectangle
 from warp_peri.statics.cracked import CutSolid
 from warp_peri.statics.inclusions import ball_excess, bond_modulus, mixed_matrix
-from warp_peri.statics.pressurised import crack_load
+from warp_peri.statics.pressurised import crack_load, inject, opening_volume
 
 CELLS = np.array([8, 12, 16])
 
@@ -87,6 +87,18 @@ def test_the_load_of_a_crack_undoes_it():
         for table in (body.neighbour, neighbour)
     ]
     np.testing.assert_allclose(forces[1] + load.ravel(), forces[0], atol=1e-13)
+
+
+def test_fluids_and_loads_that_make_no_sense_are_refused():
+    body, model = plate(12, 12), solid().model
+    held, cut = np.abs(body.x).max(axis=1) > 5, cracked(body, [[(-3, 0), (3, 0)]])
+    with pytest.raises(InputError, match="stress: expected a symmetric one"):
+        crack_load(model, body, cut, np.array([[0.0, 1.0], [0.0, 0.0]]))
+    with pytest.raises(InputError, match="normal: expected one along an axis"):
+        opening_volume(body, body.x, cut, (0.7, 0.7))
+    for halves, toughness in (([3.0, 2.0], 1.0), ([2.0, 3.0], -1.0), ([1.0], 1.0)):
+        with pytest.raises(InputError, match="half lengths that rise"):
+            inject(model, body, held, halves, toughness)
 
 
 def test_examples_print_and_draw(tmp_path, capsys):

@@ -34,7 +34,7 @@ class BreakingState:
         links: neighbours, its own copy; −1 − j where a bond is broken.
         force: internal force density over the bonds that are left.
         energy: elastic energy density over them.
-        work: done on the body so far, per node and area [stress].
+        work: done on the body so far and what it started with, per node and area [stress].
         dissipated: energy density of the bonds broken so far [stress].
         whole: bonds that count as undamaged at the start, shape [N].
         time: elapsed.
@@ -92,7 +92,7 @@ class BreakingBody:
         no_fail: nodes whose bonds do not break, shape [N] bool.
         load: body force density b [stress / length], shape [N, 2].
         held: components of the displacement that are prescribed, shape [N] or [N, 2] bool.
-        grip: velocity of held components, shape [N, 2]; zero by default.
+        grip: velocity of held components, shape [N, 2]; zero by default, and where not held.
         ramp: share of load and grip at a time; 1 by default.
 
     Attributes:
@@ -132,6 +132,8 @@ class BreakingBody:
             tension_only=solid.tension_only,
             no_fail=self.no_fail,
         )
+        if grip is not None and held is None:
+            raise InputError("grip: expected held components too, whose velocity it is")
         held = np.zeros((count, 2), bool) if held is None else np.asarray(held)
         held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
         self.load, self.held, self.grip = (
@@ -183,9 +185,10 @@ class BreakingBody:
                 )
         self.operator.sweep(fields[0], links, force, energy)
         whole = (self.body.neighbour >= 0).sum(axis=1) if count_cracks else (neighbour >= 0).sum(1)
-        zero = zeros(places)
+        kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
+        work = floats(kinetic + energy.numpy())
         return BreakingState(
-            *fields, links, force, energy, zero, np.zeros(places), whole.astype(float)
+            *fields, links, force, energy, work, np.zeros(places), whole.astype(float)
         )
 
     def damage(self, state: BreakingState) -> np.ndarray:

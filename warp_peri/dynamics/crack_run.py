@@ -42,9 +42,15 @@ class History:
 
     @property
     def missing(self) -> float:
-        """Largest part of the final work that the ledger does not account for."""
+        """Largest part of the largest work so far that the ledger does not account for.
+
+        Raises InputError when nothing has been recorded.
+        """
+        if not self.ledger:
+            raise InputError("history: expected a run of some steps, nothing has been recorded")
         rows = np.array(self.ledger)
-        return float(np.abs(rows[:, 1] - rows[:, 2:].sum(axis=1)).max() / abs(rows[-1, 1]))
+        missing, scale = np.abs(rows[:, 1] - rows[:, 2:].sum(axis=1)), np.abs(rows[:, 1]).max()
+        return float(missing.max() / scale) if scale else 0.0
 
     def column(self, name: str) -> np.ndarray:
         """One column of the ledger, by its name."""
@@ -94,6 +100,8 @@ class CrackRun:
         checkpoint: file to go on from; written every `checkpoint_every` records.
         series: folder for ParaView's files, one a record.
         allow_unstable: warn about a step that is too long instead of raising.
+
+    Raises InputError for a step or counts that are not > 0, and for regions without nodes.
     """
 
     def __init__(
@@ -110,19 +118,32 @@ class CrackRun:
         allow_unstable: bool = False,
     ) -> None:
         check_step(body, dt, allow_unstable=allow_unstable)
+        for name, count in (("every", every), ("checkpoint_every", checkpoint_every)):
+            if not (isinstance(count, (int, np.integer)) and count > 0):
+                raise InputError(f"{name}: expected a whole number > 0, got {count!r}")
         self.body, self.dt, self.every = body, float(dt), int(every)
         self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
+        for name, mask in self.regions.items():
+            if mask.shape != (len(body.body.x),) or mask.dtype != bool or not mask.any():
+                raise InputError(
+                    f"regions: expected some of {len(body.body.x)} nodes as bool, got {name!r} of "
+                    f"shape {list(mask.shape)} with {np.count_nonzero(mask)}"
+                )
         self.sections = {name: Section(body, line) for name, line in (sections or {}).items()}
         self.path = None if checkpoint is None else Path(checkpoint)
         self.checkpoint_every = int(checkpoint_every)
         self.series = None if series is None else Series(series, body.body)
         self.history = History()
+        self._began = b""
 
     def march(self, state: BreakingState, steps: int, *, progress: bool = False) -> BreakingState:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
 
-        Raises InputError for the checkpoint of another body, load or step.
+        Raises InputError for the checkpoint of another body, start, load or step.
         """
+        if not self._began:
+            parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
+            self._began = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
         state = self._resumed(state)
         with tqdm(total=steps, initial=state.steps, disable=not progress, unit="step") as bar:
             while state.steps < steps:
@@ -154,9 +175,11 @@ class CrackRun:
         ramp = [1.0 if body.ramp is None else body.ramp(n * self.dt) for n in range(5)]
         parts = (body.body.x, body.no_fail, body.operator.limits, np.array([self.dt, *ramp]))
         fields = (body.load.numpy(), body.held.numpy(), body.grip.numpy())
-        numbers = (body.solid.model.lam, body.solid.model.mu, body.solid.density)
-        text = hashlib.sha256(repr((numbers, self.every)).encode())
-        for part in (*parts, *fields):
+        solid, model = body.solid, body.solid.model
+        numbers = (model.lam, model.mu, model.alpha, model.D.tolist(), model.horizon, solid.density)
+        kinds = (solid.by_energy, solid.tension_only, self.every, list(self.sections))
+        text = hashlib.sha256(repr((numbers, kinds, list(self.regions))).encode() + self._began)
+        for part in (*parts, *fields, *self.regions.values()):
             text.update(np.ascontiguousarray(part).tobytes())
         return text.hexdigest()
 
@@ -198,5 +221,5 @@ class CrackRun:
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
         if key != self._key():
-            raise InputError(f"{self.path}: the checkpoint of another body, load or step")
+            raise InputError(f"{self.path}: the checkpoint of another body, start, load or step")
         return state

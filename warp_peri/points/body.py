@@ -107,7 +107,8 @@ def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
 def crossing_bonds(body: Body, polyline: ArrayLike) -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
-    A bond that meets an end of the polyline is not cut, one that meets a corner is. Where a
+    A bond that meets an end of the polyline is not cut, one that meets a corner is; a polyline that
+    comes back to its start has corners only. Where a
     segment runs through nodes, these nodes stand on its left: the segment is moved by a hair, with
     a warning.
 
@@ -117,15 +118,20 @@ def crossing_bonds(body: Body, polyline: ArrayLike) -> np.ndarray:
 
     Raises InputError for another shape or a segment without length.
     """
-    corners = np.array(polyline, dtype=float)
+    try:
+        corners = np.array(polyline, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"crack: expected corners of shape [P, 2], got {polyline!r}") from None
     if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 2:
         raise InputError(f"crack: expected corners of shape [P ≥ 2, 2], got {list(corners.shape)}")
     if not np.isfinite(corners).all() or (np.diff(corners, axis=0) == 0).all(axis=1).any():
         raise InputError("crack: expected finite corners, and segments with a length")
     cut = np.zeros(body.neighbour.shape, bool)
     last = len(corners) - 2
+    open_ended = not np.array_equal(corners[0], corners[-1])
     for number, (start, end) in enumerate(pairwise(corners)):
-        _cut_segment(body, start, end, (number == 0, number == last), cut)
+        tips = (open_ended and number == 0, open_ended and number == last)
+        _cut_segment(body, start, end, tips, cut)
     node, bond = np.nonzero(cut)  # rounding at a tip must not leave half a bond
     cut[body.neighbour[node, bond], body.opposite[bond]] = True
     return cut

@@ -34,8 +34,8 @@ class CutSolid:
     Attributes:
         matrix: L of (C4), symmetric, shape [2N, 2N].
 
-    Raises InputError for a piece of the body that nothing holds, naming it, and for an operator
-    with negative eigenvalues.
+    Raises InputError for a piece of the body that nothing holds, naming it, for an operator
+    with negative eigenvalues, and for a body of another horizon.
     """
 
     def __init__(
@@ -48,6 +48,10 @@ class CutSolid:
         cracks: Sequence[ArrayLike] = (),
     ) -> None:
         self.model, self.body = model, body
+        if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
+            raise InputError(
+                f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
+            )
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = np.asarray(held, dtype=bool)
         held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
@@ -69,10 +73,18 @@ class CutSolid:
         Args:
             u: holds the given components; the others are not looked at, shape [N, 2].
             b: body force density [stress / length], shape [N, 2]; none by default.
+
+        Raises InputError for other shapes and for what is not finite.
         """
-        solved = np.array(u, dtype=float).ravel()
+        shape = self.body.x.shape
+        load = np.zeros(shape) if b is None else np.asarray(b, dtype=float)
+        for name, field in (("u", np.asarray(u, dtype=float)), ("b", load)):
+            if field.shape != shape:
+                raise InputError(f"{name}: expected shape {list(shape)}, got {list(field.shape)}")
+        solved, load = np.array(u, dtype=float).ravel(), load.ravel()
         solved[self.free] = 0
-        load = np.zeros_like(solved) if b is None else np.asarray(b, dtype=float).ravel()
+        if not (np.isfinite(solved).all() and np.isfinite(load).all()):
+            raise InputError("u, b: expected finite numbers where displacement or load is given")
         right = (load - self.matrix @ solved)[self.free]
         x = self._factors.solve(right)
         size = np.linalg.norm(right)

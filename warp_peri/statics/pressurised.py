@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights, cut_matrix
 from warp_peri.points.body import Body, cracked
@@ -26,9 +27,13 @@ def crack_load(model: Model, body: Body, neighbour: np.ndarray, stress: np.ndarr
         body: with its whole bonds.
         neighbour: with broken bonds, shape [N, B].
         stress: symmetric, shape [2, 2]; p n⊗n for a pressure on faces with normal n.
+
+    Raises InputError for another stress.
     """
     lam, mu = model.lam, model.mu
     stress = np.asarray(stress, dtype=float)
+    if stress.shape != (2, 2) or not np.allclose(stress, stress.T):
+        raise InputError(f"stress: expected a symmetric one of shape [2, 2], got {stress.tolist()}")
     strain = (stress - lam / (2 * (lam + mu)) * np.trace(stress) * np.eye(2)) / (2 * mu)
     u = (body.x @ strain).ravel()
     w = bond_weights(model, body.classes)
@@ -45,7 +50,11 @@ def opening_volume(
 
     Each broken bond of one spacing along the normal is a column of the opening; cracks along a
     row of nodes.
+
+    Raises InputError unless the normal is along an axis.
     """
+    if sorted(np.abs(normal)) != [0, 1]:
+        raise InputError(f"normal: expected one along an axis, as (0, 1), got {normal}")
     step = np.flatnonzero((body.classes.steps == np.rint(normal)).all(axis=1))[0]
     node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
     far = body.neighbour[node, step]
@@ -90,7 +99,14 @@ def inject(
         toughness: G_c [stress · length].
         leak: volume lost per length of new face [length].
         compressibility: of the fluid [1 / stress].
+
+    Raises InputError for half lengths that do not rise and a toughness not > 0.
     """
+    if not (toughness > 0 and halves[0] > body.spacing and (np.diff(halves) > 0).all()):
+        raise InputError(
+            f"crack: expected half lengths that rise from more than {body.spacing:g} and a "
+            f"toughness > 0, got {list(halves)} and {toughness:g}"
+        )
     h, stress = body.spacing, np.array([[0.0, 0.0], [0.0, 1.0]])
 
     def volume(half: float) -> float:
