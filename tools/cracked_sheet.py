@@ -132,6 +132,20 @@ def _crossing(ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarra
     return crossing
 
 
+def opened(body: CrackedSheet, ends: np.ndarray) -> float:
+    """Length of a straight crack [Å]: each tip is midway from its last cut bond to the next one."""
+    (start, y), (end, _) = ends
+    line = np.array([(2 * start - end, y), (2 * end - start, y)])
+    crossing = _crossing(body.positions[body.bonds], *line)
+    bonds, cut = body.positions[body.bonds[crossing]], body.cut[crossing]
+    height = bonds[:, :, 1] - y
+    share = height[:, 0] / (height[:, 0] - height[:, 1])
+    x = bonds[:, 0, 0] + share * (bonds[:, 1, 0] - bonds[:, 0, 0])
+    low, high = x[cut].min(), x[cut].max()
+    whole = x[~cut]
+    return float((high + whole[whole > high].min()) / 2 - (low + whole[whole < low].max()) / 2)
+
+
 class CutSession(LammpsSession):
     """Forces of a cracked sheet: pairs of one sublattice and cut bonds do not see each other.
 
@@ -298,27 +312,30 @@ def critical_strain(
     }
 
 
-def ideal_strength(*, step: float = 0.01) -> tuple[float, float]:
-    """Largest stress of a whole sheet under uniaxial strain along y [TPa], and the strain there.
+def ideal_strength(*, step: float = 0.01, along_zigzag: bool = False) -> tuple[float, float]:
+    """Largest stress of a whole sheet under uniaxial strain [TPa], and the strain there.
 
-    The sheet is pulled across its zigzag rows, its width kept, sublattices free to shift.
+    The sheet is pulled across its zigzag rows, as cracks along them are opened, or along them, as
+    armchair cracks are; its width is kept, sublattices are free to shift.
     """
     bond = bond_length()
     best = (0.0, 0.0)
     with tempfile.TemporaryDirectory() as folder:
         potential = longer_cutoff(Path(folder))
         for strain in np.arange(step, 0.4, step):
-            stress = _uniaxial_stress(bond, float(strain), potential)
+            stress = _uniaxial_stress(bond, float(strain), potential, 0 if along_zigzag else 1)
             if stress < best[0]:
                 break
             best = (stress, float(strain))
     return best
 
 
-def _uniaxial_stress(bond: float, strain: float, potential: Path) -> float:
-    """σ_yy [TPa] of a periodic sheet strained along y, one sublattice shifted to rest."""
+def _uniaxial_stress(bond: float, strain: float, potential: Path, axis: int) -> float:
+    """σ along an axis [TPa] of a periodic sheet strained along it, one sublattice at rest."""
     positions, box = sheet(bond, cells=(4, 3))
-    stretched, sides = positions * (1, 1 + strain), (box[0], box[1] * (1 + strain))
+    growth = np.ones(2)
+    growth[axis] += strain
+    stretched, sides = positions * growth, (box[0] * growth[0], box[1] * growth[1])
     with LammpsSession(stretched, box=sides, potential=potential, elements=("C", "C")) as session:
         session.exclude_like_pairs()
 
@@ -327,6 +344,7 @@ def _uniaxial_stress(bond: float, strain: float, potential: Path) -> float:
             moved[::2, 1] += shift
             return float(session.forces(moved)[::2, 1].mean())
 
-        brentq(pull, -0.1 - bond * strain, 0.1 + bond * strain, xtol=1e-8)
-        stress = session.membrane_stress()[1, 1]
+        reach = 0.1 + bond * abs(strain) * axis
+        brentq(pull, -reach, reach, xtol=1e-8)
+        stress = session.membrane_stress()[axis, axis]
     return float(stress * EV / THICKNESS)

@@ -1,9 +1,11 @@
 """Cracks along other directions of graphene: the toughness of zigzag edges predicts them.
 
-A crack grows where the release of energy first pays for new edge. Zigzag edges are the cheapest, so
-a crack along another direction kinks towards the nearest zigzag one, an angle θ away, and there the
-release is cos⁴(θ/2) of what it is straight ahead (theory.md, C19). No number is fitted here: the
-critical strain is that of a zigzag crack of the same length over cos²(θ/2).
+Zigzag edges are the cheapest, so a crack along another direction kinks towards the nearest zigzag
+one, an angle θ away. The bonds that must break there stand across the new edge: its opening pulls
+them, sliding does not, and the opening is cos³(θ/2) of what it is straight ahead (theory.md, C19).
+The toughness is fitted on one zigzag crack; the strengths behind Irwin's zones come from sheets
+without a crack, pulled along either axis. For comparison, armchair cracks with a toughness of their
+own, fitted on one of them.
 """
 
 from __future__ import annotations
@@ -11,6 +13,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,15 +24,30 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from tools.cracked_sheet import cracked_sheet, critical_strain
+from examples.cracked_graphene import Continuum, fitted
+from tools.cracked_sheet import cracked_sheet, critical_strain, ideal_strength, opened
+from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from warp_peri.errors import exit_status
 from warp_peri.files.whole import write_json
 
-HALF = 40
-"""Half side of the sheet inside its rim, in hexagons."""
-CASES = ((0.0, 24), (30.0, 24), (19.10660535, 24), (13.89788625, 24), (0.0, 16), (30.0, 16))
-"""Degrees from the zigzag direction to the crack, and its length in hexagons."""
+LARGE, SMALL = 40, 20
+"""Half sides of two sheets inside their rims, in hexagons."""
+SLANTED = (19.10660535, 13.89788625)
+FITTED, OWN = (0.0, 24, LARGE), (30.0, 24, LARGE)
+"""The zigzag crack that the toughness is fitted on, and the armchair one of a fit of its own."""
+CASES = (
+    FITTED,
+    OWN,
+    *((angle, 24, LARGE) for angle in SLANTED),
+    (0.0, 16, LARGE),
+    (30.0, 16, LARGE),
+    (30.0, 12, LARGE),
+    (30.0, 16, SMALL),
+    (30.0, 10, SMALL),
+    *((angle, 16, SMALL) for angle in SLANTED),
+)
+"""Degrees from the zigzag direction to the crack, its length in hexagons, and the sheet."""
 
 
 def kink(turned: float) -> float:
@@ -48,47 +67,126 @@ def crack(turned: float, count: int, step: float) -> np.ndarray:
     return np.array([(-end, y), (end, y)])
 
 
+@dataclass(frozen=True)
+class Sheets:
+    """What sheets without a crack say: E and strength, and the continuum's release.
+
+    Attributes:
+        E: Young's modulus [TPa].
+        strengths: across zigzag rows and along them [TPa].
+        step: width of a hexagon [Å].
+        release: G at unit strain by half length in hexagons [TPa Å], of each sheet.
+    """
+
+    E: float
+    strengths: tuple[float, float]
+    step: float
+    release: dict[int, Callable[[float], float]]
+
+    def strength(self, turned: float) -> float:
+        """Of a sheet pulled across a direction [TPa]: the lowest harmonic that a hexagon allows."""
+        across, along = self.strengths
+        return (across + along) / 2 + (across - along) / 2 * float(np.cos(np.radians(6 * turned)))
+
+    def zone(self, needed: float, turned: float) -> float:
+        """Irwin's r [hexagons] of a crack that needs this release straight ahead [TPa Å]."""
+        return self.E * needed / (2 * np.pi * self.strength(turned) ** 2) / self.step
+
+    def critical(self, needed: float, turned: float, half: float, sheet: int) -> float:
+        """The strain at which a crack, its half length in hexagons, has that release."""
+        return float(np.sqrt(needed / self.release[sheet](half + self.zone(needed, turned))))
+
+    def needed(self, strain: float, turned: float, half: float) -> float:
+        """The release that a crack of the large sheet has at its critical strain [TPa Å]."""
+        needed = 0.0
+        for _ in range(50):
+            needed = self.release[LARGE](half + self.zone(needed, turned)) * strain**2
+        return needed
+
+
+def sheets(step: float) -> Sheets:
+    """All that is known without a crack."""
+    constants = elastic_constants(step / np.sqrt(3))
+    strengths = (ideal_strength()[0], ideal_strength(along_zigzag=True)[0])
+    solids = {
+        half: Continuum(constants["lambda"], constants["mu"], step, half) for half in (40, 20)
+    }
+    releases = {half: solid.release(14 if half == LARGE else 10) for half, solid in solids.items()}
+    return Sheets(constants["E"], strengths, step, releases)
+
+
+def label(case: tuple[float, int, int], step: float) -> str:
+    """Direction and length of a crack, and the sheet if it is the small one."""
+    turned, count, half = case
+    return f"{turned:.1f}°, {count * step:.0f} Å" + (", small sheet" if half == SMALL else "")
+
+
+def atoms(cases: tuple, step: float, kept: Path) -> dict[str, dict]:
+    """Critical strains by LAMMPS and half lengths [hexagons]; each is written when it is found."""
+    measured = json.loads(kept.read_text()) if kept.exists() else {}
+    for case in tqdm(cases, desc="sheets", unit="sheet"):
+        turned, count, half = case
+        if label(case, step) not in measured:
+            ends, guess = crack(turned, count, step), 0.03 * np.sqrt(24 / count)
+            result = critical_strain([ends], guess, half=half * step, turned=turned)
+            body = cracked_sheet([ends], half=half * step, turned=turned)
+            result["half_length"] = opened(body, ends) / 2 / step
+            measured[label(case, step)] = result
+            write_json(kept, measured)
+    return {label(case, step): measured[label(case, step)] for case in cases}
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=len(CASES), help="how many of them")
-    parser.add_argument("--half", type=int, default=HALF, help="half side of the sheet [hexagons]")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crack_directions")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
-    kept = args.out / f"atoms_{args.half}.json"
-    measured = json.loads(kept.read_text()) if kept.exists() else {}
     step = float(np.sqrt(3) * bond_length())
+    cases = CASES[: max(1, args.cases)]
+    measured = atoms(cases, step, args.out / "atoms.json")
+    known = sheets(step)
+    base = measured[label(FITTED, step)]["strain"]
+    toughness, _ = fitted(known.release[LARGE], base, known.E, known.strengths[0], step)
+    own = measured.get(label(OWN, step))
+    armchair = known.needed(own["strain"], 30.0, own["half_length"]) if own else None
     table: dict = {}
-    for turned, count in tqdm(CASES[: args.cases], desc="sheets", unit="sheet"):
-        name = f"{turned:.1f}°, {count * step:.0f} Å"
-        if name not in measured:
-            ends = [crack(turned, count, step)]
-            guess = 0.03 * np.sqrt(24 / count)
-            measured[name] = critical_strain(ends, guess, half=args.half * step, turned=turned)
-            write_json(kept, measured)
-        strain = measured[name]["strain"]
-        zigzag = measured.get(f"{0:.1f}°, {count * step:.0f} Å")
-        table[name] = {"atoms": strain}
-        if turned and zigzag:
-            predicted = zigzag["strain"] / np.cos(np.radians(kink(turned)) / 2) ** 2
-            table[name] |= {"predicted": predicted, "error": predicted / strain - 1}
+    for case in cases:
+        (turned, _, half), name = case, label(case, step)
+        strain, length = measured[name]["strain"], measured[name]["half_length"]
+        table[name] = {"length": 2 * length * step, "atoms": strain}
+        if case == FITTED:
+            continue
+        ways = {"error": (6, toughness), "error if sliding counted": (4, toughness)}
+        if turned == 30.0 and case != OWN and armchair:
+            ways["error with a toughness of its own"] = (0, armchair)
+        for word, (power, given) in ways.items():
+            needed = given / np.cos(np.radians(kink(turned)) / 2) ** power
+            predicted = known.critical(needed, turned, length, half)
+            if word == "error":
+                table[name]["predicted"] = predicted
+            table[name][word] = predicted / strain - 1
+    numbers = {"G_c": 100 * toughness, "strengths": known.strengths, "cracks": table}
+    if armchair:
+        numbers["armchair's own"] = 100 * armchair
+    draw(args.out / "directions.png", table)
+    print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
+    return 0
+
+
+def draw(path: Path, table: dict) -> None:
+    """Predicted over atoms' critical strains."""
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     ax = figure.subplots()
-    angles = np.linspace(0, 30, 50)
-    for count in sorted({case[1] for case in CASES[: args.cases]}):
-        base = measured.get(f"{0:.1f}°, {count * step:.0f} Å")
-        if base:
-            curve = 100 * base["strain"] / np.cos(np.radians(angles) / 2) ** 2
-            ax.plot(angles, curve, label=f"{count * step:.0f} Å")
-    points = [(turned, 100 * measured[name]["strain"]) for (turned, _), name in zip(CASES, table)]
-    ax.plot(*np.transpose(points), "ko", label="atoms")
-    ax.set(xlabel="from the zigzag direction [degrees]", ylabel="critical strain [%]")
-    ax.legend(frameon=False)
-    figure.savefig(args.out / "directions.png", dpi=120)
-    print(json.dumps(table, ensure_ascii=False, indent=None if args.json else 1))
-    return 0
+    names = [name for name in table if "error" in table[name]]
+    for word, mark in (("error", "o"), ("error if sliding counted", "x")):
+        ax.plot([100 * table[name][word] for name in names], range(len(names)), mark, label=word)
+    ax.axvspan(-3, 3, color="0.9")
+    ax.set(yticks=range(len(names)), yticklabels=names, xlabel="error of the critical strain [%]")
+    ax.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=120)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from warp_peri import InputError, Model
 from warp_peri.operator.damage import bond_weights, cut_matrix
 from warp_peri.points.body import cracked, lattice_body, rectangle
 from warp_peri.statics.cracked import CutSolid
-from warp_peri.statics.inclusions import ball_excess, bond_modulus, mixed_matrix
+from warp_peri.statics.inclusions import ball_excess, bond_modulus, mixed_matrix, solve_mixed
 from warp_peri.statics.pressurised import crack_load, inject, opening_volume
 
 CELLS = np.array([8, 12, 16])
@@ -35,6 +35,12 @@ def test_one_material_is_the_plain_operator():
     assert abs(matrix - cut_matrix(body, w, body.neighbour, 1.0, 2.0)).max() < 1e-13
     with pytest.raises(InputError, match="of one sign"):
         ball_excess(body, w, lambda place: place[..., 0])
+    edge = np.abs(body.x).max(axis=1) > 3
+    soft = mixed_matrix(body, w, bond_modulus(body, uniform(1.0)), np.full(64, -5.0))
+    with pytest.raises(InputError, match="is not positive definite; hold the body"):
+        solve_mixed(soft, edge, body.x)
+    with pytest.raises(InputError, match="held, u: expected shapes"):
+        solve_mixed(matrix, np.repeat(edge[:, None], 2, axis=1), body.x)
     with pytest.raises(InputError, match="mean: expected one of"):
         bond_modulus(body, np.ones(64), "geometric")
     with pytest.raises(InputError, match="mu: expected values > 0"):

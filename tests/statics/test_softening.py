@@ -94,3 +94,26 @@ def test_the_large_plate_follows_from_the_small_ones_at_two_horizons(tmp_path, c
     assert abs(numbers["peaks"]["L = 100"]["force error"]) < 0.04
     assert abs(numbers["peaks"]["L = 100, horizon × 2"]["force error"]) < 0.05
     assert (tmp_path / "force.png").stat().st_size > 5000
+
+
+def test_what_cannot_be_pulled_is_refused():
+    body, model, law = lattice(12, 16), solid(1.0).model, BondLaw(2.0, 0.05, 0.02)
+    ends = np.repeat(np.abs(body.x[:, 1:]) > 5, 2, axis=1)
+    for options, words in (
+        ({"held": ends[:, 0]}, "held, no_fail: expected shapes"),
+        ({"held": ends & False}, "against 0 of its 3 rigid motions"),
+        ({"held": ends, "no_fail": np.ones(3, bool)}, "held, no_fail: expected shapes"),
+    ):
+        with pytest.raises(InputError, match=words):
+            SoftBody(model, body, law, **options)
+    with pytest.raises(InputError, match="expected the horizon 4"):
+        SoftBody(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, law, ends)
+    soft, u, line = SoftBody(model, body, law, ends), body.x * (0, 1), [(-7, 0.1), (7, 0.1)]
+    for given, loads, across, words in (
+        (u, [], line, "one finite factor"),
+        (u, [0.2, 0.1], line, "factors that rise"),
+        (u[:, 0], [0.1], line, "u: expected shape"),
+        (u, [0.1], [(-7, 40), (7, 40)], "no bond of the body crosses it"),
+    ):
+        with pytest.raises(InputError, match=words):
+            soft.pull(given, loads, across)

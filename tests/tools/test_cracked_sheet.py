@@ -42,9 +42,17 @@ def test_a_whole_sheet_has_the_moduli_at_small_strains_and_a_largest_stress(tmp_
     bond, potential = bond_length(), longer_cutoff(tmp_path)
     constants = elastic_constants(bond)
     stiffness = constants["lambda"] + 2 * constants["mu"]
-    stress = [_uniaxial_stress(bond, e, potential) for e in (1e-4, 0.1, 0.18, 0.3)]
+    stress = [_uniaxial_stress(bond, e, potential, 1) for e in (1e-4, 0.1, 0.18, 0.3)]
     assert stress[0] == pytest.approx(1e-4 * stiffness, rel=2e-3)
     assert stress[1] < stress[2] > stress[3]
+
+
+def test_atoms_across_a_hexagon_stay_strangers_where_a_sheet_contracts(tmp_path):
+    bond, potential = bond_length(), longer_cutoff(tmp_path)
+    strains = np.array([-0.03, -0.05, -0.07])  # a cut-off of 2.8 Å would reach them at −0.042
+    stress = [_uniaxial_stress(bond, e, potential, 1) for e in strains]
+    slopes = np.diff(stress) / np.diff(strains)
+    assert slopes[1] == pytest.approx(slopes[0], rel=0.2)
 
 
 @pytest.mark.slow

@@ -48,10 +48,7 @@ class CutSolid:
         cracks: Sequence[ArrayLike] = (),
     ) -> None:
         self.model, self.body = model, body
-        if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
-            raise InputError(
-                f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
-            )
+        check_horizon(model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = np.asarray(held, dtype=bool)
         held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
@@ -105,6 +102,14 @@ def symmetric_factors(matrix: sp.csc_array) -> Any:
         return inertia.symmetric_factors(matrix)
     except RuntimeError as error:
         raise InputError(f"operator: parts of the body hang loose ({error})") from None
+
+
+def check_horizon(model: Model, body: Body) -> None:
+    """Refuse a body whose bonds are not those of the model's ball."""
+    if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
+        raise InputError(
+            f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
+        )
 
 
 def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:

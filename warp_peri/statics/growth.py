@@ -75,7 +75,9 @@ def grow(
     check_breakable(model, body.classes)
     neighbour = cracked(body, cracks)
     xi, r = body.xi, body.r
-    safe = np.zeros(len(body.x), bool) if no_fail is None else no_fail
+    safe = np.zeros(len(body.x), bool) if no_fail is None else np.asarray(no_fail)
+    if safe.shape != (len(body.x),):
+        raise InputError(f"no_fail: expected shape [{len(body.x)}], got {list(safe.shape)}")
     loads, energies, counts = [], [], []
     start = int((neighbour >= 0).sum())
     for _ in tqdm(range(events), disable=not progress, unit="event"):

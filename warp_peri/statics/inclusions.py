@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.operator.damage import cut_matrix
 from warp_peri.points.body import Body
-from warp_peri.statics.cracked import symmetric_factors
+from warp_peri.stability.inertia import definite_factors
 
 SAMPLES = 32
 """Places along a bond at which a field of moduli is read."""
@@ -85,10 +85,27 @@ def mixed_matrix(
 
 
 def solve_mixed(matrix: sp.csr_array, held: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """u at rest without load, given at held nodes [N] bool; both of shape [N, 2]."""
+    """u at rest without load, given at held nodes [N] bool; both of shape [N, 2].
+
+    Raises InputError for other shapes, and for moduli or holds that leave the body indefinite or
+    loose.
+    """
+    count = matrix.shape[0] // 2
+    held, given = np.asarray(held), np.array(u, dtype=float)
+    if held.shape != (count,) or held.dtype != bool or given.shape != (count, 2):
+        raise InputError(
+            f"held, u: expected shapes [{count}] of bool and [{count}, 2], got "
+            f"{list(held.shape)} and {list(given.shape)}"
+        )
     free = np.repeat(~held, 2)
-    solved = np.array(u, dtype=float).ravel()
+    solved = given.ravel()
     solved[free] = 0
     right = -(matrix @ solved)[free]
-    solved[free] = symmetric_factors(sp.csc_array(matrix[free][:, free])).solve(right)
+    factors = definite_factors(sp.csc_array(matrix[free][:, free]))
+    if factors is None:
+        raise InputError(
+            "mixed: the operator on the free nodes is not positive definite; hold the body, and "
+            "expect λ + μ > 0 of its materials"
+        )
+    solved[free] = factors.solve(right)
     return solved.reshape(-1, 2)

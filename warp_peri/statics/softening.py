@@ -20,7 +20,7 @@ from warp_peri.operator.damage import bond_weights
 from warp_peri.points.arrays import is_number
 from warp_peri.points.body import Body, cracked, crossing_bonds
 from warp_peri.stability.breaking import check_breakable
-from warp_peri.statics.cracked import symmetric_factors
+from warp_peri.statics.cracked import check_horizon, check_pieces, symmetric_factors
 
 NEWTON = 40
 TOLERANCE = 1e-8
@@ -133,6 +133,9 @@ class SoftBody:
         held: components of the displacement that are given, shape [N, 2] bool.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
+
+    Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
+    body that nothing holds.
     """
 
     def __init__(
@@ -148,8 +151,17 @@ class SoftBody:
         if model.lam != model.mu:
             raise InputError("model: expected λ = μ, bonds without a dilatation")
         check_breakable(model, body.classes)
+        check_horizon(model, body)
+        count, held = len(body.x), np.asarray(held)
+        safe = np.zeros(count, bool) if no_fail is None else np.asarray(no_fail)
+        if held.shape != (count, 2) or held.dtype != bool or safe.shape != (count,):
+            raise InputError(
+                f"held, no_fail: expected shapes [{count}, 2] and [{count}] of bool, got "
+                f"{list(held.shape)} and {list(safe.shape)}"
+            )
         self.body, self.law, self.held = body, law, held
         table = cracked(body, cracks or [])
+        check_pieces(body, table, held)
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
         self._node, self._bond = node, bond
@@ -160,7 +172,6 @@ class SoftBody:
         self._d = sp.csr_array((values, columns, rows), shape=(count, 2 * len(table)))
         self._k = 16 * model.mu * bond_weights(model, body.classes)[bond] / body.r[bond] ** 2
         self._square = body.r[bond] ** 2
-        safe = np.zeros(len(table), bool) if no_fail is None else no_fail
         self._breakable = ~(safe[node] | safe[far])
         self._free = ~held.ravel()
 
@@ -214,11 +225,23 @@ class SoftBody:
             line: across which the force is read, [2, 2].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
+
+        Raises InputError for another shape of u, loads that do not rise, and a line that no bond
+        crosses.
         """
+        loads = np.asarray(loads, dtype=float)
+        if not (loads.ndim == 1 and len(loads) and np.isfinite(loads).all()):
+            raise InputError("loads: expected one finite factor or more")
+        if loads[0] < 0 or (np.diff(loads) <= 0).any():
+            raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
+        if np.shape(u) != self.held.shape:
+            raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
+        if not crossing_bonds(self.body, line).any():
+            raise InputError("line: no bond of the body crosses it, so no force can be read there")
         given = np.where(self.held, u, 0).ravel()
         share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
         field, rows, before = np.zeros_like(given), [], 0.0
-        for load in tqdm(np.asarray(loads, dtype=float), disable=not progress, unit="load"):
+        for load in tqdm(loads, disable=not progress, unit="load"):
             field = field * (load / before) if before else load * np.ravel(u)
             field = np.where(self.held.ravel(), load * given, field)
             try:
