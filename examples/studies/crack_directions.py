@@ -43,6 +43,7 @@ CASES = (
     (0.0, 16, LARGE),
     (30.0, 16, LARGE),
     (30.0, 12, LARGE),
+    (30.0, 32, LARGE),
     (30.0, 16, SMALL),
     (30.0, 10, SMALL),
     *((angle, 16, SMALL) for angle in SLANTED),

@@ -7,9 +7,11 @@ import pytest
 
 from examples.diffusion import coupled, jump, main, order, smooth, square
 from tests.support.clouds import cloud, periodic_cloud
-from warp_peri import InputError, Points
+from warp_peri import InputError, Model, Points
 from warp_peri.models.diffusion import Conductor, load_conductor
 from warp_peri.operator.diffusion import DiffusionOperator
+from warp_peri.points.body import lattice_body
+from warp_peri.statics.coupled import Coupled
 from warp_peri.statics.diffusion import steady, transient
 
 CELLS = [6, 9, 13]
@@ -111,6 +113,47 @@ def test_a_negative_conductivity_is_refused(kappa):
         DiffusionOperator(Conductor(0.8), square(4, 4.0), kappa=kappa)
     with pytest.raises(InputError, match="conductivity: expected a number > 0"):
         Conductor(0.8, conductivity=-1.0)
+
+
+def test_fields_that_do_not_fit_are_refused():
+    points = square(4, 3.0)
+    operator = DiffusionOperator(Conductor(3 / 4), points)
+    phi, count = points.x[:, 0], len(points.x)
+    for call in (
+        lambda: DiffusionOperator(Conductor(3 / 4), points, kappa=np.ones(3)),
+        lambda: steady(operator, phi[:4]),
+        lambda: steady(operator, phi, np.ones(3)),
+        lambda: transient(operator, phi, 0.1, 1, collar=lambda time: phi[:4]),
+    ):
+        with pytest.raises(InputError, match=r"shape \["):
+            call()
+    for call in (
+        lambda: steady(operator, np.full(count, np.nan)),
+        lambda: steady(operator, phi, np.nan),
+        lambda: transient(operator, phi, 0.1, 1, source=np.inf),
+    ):
+        with pytest.raises(InputError, match="expected finite values"):
+            call()
+    for step, steps in ((np.inf, 1), (0.0, 1), (0.1, -1)):
+        with pytest.raises(InputError, match="step: expected a number > 0"):
+            transient(operator, phi, step, steps)
+
+
+def test_coupled_steps_that_make_no_sense_are_refused():
+    points, law = square(3, 6.0), Model(1.0, 1.0, 1.0, np.ones(1), 1.0)
+    body = lattice_body(points.x, 1 / 3, 1.0)
+    flux = DiffusionOperator(Conductor(1.0), points)
+    for numbers in ({"coupling": np.nan, "storage": 1.0}, {"coupling": 1.0, "storage": -1.0}):
+        with pytest.raises(InputError, match="coupling, storage"):
+            Coupled(law, body, flux, **numbers)
+    system, count = Coupled(law, body, flux, coupling=1.0, storage=1.0), len(points.x)
+    rest = (np.zeros((count, 2)), np.zeros(count))
+    with pytest.raises(InputError, match="step: expected a number > 0"):
+        system.step(rest, rest, 0.0, b=rest[0], source=rest[1])
+    with pytest.raises(InputError, match="b: expected shape"):
+        system.step(rest, rest, 1.0, b=rest[1], source=rest[1])
+    with pytest.raises(InputError, match="not finite"):
+        system.step(rest, rest, 1.0, b=rest[0], source=rest[1] + np.nan)
 
 
 def test_laws_go_through_their_file(tmp_path):

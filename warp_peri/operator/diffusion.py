@@ -148,7 +148,7 @@ def _lengths_and_weights(
 def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.ndarray:
     """κ of each bond: one number, the harmonic mean of its ends, or series resistance (D2).
 
-    Raises InputError for values that are not > 0, naming the smallest.
+    Raises InputError for another shape, and for values that are not > 0, naming the smallest.
     """
     points = operator.points
     near, far = operator.rows[operator._owner], operator.neighbour
@@ -162,7 +162,13 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
             _check(values)
             resistance += 1 / values
         return SAMPLES / resistance
-    values = np.broadcast_to(np.asarray(kappa, dtype=float), len(points.x))
+    values = np.asarray(kappa, dtype=float)
+    if values.shape not in ((), (len(points.x),)):
+        raise InputError(
+            f"conductivity: expected a number, a function, or shape [{len(points.x)}], got "
+            f"{list(values.shape)}"
+        )
+    values = np.broadcast_to(values, len(points.x))
     _check(values)
     harmonic: np.ndarray = 2 / (1 / values[near] + 1 / values[far])
     return harmonic

@@ -28,6 +28,8 @@ class Coupled:
         coupling: ε [stress].
         storage: c ≥ 0.
         neighbour: with broken bonds; the body's own by default.
+
+    Raises InputError for other nodes, a coupling that is not finite, or a storage below 0.
     """
 
     def __init__(
@@ -42,6 +44,11 @@ class Coupled:
     ) -> None:
         if not np.array_equal(body.x, diffusion.points.x):
             raise InputError("body: expected the nodes of the diffusion, in the same order")
+        if not (np.isfinite(coupling) and 0 <= storage < np.inf):
+            raise InputError(
+                f"coupling, storage: expected a finite number and one ≥ 0, got {coupling} and "
+                f"{storage}"
+            )
         table = body.neighbour if neighbour is None else neighbour
         w = bond_weights(model, body.classes)
         rows = diffusion.rows
@@ -70,7 +77,18 @@ class Coupled:
             dt: step.
             b: body force density, shape [N, 2].
             source: g, shape [N].
+
+        Raises InputError for a step not > 0, other shapes, or a solve that loses its digits.
         """
+        if not dt > 0:
+            raise InputError(f"step: expected a number > 0, got {dt}")
+        count = self._flux.shape[1]
+        fields = {"b": (b, (count, 2)), "source": (source, (count,))}
+        for name, pair in (("before", before), ("given", given)):
+            fields |= {f"{name} u": (pair[0], (count, 2)), f"{name} φ": (pair[1], (count,))}
+        for name, (field, shape) in fields.items():
+            if np.shape(field) != shape:
+                raise InputError(f"{name}: expected shape {list(shape)}, got {np.shape(field)}")
         rate = 1 / dt
         u, phi = np.array(given[0], dtype=float).ravel(), np.array(given[1], dtype=float)
         u[self.free], phi[self.rows] = 0, 0
@@ -95,7 +113,7 @@ class Coupled:
             ]
         )
         x = splu(sp.csc_matrix(system)).solve(right)
-        if np.linalg.norm(system @ x - right) > RESIDUAL * np.linalg.norm(right):
-            raise InputError("coupled: the solve lost its digits")
+        if not np.linalg.norm(system @ x - right) <= RESIDUAL * np.linalg.norm(right):
+            raise InputError("coupled: the solve lost its digits, or what is given is not finite")
         u[self.free], phi[self.rows] = x[: len(self.free)], x[len(self.free) :]
         return u.reshape(-1, 2), phi

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
@@ -24,13 +25,14 @@ def steady(
         phi: holds the given values, shape [N].
         source: g, one or by interior node, shape [I].
 
-    Raises InputError when the matrix is singular, as of a piece that nothing touches.
+    Raises InputError for other shapes, values that are not finite, and when the matrix is singular,
+    as of a piece that nothing touches.
     """
     matrix = operator.matrix()
     inner = sp.csc_matrix(matrix[:, operator.rows])
-    solved = np.array(phi, dtype=float)
+    solved = _shaped("phi", phi, len(operator.points.x))
     solved[operator.rows] = 0
-    right = np.broadcast_to(source, len(operator.rows)) - matrix @ solved
+    right = _source(source, len(operator.rows)) - matrix @ _finite("phi", solved)
     try:
         x = splu(inner).solve(right)
     except RuntimeError as error:
@@ -60,19 +62,47 @@ def transient(
         source: g, one or by interior node, shape [I].
         collar: φ of all nodes at a time, of which those off the interior are taken; unchanged by
             default.
+
+    Raises InputError for other shapes, a step not > 0, or a number of steps below 0.
     """
-    if not step > 0:
-        raise InputError(f"step: expected a number > 0, got {step}")
+    if not 0 < step < np.inf or steps < 0:
+        raise InputError(
+            f"step: expected a number > 0 and steps ≥ 0, got {step} and {steps}; `steady` solves "
+            "the state at rest"
+        )
+    count = len(operator.points.x)
     matrix, rows = operator.matrix(), operator.rows
     inner = sp.csc_matrix(matrix[:, rows])
     factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * inner))
-    now = np.array(phi, dtype=float)
+    now = _finite("phi", _shaped("phi", phi, count))
+    gain = step * _source(source, len(rows))
     kept = [now]
     for number in range(1, steps + 1):
-        later = now.copy() if collar is None else np.array(collar(number * step), dtype=float)
+        later = now.copy()
+        if collar is not None:
+            later = _shaped("collar", collar(number * step), count)
         later[rows] = 0
-        right = now[rows] - step / 2 * (matrix @ now + matrix @ later) + step * source
+        right = now[rows] - step / 2 * (matrix @ now + matrix @ _finite("collar", later)) + gain
         later[rows] = factors.solve(right)
         now = later
         kept.append(now)
     return np.stack(kept)
+
+
+def _shaped(name: str, values: ArrayLike, count: int) -> np.ndarray:
+    field = np.array(values, dtype=float)
+    if field.shape != (count,):
+        raise InputError(f"{name}: expected shape [{count}], got {list(field.shape)}")
+    return field
+
+
+def _finite(name: str, field: np.ndarray) -> np.ndarray:
+    if not np.isfinite(field).all():
+        raise InputError(f"{name}: expected finite values where they are given")
+    return field
+
+
+def _source(source: np.ndarray | float, count: int) -> np.ndarray:
+    values = np.asarray(source, dtype=float)
+    values = values if values.ndim else np.full(count, values)
+    return _finite("source", _shaped("source", values, count))
