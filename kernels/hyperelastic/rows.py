@@ -134,6 +134,7 @@ def _step_row(scalar):
     part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     across, short, add, curve = part.across, part.short, _add(scalar), energies(scalar).curve
+    share = part.share
     pair, wide = wp.types.matrix((2, 2), scalar), wp.types.matrix((2, 3), scalar)
     half, two = scalar(0.5), scalar(2.0)
 
@@ -158,8 +159,10 @@ def _step_row(scalar):
                     middle = half * (short(E[0, n]) + short(E[0, m]))
                     B = curve(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
                     A = curve(terms.kind[k], terms.angle[k], terms.exponent[k], short(E[0, n]))
-                    held = terms.c[terms.first_term + k] * wide(
-                        g[0, 3], g[0, 4], g[0, 5], g[1, 3], g[1, 4], g[1, 5]
+                    held = (
+                        share(lattice, n, m)
+                        * terms.c[terms.first_term + k]
+                        * wide(g[0, 3], g[0, 4], g[0, 5], g[1, 3], g[1, 4], g[1, 5])
                     )
                     T, far = held * (two * A - B), held * B
                     away = own + window.shift[terms.seen[k] - 2 + side * (lattice.xi.shape[0] / 2)]
@@ -209,7 +212,7 @@ def _short_row(scalar):
     gradient, mean_row, step_row, add, curved = (
         _gradient(scalar), _mean_row(scalar), _step_row(scalar), _add(scalar), _curved(scalar),
     )  # fmt: skip
-    deviates, on_short = part.deviates, part.on_short
+    deviates, on_short, share = part.deviates, part.on_short, part.share
     half = scalar(0.5)
     pair = wp.types.matrix((2, 2), scalar)
 
@@ -239,6 +242,7 @@ def _short_row(scalar):
                 if deviates(lattice, q, n, m):
                     Y = lattice.xi[q] + u[0, m] - u[0, n]
                     twice = curved(lattice, terms, q, Y, E[0, n], E[0, m])
+                    twice = share(lattice, n, m) * twice
                     rate = lattice.inverse[q] * Y
                     mean = half * (g * on_short(lattice.unit[q]))
                     by_s, by_m = twice[1] * mean, twice[2] * mean
@@ -259,7 +263,7 @@ def _bond_row(scalar):
     part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
-    by_own, bond = part.by_own, energies(scalar).bond
+    by_own, share, bond = part.by_own, part.share, energies(scalar).bond
 
     @wp.func
     def bond_row(
@@ -284,7 +288,8 @@ def _bond_row(scalar):
         if deviates(lattice, p, a, j):
             d = deviation(lattice, p, strained, E[0, a], E[0, j])
             t += terms.c[terms.first_deviation + lattice.deviation[p]] * by_own(d)
-        inverse = lattice.inverse[p]
+        inverse, shared = lattice.inverse[p], share(lattice, a, j)
+        t, curve = shared * t, shared * curve
         along = t * inverse + wp.dot(lattice.weight[p], G[0, a] + G[0, j])
         return curve * inverse * inverse * wp.outer(Y, Y) + wp.diag(vec(along, along))
 

@@ -2,7 +2,7 @@
 
 Every kernel gathers: a node reads what its bonds and their far ends hold, and writes its own place.
 The derivative in the displacement is the tangent, symmetric, and the force is linear in the
-coefficients, so no tape is needed. A state holds six numbers: the nodal strain, (H3), and the short
+coefficients and in the thickness, so no tape is needed. A state holds six numbers: the nodal strain, (H3), and the short
 one, (H4), each as E11, E22, 2 E12; `whole` tells which of them a node has (1, 2, or both as 3).
 """
 
@@ -31,6 +31,7 @@ def types(scalar):
         unit: wp.array(dtype=energies(scalar).vec)  # ê with ê·E = ξ·Eξ/|ξ|²
         bond_class: wp.array(dtype=wp.int32)
         deviation: wp.array(dtype=wp.int32)  # number of its deviation energy, or −1
+        thickness: wp.array(dtype=scalar)  # of every node; empty for an even sheet
 
     @wp.struct
     class Terms:
@@ -59,6 +60,22 @@ def _bond_strain(scalar):
         return half * (wp.dot(Y, Y) * lattice.inverse[p] - one)
 
     return bond_strain
+
+
+@cache
+def _share(scalar):
+    of = types(scalar)
+    Lattice = of.Lattice
+    half, one = scalar(0.5), scalar(1.0)
+
+    @wp.func
+    def share(lattice: Lattice, i: wp.int32, j: wp.int32):
+        """Mean thickness of two nodes, (H18)."""
+        if lattice.thickness.shape[0] == 0:
+            return one
+        return half * (lattice.thickness[i] + lattice.thickness[j])
+
+    return share
 
 
 @cache
@@ -256,6 +273,7 @@ def parts(scalar):
         by_own=_by_own(scalar),
         by_mean=_by_mean(scalar),
         bond_strain=_bond_strain(scalar),
+        share=_share(scalar),
         first=_first(scalar),
         short=_short(scalar),
         seen=_seen(scalar),
@@ -298,7 +316,7 @@ def _stress(scalar):
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
-    acts, across, short = part.acts, part.across, part.short
+    acts, across, short, share = part.acts, part.across, part.short, part.share
     slope = energy.slope
     half, two = scalar(0.5), scalar(2.0)
 
@@ -312,14 +330,15 @@ def _stress(scalar):
     ):
         """G_i = ∂U/∂Ē_i of the strain energies and the deviations, (H7)."""
         s, i = wp.tid()
-        state = E[s, i]
+        state, own_share = E[s, i], share(lattice, i, i)
         total = six()
         for k in range(terms.kind.shape[0]):
             if acts(terms.seen[k], lattice.whole[i]):
                 local = slope(
                     terms.kind[k], terms.angle[k], terms.exponent[k], seen(terms.seen[k], state)
                 )
-                total += terms.c[terms.first_term + k] * placed(terms.seen[k], local)
+                c = own_share * terms.c[terms.first_term + k]
+                total += c * placed(terms.seen[k], local)
             for side in range(2):
                 j = across(lattice, terms.seen[k], side, i)
                 if j >= 0:
@@ -327,13 +346,14 @@ def _stress(scalar):
                     middle = half * (own + short(E[s, j]))
                     local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], own)
                     local -= slope(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
-                    total += two * terms.c[terms.first_term + k] * on_short(local)
+                    c = share(lattice, i, j) * terms.c[terms.first_term + k]
+                    total += two * c * on_short(local)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
             if deviates(lattice, p, i, j):
                 strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
                 d = deviation(lattice, p, strained, state, E[s, j])
-                c = terms.c[terms.first_deviation + lattice.deviation[p]]
+                c = share(lattice, i, j) * terms.c[terms.first_deviation + lattice.deviation[p]]
                 total += half * c * by_mean(d) * on_short(lattice.unit[p])
         G[s, i] = total
 
@@ -347,7 +367,7 @@ def _tension(scalar):
     part = parts(scalar)
     six, Lattice, Terms = of.six, of.Lattice, of.Terms
     deviates, deviation, by_own = part.deviates, part.deviation, part.by_own
-    bond = energy.bond
+    bond, share = energy.bond, part.share
 
     @wp.func
     def tension(
@@ -360,7 +380,7 @@ def _tension(scalar):
         Ei: six,
         Ej: six,
     ):
-        """t = ψ′ of a bond and of its deviation."""
+        """t = ψ′ of a bond and of its deviation, times its thickness."""
         slopes = scalar(0.0)
         count = terms.bond_kind.shape[0]
         for q in range(count):
@@ -369,7 +389,7 @@ def _tension(scalar):
         if deviates(lattice, p, i, j):
             d = deviation(lattice, p, s, Ei, Ej)
             slopes += terms.c[terms.first_deviation + lattice.deviation[p]] * by_own(d)
-        return slopes
+        return share(lattice, i, j) * slopes
 
     return tension
 
@@ -416,7 +436,7 @@ def _energy_of_nodes(scalar):
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     seen, acts, across, short = part.seen, part.acts, part.across, part.short
-    value, bond = energy.value, energy.bond
+    value, bond, share = energy.value, energy.bond, part.share
     half, two = scalar(0.5), scalar(2.0)
 
     @wp.kernel(enable_backward=False)
@@ -438,7 +458,7 @@ def _energy_of_nodes(scalar):
                     terms.exponent[k],
                     seen(terms.seen[k], E[s, i]),
                 )
-                total += terms.c[terms.first_term + k] * local
+                total += share(lattice, i, i) * terms.c[terms.first_term + k] * local
             for side in range(2):
                 j = across(lattice, terms.seen[k], side, i)
                 if j >= 0:
@@ -446,19 +466,21 @@ def _energy_of_nodes(scalar):
                     middle = half * (own + short(E[s, j]))
                     local = value(terms.kind[k], terms.angle[k], terms.exponent[k], own)
                     local -= value(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
-                    total += two * terms.c[terms.first_term + k] * local
+                    c = share(lattice, i, j) * terms.c[terms.first_term + k]
+                    total += two * c * local
         count = terms.bond_kind.shape[0]
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
             if j >= 0:
                 strained = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
+                part_of = half * share(lattice, i, j)
                 for q in range(count):
                     c = terms.c[lattice.bond_class[p] * count + q]
-                    total += half * c * bond(terms.bond_kind[q], strained)[0]
+                    total += part_of * c * bond(terms.bond_kind[q], strained)[0]
                 if deviates(lattice, p, i, j):
                     d = deviation(lattice, p, strained, E[s, i], E[s, j])
                     c = terms.c[terms.first_deviation + lattice.deviation[p]]
-                    total += half * half * c * d[0] * d[0] * d[2]
+                    total += part_of * half * c * d[0] * d[0] * d[2]
         U[s, i] = total
 
     return energy_of_nodes

@@ -15,7 +15,7 @@ def _curvature(scalar):
     energy = energies(scalar)
     part = parts(scalar)
     six, block, Lattice, Terms = of.six, of.block, of.Lattice, of.Terms
-    seen, acts = part.seen, part.acts
+    seen, acts, share = part.seen, part.acts, part.share
     curve = energy.curve
 
     @wp.kernel(enable_backward=False)
@@ -31,7 +31,7 @@ def _curvature(scalar):
                 local = curve(
                     terms.kind[k], terms.angle[k], terms.exponent[k], seen(ripple, E[s, i])
                 )
-                c = terms.c[terms.first_term + k]
+                c = share(lattice, i, i) * terms.c[terms.first_term + k]
                 for a in range(3):
                     for b in range(3):
                         entry = c * local[a, b]
@@ -79,6 +79,7 @@ def _stress_rate(scalar):
     vec, six, block, Lattice, Terms = of.vec, of.six, of.block, of.Lattice, of.Terms
     bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
     deviation, on_short, across = part.deviation, part.on_short, part.across
+    share = part.share
     curve = energies(scalar).curve
     half, one, two, four = scalar(0.5), scalar(1.0), scalar(2.0), scalar(4.0)
     six_times = scalar(6.0)
@@ -107,7 +108,8 @@ def _stress_rate(scalar):
                     rate = two * (bent * rate_here)
                     bent = curve(terms.kind[k], terms.angle[k], terms.exponent[k], middle)
                     rate -= bent * (rate_here + short(dE[s, j]))
-                    total += terms.c[terms.first_term + k] * on_short(rate)
+                    c = share(lattice, i, j) * terms.c[terms.first_term + k]
+                    total += c * on_short(rate)
         for p in range(lattice.xi.shape[0]):
             j = lattice.neighbour[i, p]
             if deviates(lattice, p, i, j):
@@ -117,7 +119,7 @@ def _stress_rate(scalar):
                 own = wp.dot(Y, v[s, j] - v[s, i]) * lattice.inverse[p] * d[1]
                 mean = half * wp.dot(unit, short(dE[s, i]) + short(dE[s, j])) * d[2]
                 bend = (one + (six_times + four * d[0]) * d[0]) * mean - (one + two * d[0]) * own
-                c = terms.c[terms.first_deviation + lattice.deviation[p]]
+                c = share(lattice, i, j) * terms.c[terms.first_deviation + lattice.deviation[p]]
                 total += half * c * bend * d[2] * d[2] * on_short(unit)
         dG[s, i] = total
 
@@ -131,7 +133,7 @@ def _force_rate(scalar):
     part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, short, deviates = part.bond_strain, part.short, part.deviates
-    deviation, by_own = part.deviation, part.by_own
+    deviation, by_own, share = part.deviation, part.by_own, part.share
     bond = energy.bond
     half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
 
@@ -173,6 +175,8 @@ def _force_rate(scalar):
                     t += c * by_own(d)
                     bent = (one - two * d[0]) * own - (one + two * d[0]) * mean
                     dt += c * bent * d[1] * d[2]
+                shared = share(lattice, i, j)
+                t, dt = shared * t, shared * dt
                 along = t * lattice.inverse[p] + wp.dot(lattice.weight[p], G[s, i] + G[s, j])
                 turned = dt * lattice.inverse[p] + wp.dot(lattice.weight[p], dG[s, i] + dG[s, j])
                 total -= along * y + turned * Y
@@ -200,7 +204,7 @@ def _stress_of_each(scalar):
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
     by_mean, seen, placed, on_short = part.by_mean, part.seen, part.placed, part.on_short
-    acts, across, short = part.acts, part.across, part.short
+    acts, across, short, share = part.acts, part.across, part.short, part.share
     slope_by = energy.slope_by
     half, two = scalar(0.5), scalar(2.0)
 
@@ -226,7 +230,7 @@ def _stress_of_each(scalar):
             if acts(terms.seen[t], lattice.whole[i]):
                 strained = seen(terms.seen[t], E[s, i])
                 local = slope_by(by, kind, angle, exponent, strained)
-                total = placed(terms.seen[t], local)
+                total = share(lattice, i, i) * placed(terms.seen[t], local)
             for side in range(2):
                 j = across(lattice, terms.seen[t], side, i)
                 if j >= 0:
@@ -234,14 +238,15 @@ def _stress_of_each(scalar):
                     middle = half * (own + short(E[s, j]))
                     local = slope_by(by, kind, angle, exponent, own)
                     local -= slope_by(by, kind, angle, exponent, middle)
-                    total += two * on_short(local)
+                    total += two * share(lattice, i, j) * on_short(local)
         else:
             for p in range(lattice.xi.shape[0]):
                 j = lattice.neighbour[i, p]
                 if lattice.deviation[p] == k and deviates(lattice, p, i, j):
                     strain = bond_strain(lattice, p, lattice.xi[p] + u[s, j] - u[s, i])
                     d = deviation(lattice, p, strain, E[s, i], E[s, j])
-                    total += half * by_mean(d) * on_short(lattice.unit[p])
+                    shared = half * share(lattice, i, j)
+                    total += shared * by_mean(d) * on_short(lattice.unit[p])
         G[s, i, k] = total
 
     return stress_of_each
@@ -254,7 +259,7 @@ def _force_of_each(scalar):
     part = parts(scalar)
     vec, six, Lattice, Terms = of.vec, of.six, of.Lattice, of.Terms
     bond_strain, deviates, deviation = part.bond_strain, part.deviates, part.deviation
-    by_own = part.by_own
+    by_own, share = part.by_own, part.share
     bond = energy.bond
 
     @wp.kernel(enable_backward=False)
@@ -276,13 +281,14 @@ def _force_of_each(scalar):
             if j >= 0:
                 Y = lattice.xi[p] + u[s, j] - u[s, i]
                 strained = bond_strain(lattice, p, Y)
+                inverse = share(lattice, i, j) * lattice.inverse[p]
                 for q in range(count):
-                    along = bond(terms.bond_kind[q], strained)[1] * lattice.inverse[p]
+                    along = bond(terms.bond_kind[q], strained)[1] * inverse
                     F[s, t, lattice.bond_class[p] * count + q] -= along * Y
                 if deviates(lattice, p, i, j):
                     d = deviation(lattice, p, strained, E[s, i], E[s, j])
                     k = terms.first_deviation + lattice.deviation[p]
-                    F[s, t, k] -= by_own(d) * lattice.inverse[p] * Y
+                    F[s, t, k] -= by_own(d) * inverse * Y
                 for k in range(G.shape[2]):
                     along = wp.dot(lattice.weight[p], G[s, i, k] + G[s, j, k])
                     F[s, t, terms.first_deviation + k] -= along * Y

@@ -1,5 +1,7 @@
 """Learning without loads: the truth up to its scale, sensitivities, and what cannot be known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,11 +18,13 @@ from warp_peri.learning.fibres import (
 from warp_peri.learning.from_displacement import (
     _Path,
     fit_displacement,
+    fit_thickness,
     initial_stiffness,
     scaled_by_force,
 )
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
+from warp_peri.models.thickness import Thickness
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
@@ -66,21 +70,61 @@ def test_direction_and_exponent_are_found(frames):
 
 
 def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
-    path = _Path(frames, sheet(1.0, 1.5), 0.0, True)
+    uneven = Thickness.over(frames.x, 2)
+    uneven = replace(uneven, numbers=np.array([0.3, -0.2, 0.1, 0.15, -0.1]))
+    path = _Path(frames, sheet(1.0, 1.5), 0.0, True, uneven)
     c = path.scaled(TRUTH)
     path.begin(c)
     reduced, gap = path._equations()
     gradient = 2 * reduced.T @ gap
-    numbers = np.concatenate([c, path._numbers()])
+    numbers = path.now
 
     def loss(values):
-        problem = path._moved(values[len(c) : len(c) + 1], values[len(c) + 1 :])
+        problem, _ = path._moved(values[len(c) :])
         return path._solve(problem, values[: len(c)])[1].sum()
 
     for n in range(len(numbers)):
         step = 1e-4 * max(abs(numbers[n]), 0.1) * np.eye(len(numbers))[n]
         slope = (loss(numbers + step) - loss(numbers - step)) / (2 * step.max())
         assert gradient[n] == pytest.approx(slope, rel=1e-3, abs=1e-6 * np.abs(gradient).max())
+
+
+@pytest.fixture(scope="module")
+def uneven_frames():
+    """The same sheet where it is 1.8 times as thick at one side as at the other."""
+    points = square(5)
+    thickness = replace(Thickness.over(points.x, 2), numbers=np.array([0.2, -0.3, 0.0, 0.1, -0.2]))
+    problem = StaticProblem(HyperelasticOperator(sheet(), points))
+    problem = problem.with_thickness(thickness.at(points.x))
+    stretched = points.x @ np.array([[0.25, 0.05], [0.0, 0.2]])
+    edges = [stretched + waves(points, 0.1, seed) for seed in range(3)]
+    return Samples(points, np.stack([problem.solve(TRUTH, None, u).u for u in edges])), thickness
+
+
+def test_thickness_and_material_are_found_together(uneven_frames):
+    frames, thickness = uneven_frames
+    settings = dict(stiffness=0.0, most_steps=20, tolerance=1e-9)
+    even = fit_displacement(frames, sheet(), **settings)
+    fit = fit_displacement(frames, sheet(), thickness=2, **settings)
+    measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
+    assert fit.history[-1] < 1e-5
+    assert even.history[-1] > 0.003
+    np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-3)
+    np.testing.assert_allclose(
+        fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
+    )
+
+
+def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):
+    frames, thickness = uneven_frames
+    solid = HyperelasticSolid(sheet(), 3.0 * TRUTH, frames.spacing)
+    fit = fit_thickness(frames, solid)
+    np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-5)
+    measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
+    np.testing.assert_allclose(fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-12)
+    uneven = hyperelastic_errors(solid, frames, thickness=thickness.at(frames.x))["E_u"]
+    assert uneven < 1e-6
+    assert hyperelastic_errors(solid, frames)["E_u"] > 0.003
 
 
 def test_what_says_nothing_is_refused(frames):

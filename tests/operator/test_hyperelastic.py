@@ -17,14 +17,27 @@ from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.points import Points
 
 
-@pytest.fixture(scope="module")
-def problem():
+def uneven_problem(thickness):
     points = square(3)
-    op = HyperelasticOperator(everything(), points)
+    op = HyperelasticOperator(everything(), points, thickness=thickness)
     random = np.random.default_rng(1)
     u = np.stack([waves(points, 0.3, seed) for seed in (0, 1)])
     u += 0.02 * SPACING * random.normal(size=u.shape)
     return op, u, random.normal(size=len(op.dictionary)), SPACING * random.normal(size=u.shape)
+
+
+@pytest.fixture(scope="module", params=["even", "uneven"])
+def problem(request):
+    size = len(square(3).x)
+    random = np.random.default_rng(3)
+    return uneven_problem(
+        None if request.param == "even" else np.exp(0.5 * random.normal(size=size))
+    )
+
+
+@pytest.fixture(scope="module")
+def even_problem():
+    return uneven_problem(None)
 
 
 def test_the_force_is_the_slope_of_the_energy(problem):
@@ -59,6 +72,18 @@ def test_the_force_is_linear_in_the_coefficients(problem):
     np.testing.assert_allclose(op.features(u) @ c, force, atol=1e-12 * np.abs(force).max())
 
 
+def test_the_force_by_the_thickness_of_every_node(problem):
+    op, u, c, _ = problem
+    thickness = np.ones(len(op.points.x)) if op.thickness is None else op.thickness
+    slopes = op.by_thickness(u, c, np.eye(len(thickness)))
+    scale = np.abs(op.force(u, c)).max()
+    for n in range(0, len(thickness), 7):
+        step = 1e-3 * np.eye(len(thickness))[n]
+        ends = [op.with_thickness(thickness + sign * step).force(u, c) for sign in (1, -1)]
+        np.testing.assert_allclose(slopes[..., n], (ends[0] - ends[1]) / 2e-3, atol=1e-10 * scale)
+    np.testing.assert_allclose(slopes @ thickness, op.force(u, c), atol=1e-12 * scale)
+
+
 @pytest.mark.parametrize("by", ["angle", "exponent"])
 def test_the_force_of_a_fibre_by_its_numbers(problem, by):
     op, u, _, _ = problem
@@ -70,7 +95,7 @@ def test_the_force_of_a_fibre_by_its_numbers(problem, by):
         for shift in (1e-5, -1e-5):
             terms = list(op.dictionary.terms)
             terms[number] = dataclasses.replace(term, **{by: getattr(term, by) + shift})
-            moved = HyperelasticOperator(op.dictionary.with_terms(terms), op.points)
+            moved = op.with_terms(terms)
             ends.append(moved.features(u)[..., op.dictionary.first_term + number])
         expected = (ends[0] - ends[1]) / 2e-5
         slope = slopes[..., op.dictionary.first_term + number]
@@ -114,8 +139,8 @@ def test_bond_slopes_are_those_of_the_kernels():
             assert K == pytest.approx(expected, rel=1e-12)
 
 
-def test_no_force_at_rest_and_in_any_rigid_motion(problem):
-    op, _, c, _ = problem
+def test_no_force_at_rest_and_in_any_rigid_motion(even_problem):
+    op, _, c, _ = even_problem
     angle = 0.7
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     u = op.points.x @ turn.T - op.points.x + [0.3, -0.2]
@@ -124,8 +149,8 @@ def test_no_force_at_rest_and_in_any_rigid_motion(problem):
     assert np.abs(E).max() < 1e-12
 
 
-def test_no_force_in_uniform_strain(problem):
-    op, _, c, _ = problem
+def test_no_force_in_uniform_strain(even_problem):
+    op, _, c, _ = even_problem
     F = np.array([[1.25, 0.1], [-0.2, 0.9]])
     u = op.points.x @ (F - np.eye(2)).T
     assert np.abs(op.force(u, c)).max() < 1e-9 * np.abs(c).max() / SPACING
@@ -205,6 +230,10 @@ def test_what_cannot_be_used_is_refused():
         HyperelasticOperator(hgo_dictionary(), Points(points.x, points.interior, 0.0))
     with pytest.raises(InputError, match="kind"):
         Term("ogden")
+    with pytest.raises(InputError, match=f"thickness: expected {len(points.x)} numbers"):
+        op.with_thickness(np.ones(3))
+    with pytest.raises(InputError, match="thickness: expected finite numbers > 0"):
+        HyperelasticOperator(hgo_dictionary(), points, thickness=np.zeros(len(points.x)))
 
 
 def test_a_step_of_the_strain_costs_what_its_bond_says():
@@ -242,8 +271,8 @@ def test_a_step_of_fibres_costs_what_the_mean_of_its_ends_saves():
     assert op.energy(u, np.ones(1)) == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_stress_is_the_slope_of_the_energy_density(problem):
-    op, _, c, _ = problem
+def test_the_stress_is_the_slope_of_the_energy_density(even_problem):
+    op, _, c, _ = even_problem
     F = np.array([[1.15, 0.1], [-0.05, 0.95]])
     centre = op.interior[len(op.interior) // 2]
     P = piola_stress(op, op.points.x @ (F - np.eye(2)).T, c)[centre]

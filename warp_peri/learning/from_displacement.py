@@ -2,7 +2,8 @@
 
 The loss is the error of the solved displacement, (H12); its derivatives go through the equilibrium
 (H13), and every step is a linear least-squares problem with signs. Coefficients are scaled to an
-initial stiffness of one; a known force sets the scale afterwards.
+initial stiffness of one; a known force sets the scale afterwards. A sheet that is not even has a
+thickness, (H18), learned with the material or, for another sheet of a known one, alone.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.learning.energy_fit import largest_stretch, lower_bounds
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
+from warp_peri.models.thickness import Thickness
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
@@ -26,6 +28,8 @@ SCALE_WEIGHT = 1e3
 """Of the equation that fixes the initial stiffness, before it is met exactly."""
 TURN, GROWTH = 0.2, 1.0
 """Largest change of a fibre's angle [rad] and exponent in one step."""
+THICKEN = 0.5
+"""Largest change of a number of the thickness in one step."""
 LARGEST_EXPONENT = 60.0
 AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
@@ -40,12 +44,14 @@ class DisplacementFit:
         errors: relative error of the solved displacement of every training frame.
         history: root mean square of those errors after every step.
         frames_left_out: frames whose equilibrium was not found at the start.
+        thickness: of the sheet, where it was an unknown.
     """
 
     solid: HyperelasticSolid
     errors: np.ndarray
     history: list[float]
     frames_left_out: list[int]
+    thickness: Thickness | None = None
 
 
 def fit_displacement(
@@ -55,6 +61,7 @@ def fit_displacement(
     stiffness: float = 0.05,
     moving: bool = False,
     start: np.ndarray | None = None,
+    thickness: int = 0,
     most_steps: int = 15,
     tolerance: float = 1e-4,
     progress: bool = False,
@@ -67,36 +74,55 @@ def fit_displacement(
         stiffness: least coefficient of the deviations, in units of the initial stiffness.
         moving: whether angles and exponents of fibres are unknowns too.
         start: coefficients to begin with, shape [K]; those of least equation error where none.
+        thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18);
+            0 for an even sheet.
         most_steps: of Gauss and Newton.
         tolerance: ends when a step lowers the loss by less than this fraction.
         progress: show a bar on stderr.
 
     Raises InputError for frames with loads, affine frames, or energies that guarantee nothing.
     """
-    if frames.b is not None and np.any(frames.b[:, frames.interior]):
-        raise InputError("frames: expected no load on the interior; with loads use fit_energy")
+    check_unloaded(frames)
     if not dictionary.guaranteed:
         raise InputError(
             "dictionary: expected energies that are convex and stress-free at rest only"
         )
     check_identifiable(frames)
-    path = _Path(frames, dictionary, stiffness, moving)
+    uneven = Thickness.over(frames.x, thickness) if thickness else None
+    path = _Path(frames, dictionary, stiffness, moving, uneven)
     c = path.equation_error() if start is None else path.scaled(np.maximum(start, path.lower))
-    path.begin(c)
-    damping, history = 1e-3, [path.rms]
-    bar = tqdm(range(most_steps), desc="Gauss-Newton", disable=not progress, leave=False)
-    for _ in bar:
-        before = path.loss
-        damping = path.step(damping)
-        history.append(path.rms)
-        bar.set_postfix(error=f"{100 * path.rms:.3f} %")
-        if not path.loss < (1 - tolerance) * before:
-            break
-    op = path.problem.op
-    solid = HyperelasticSolid(
-        op.dictionary, path.c, frames.spacing, stretch=largest_stretch(op, frames)
-    )
-    return DisplacementFit(solid, np.sqrt(path.squares), history, path.left_out)
+    return path.descended(c, most_steps, tolerance, progress)
+
+
+def fit_thickness(
+    frames: Samples,
+    solid: HyperelasticSolid,
+    degree: int = 2,
+    *,
+    most_steps: int = 10,
+    tolerance: float = 1e-4,
+    progress: bool = False,
+) -> DisplacementFit:
+    """The thickness (H18) of a sheet whose material is known, from its own displacement.
+
+    Args:
+        frames: samples without loads.
+        solid: the material; its coefficients stay, scaled to an initial stiffness of one.
+        degree: of the polynomial.
+        most_steps, tolerance, progress: as in fit_displacement.
+
+    Raises InputError for frames with loads.
+    """
+    check_unloaded(frames)
+    uneven = Thickness.over(frames.x, degree)
+    path = _Path(frames, solid.dictionary, 0.0, False, uneven, held=True)
+    return path.descended(path.scaled(solid.coefficients), most_steps, tolerance, progress)
+
+
+def check_unloaded(frames: Samples) -> None:
+    """Raise InputError where the interior carries a load."""
+    if frames.b is not None and np.any(frames.b[:, frames.interior]):
+        raise InputError("frames: expected no load on the interior; with loads use fit_energy")
 
 
 def check_identifiable(frames: Samples) -> None:
@@ -136,16 +162,27 @@ class _Path:
     """Where the search stands: coefficients, solved fields, loss."""
 
     def __init__(
-        self, frames: Samples, dictionary: Dictionary, stiffness: float, moving: bool
+        self,
+        frames: Samples,
+        dictionary: Dictionary,
+        stiffness: float,
+        moving: bool,
+        thickness: Thickness | None = None,
+        *,
+        held: bool = False,
     ) -> None:
-        self.problem = StaticProblem(HyperelasticOperator(dictionary, frames))
+        self.x, self.thickness, self.held = frames.x, thickness, held
+        even = HyperelasticOperator(dictionary, frames)
+        self.problem = StaticProblem(even)
+        if thickness is not None:
+            self.problem = self.problem.with_thickness(thickness.at(self.x))
         self.inner = self.problem.op.interior
         self.data = frames.u
         self.size = np.linalg.norm(self.data[:, self.inner].reshape(len(self.data), -1), axis=1)
         self.kept = list(range(len(self.data)))
         self.left_out: list[int] = []
         self.lower = lower_bounds(dictionary, stiffness)
-        self.measure = initial_stiffness(self.problem.op)
+        self.measure = initial_stiffness(even)
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         first = dictionary.first_term
@@ -188,6 +225,27 @@ class _Path:
         least = lsq_linear(A / length, y, (self.lower * length, np.inf), method="bvls")
         return self.scaled(least.x / length)
 
+    def descended(
+        self, c: np.ndarray, most_steps: int, tolerance: float, progress: bool
+    ) -> DisplacementFit:
+        """The whole search from coefficients c."""
+        self.begin(c)
+        damping, history = 1e-3, [self.rms]
+        bar = tqdm(range(most_steps), desc="Gauss-Newton", disable=not progress, leave=False)
+        for _ in bar:
+            before = self.loss
+            damping = self.step(damping)
+            history.append(self.rms)
+            bar.set_postfix(error=f"{100 * self.rms:.3f} %")
+            if not self.loss < (1 - tolerance) * before:
+                break
+        op = self.problem.op
+        samples = Samples(op.points, self.data)
+        solid = HyperelasticSolid(
+            op.dictionary, self.c, op.points.spacing, stretch=largest_stretch(op, samples)
+        )
+        return DisplacementFit(solid, np.sqrt(self.squares), history, self.left_out, self.thickness)
+
     def begin(self, c: np.ndarray) -> None:
         """Solve all frames with the first coefficients; what has no equilibrium is left out."""
         fields, squares = self._solve(self.problem, c)
@@ -212,10 +270,10 @@ class _Path:
         return fields, squares
 
     def _equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """The errors and their derivative by coefficients, angles and exponents, reduced."""
+        """The errors and their derivative by all unknowns in the order of `now`, reduced."""
         op, K = self.problem.op, len(self.c)
         assert self.problem.pattern is not None
-        triangle = np.zeros((0, K + 2 * len(self.moving) + 1))
+        triangle = np.zeros((0, len(self.now) + 1))
         for n in self.kept:
             u = self.fields[n]
             factor = positive_factors(self.problem.pattern.matrix(u, self.c))
@@ -225,6 +283,9 @@ class _Path:
             for by in ("angle", "exponent") if self.moving else ():
                 slopes = op.features(u, by=by).reshape(-1, K)
                 F.append(slopes[:, self.moving] * self.c[self.moving])
+            if self.thickness is not None:
+                slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
+                F.append(slopes.reshape(len(F[0]), -1))
             J = -factor.solve(np.concatenate(F, axis=1)) / self.size[n]
             gap = (u - self.data[n])[self.inner].reshape(-1, 1) / self.size[n]
             rows = np.concatenate([triangle, np.concatenate([J, gap], axis=1)])
@@ -234,12 +295,9 @@ class _Path:
     def step(self, damping: float) -> float:
         """One step of Gauss, Newton and Levenberg; the next damping."""
         J, r = self._equations()
-        K, M = len(self.c), len(self.moving)
-        now = np.concatenate([self.c, self._numbers()])
-        lower = np.concatenate([self.lower, now[K : K + M] - TURN, now[K + M :] - GROWTH])
-        lower[K + M :] = np.maximum(lower[K + M :], [self._least(n) for n in self.moving])
-        upper = np.concatenate([np.full(K, np.inf), now[K : K + M] + TURN, now[K + M :] + GROWTH])
-        upper[K + M :] = np.minimum(upper[K + M :], LARGEST_EXPONENT)
+        K, now = len(self.c), self.now
+        lower, upper = self._bounds(now)
+        free: np.ndarray = np.arange(len(now)) >= (K if self.held else 0)
         length = np.linalg.norm(J, axis=0)
         length[length == 0] = 1.0
         fixed = np.zeros((1, len(now)))
@@ -247,13 +305,16 @@ class _Path:
         for _ in range(8):
             A = np.concatenate([J, np.sqrt(damping) * np.diag(length), fixed]) / length
             y = np.concatenate([J @ now - r, np.sqrt(damping) * length * now, fixed @ now])
-            upper = np.maximum(upper, lower + 1e-12)
-            moved = lsq_linear(A, y, (lower * length, upper * length), method="bvls").x / length
-            problem = self._moved(moved[K : K + M], moved[K + M :])
+            y -= A[:, ~free] @ (now * length)[~free]
+            bounds = (lower * length)[free], (upper * length)[free]
+            moved = now.copy()
+            moved[free] = lsq_linear(A[:, free], y, bounds, method="bvls").x / length[free]
+            problem, thickness = self._moved(moved[K:])
             c = self.scaled(np.maximum(moved[:K], 0.0))
             fields, squares = self._solve(problem, c)
             if squares[self.kept].sum() < self.loss:
                 self.problem, self.c, self.fields, self.squares = problem, c, fields, squares
+                self.thickness = thickness
                 return max(damping / 10, 1e-9)
             damping = max(10 * damping, 1e-6)
         return damping
@@ -262,22 +323,42 @@ class _Path:
         term = self.problem.op.dictionary.terms[number - self.problem.op.dictionary.first_term]
         return 2.0 if term.kind == "fibre_power" else 0.0
 
-    def _numbers(self) -> np.ndarray:
-        """Angles and exponents of the fibres that move."""
+    @property
+    def now(self) -> np.ndarray:
+        """Coefficients, angles and exponents of the fibres that move, numbers of the thickness."""
         dictionary = self.problem.op.dictionary
         terms = [dictionary.terms[n - dictionary.first_term] for n in self.moving]
-        return np.array([t.angle for t in terms] + [t.exponent for t in terms])
+        numbers = [] if self.thickness is None else self.thickness.numbers
+        return np.array(
+            [*self.c, *(t.angle for t in terms), *(t.exponent for t in terms), *numbers]
+        )
 
-    def _moved(self, angles: np.ndarray, exponents: np.ndarray) -> StaticProblem:
-        """The problem with other angles and exponents."""
-        if not self.moving:
-            return self.problem
-        dictionary = self.problem.op.dictionary
-        terms = list(dictionary.terms)
-        for n, angle, exponent in zip(self.moving, angles, exponents):
-            place = n - dictionary.first_term
-            terms[place] = replace(terms[place], angle=float(angle), exponent=float(exponent))
-        return self.problem.with_terms(terms)
+    def _bounds(self, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Between what the unknowns may be after a step."""
+        K, M = len(self.c), len(self.moving)
+        reach = np.full(len(now), np.inf)
+        reach[K : K + M], reach[K + M : K + 2 * M], reach[K + 2 * M :] = TURN, GROWTH, THICKEN
+        lower, upper = now - reach, now + reach
+        lower[:K] = self.lower
+        of_exponents = slice(K + M, K + 2 * M)
+        lower[of_exponents] = np.maximum(lower[of_exponents], [self._least(n) for n in self.moving])
+        upper[of_exponents] = np.minimum(upper[of_exponents], LARGEST_EXPONENT)
+        return lower, np.maximum(upper, lower + 1e-12)
+
+    def _moved(self, numbers: np.ndarray) -> tuple[StaticProblem, Thickness | None]:
+        """The problem with other angles, exponents and numbers of the thickness."""
+        problem, thickness, M = self.problem, self.thickness, len(self.moving)
+        if M:
+            dictionary = problem.op.dictionary
+            terms = list(dictionary.terms)
+            for n, angle, exponent in zip(self.moving, numbers[:M], numbers[M : 2 * M]):
+                place = n - dictionary.first_term
+                terms[place] = replace(terms[place], angle=float(angle), exponent=float(exponent))
+            problem = problem.with_terms(terms)
+        if thickness is not None:
+            thickness = replace(thickness, numbers=numbers[2 * M :])
+            problem = problem.with_thickness(thickness.at(self.x))
+        return problem, thickness
 
 
 def scaled_by_force(

@@ -18,6 +18,7 @@ def hyperelastic_errors(
     *,
     truth: np.ndarray | None = None,
     solve: bool = True,
+    thickness: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Relative ℓ2 errors on the interior, (30) and (31), as means over samples and one by one.
 
@@ -27,13 +28,14 @@ def hyperelastic_errors(
         truth: displacement that the solved one is held against, shape [S, N, 2]; that of the
             samples where none is given. Displacement on the collar is read from the samples.
         solve: whether E_u is asked for.
+        thickness: of every node of the samples, shape [N]; an even sheet where none is given.
 
     Returns:
         E_res where there are loads; E_u over the samples that were solved, not_solved, their
         number, and left_branch, the number of those that (Equilibrium.followed) another branch may
         hold; residuals and displacements with the errors of every sample, NaN where not solved.
     """
-    op = HyperelasticOperator(solid.dictionary, samples)
+    op = HyperelasticOperator(solid.dictionary, samples, thickness=thickness)
     inner, errors_of = op.interior, {}
     if samples.b is not None:
         left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]

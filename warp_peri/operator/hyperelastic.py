@@ -109,22 +109,29 @@ class HyperelasticOperator:
     Args:
         dictionary: the energies.
         points: a lattice whose interior has the 2δ collar.
+        thickness: of every node, > 0, shape [N]; an even sheet where none is given, (H18).
         dtype: wp.float64 or wp.float32.
 
     ``op.force(u, c)`` is differentiable in both for torch tensors; the other functions take and
     give NumPy arrays. Displacements have shape [S, N, 2] or [N, 2]. Forces are per volume of the
-    reference, (H8).
+    reference, (H8), of a sheet of thickness one.
 
-    Raises InputError for points without the collar.
+    Raises InputError for points without the collar, or a thickness that is none.
     """
 
     def __init__(
-        self, dictionary: Dictionary, points: PointsLike, *, dtype: Any = wp.float64
+        self,
+        dictionary: Dictionary,
+        points: PointsLike,
+        *,
+        thickness: np.ndarray | None = None,
+        dtype: Any = wp.float64,
     ) -> None:
         self.dictionary, self.points, self.scalar = dictionary, nodes_of(points), dtype
         self.bonds = lattice_bonds(self.points, dictionary.reach)
         self.interior = np.flatnonzero(points.interior)
         self.of = types(dtype)
+        self.thickness = self._thick(thickness)
         self.lattice = self._place()
         self._packed: tuple[np.ndarray, Any] | None = None
         self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
@@ -135,6 +142,33 @@ class HyperelasticOperator:
         other.dictionary = self.dictionary.with_terms(terms)
         other._packed = None
         return other
+
+    def with_thickness(self, thickness: np.ndarray | None) -> HyperelasticOperator:
+        """The same lattice with another thickness of every node, shape [N]; even for none."""
+        return self._weighed(self._thick(thickness))
+
+    def _weighed(self, weights: np.ndarray | None) -> HyperelasticOperator:
+        """The same with energies weighed by any numbers, one a node."""
+        other, lattice = copy(self), self.of.Lattice()
+        for name in self.of.Lattice.vars:
+            setattr(lattice, name, getattr(self.lattice, name))
+        real = np.float64 if self.scalar == wp.float64 else np.float32
+        held = np.zeros(0) if weights is None else weights
+        lattice.thickness = floats(held.astype(real), self.scalar)
+        other.lattice, other.thickness = lattice, weights
+        return other
+
+    def _thick(self, thickness: np.ndarray | None) -> np.ndarray | None:
+        if thickness is None:
+            return None
+        values = np.array(thickness, float)
+        if values.shape != (len(self.points.x),):
+            raise InputError(
+                f"thickness: expected {len(self.points.x)} numbers, got shape {list(values.shape)}"
+            )
+        if not (np.isfinite(values).all() and values.min() > 0):
+            raise InputError("thickness: expected finite numbers > 0")
+        return values
 
     def _place(self) -> Any:
         """The bonds as the kernels read them."""
@@ -163,6 +197,8 @@ class HyperelasticOperator:
         lattice.unit = floats(self.unit.astype(real), wp.types.vector(3, self.scalar))
         lattice.bond_class = ints(np.tile(np.arange(C), 2))
         lattice.deviation = ints(np.tile(deviation, 2))
+        held = np.zeros(0) if self.thickness is None else self.thickness
+        lattice.thickness = floats(held.astype(real), self.scalar)
         return lattice
 
     def _terms(self, c: np.ndarray) -> Any:
@@ -281,6 +317,19 @@ class HyperelasticOperator:
         if which:
             forces[..., : self.dictionary.first_term] = 0.0
         return forces.reshape(*np.shape(u)[:-2], len(self.interior), 2, len(self.dictionary))
+
+    def by_thickness(self, u: np.ndarray, c: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
+
+        Args:
+            u: displacements.
+            c: coefficients.
+            slopes: derivative of every node's thickness by those numbers, shape [N, P].
+
+        The force is linear in the thickness, so this is the force of sheets as thick as the slopes.
+        """
+        parts = [self._weighed(slope).everywhere(u, c) for slope in np.asarray(slopes).T]
+        return np.stack([part[..., self.interior, :] for part in parts], axis=-1)
 
     def _features(self, fields: np.ndarray, which: int, rows: Any) -> np.ndarray:
         """Forces of single energies on some nodes, chunk by chunk of samples."""

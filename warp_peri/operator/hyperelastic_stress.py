@@ -16,7 +16,8 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
         c: coefficients.
 
     It is ∂W/∂F in uniform strain, on nodes whose neighbours all have whole families; nearer to the
-    edge it misses what bonds to outside would carry.
+    edge it misses what bonds to outside would carry. Of a sheet that is not even it is the pull per
+    length of a section, over thickness one.
     """
     u = np.asarray(u, float)
     E, G, _ = op.states(u, c)
@@ -32,6 +33,8 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
     mean = 1 + ((E[i[near], 3:] + E[j[near], 3:]) * op.unit[k[near]]).sum(axis=1)
     d = 0.5 * np.log((1 + 2 * s[near]) / mean)
     tension[near] += c[first:last][op.deviation[k[near]]] * d / (1 + 2 * s[near]) / mean
+    if op.thickness is not None:
+        tension *= (op.thickness[i] + op.thickness[j]) / 2
     along = tension / square + ((G[i] + G[j]) * op.weight[k]).sum(axis=1)
     carried = 0.5 * along[:, None, None] * Y[:, :, None] * xi[:, None, :]
     P = np.zeros((len(u), 2, 2))

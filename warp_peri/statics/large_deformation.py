@@ -185,6 +185,14 @@ class StaticProblem:
             other.pattern = replace(self.pattern, op=other.op)
         return other
 
+    def with_thickness(self, thickness: np.ndarray | None) -> StaticProblem:
+        """The same lattice with another thickness of every node, shape [N]."""
+        other = copy(self)
+        other.op = self.op.with_thickness(thickness)
+        if self.pattern is not None:
+            other.pattern = replace(self.pattern, op=other.op)
+        return other
+
     def _soften(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray, first: np.ndarray
     ) -> tuple[np.ndarray | None, float, int]:
@@ -365,12 +373,19 @@ class StaticProblem:
 
 
 def solve_hyperelastic(
-    solid: HyperelasticSolid, points: PointsLike, b: np.ndarray | None, u: np.ndarray
+    solid: HyperelasticSolid,
+    points: PointsLike,
+    b: np.ndarray | None,
+    u: np.ndarray,
+    *,
+    thickness: np.ndarray | None = None,
 ) -> Equilibrium:
-    """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments."""
-    return StaticProblem(HyperelasticOperator(solid.dictionary, points)).solve(
-        solid.coefficients, b, u
-    )
+    """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments.
+
+    A thickness of every node, shape [N], makes the sheet uneven, (H18).
+    """
+    op = HyperelasticOperator(solid.dictionary, points, thickness=thickness)
+    return StaticProblem(op).solve(solid.coefficients, b, u)
 
 
 def laplacian(op: HyperelasticOperator) -> tuple[sp.csr_matrix, sp.csr_matrix]:
