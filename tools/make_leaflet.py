@@ -48,6 +48,7 @@ class Leaflet:
         mu: shear modulus of the matrix [kPa].
         k1, k2: of both fibre families [kPa, −].
         first, second: directions of the families [degree].
+        uneven: how much the thickness varies, see `thickness`; 0 for an even sheet.
     """
 
     mu: float = 10.0
@@ -55,12 +56,19 @@ class Leaflet:
     k2: float = 2.0
     first: float = -25.0
     second: float = -65.0
+    uneven: float = 0.0
 
     @property
     def energy(self) -> Matrix:
         """Strain energy of the leaflet's material."""
         families = [Family(np.deg2rad(a), self.k1, self.k2) for a in (self.first, self.second)]
         return plane_stress_hgo(self.mu, families)
+
+    def thickness(self, x: np.ndarray) -> np.ndarray:
+        """Thickness at points of shape [..., 2], over that at the centre; no polynomial's, (H18)."""
+        wave = np.sin(2 * x[..., 0]) + np.cos(3 * x[..., 1]) - 1 - x[..., 0] * x[..., 1]
+        values: np.ndarray = np.exp(self.uneven * wave)
+        return values
 
 
 def make_leaflet(
@@ -109,6 +117,8 @@ def make_leaflet(
 def protocol(folder: Path, leaflet: Leaflet, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Frames and pulls of one protocol, from the folder or solved and put there."""
     settings = {**asdict(leaflet), "protocol": PROTOCOLS[number], "levels": LEVELS, "version": 1}
+    if not leaflet.uneven:
+        del settings["uneven"]
     key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
     path = folder / f"protocol_{key}.npz"
     if path.exists():
@@ -125,6 +135,7 @@ def pull(leaflet: Leaflet, parts: tuple[float, float]) -> tuple[np.ndarray, np.n
     mesh = Elements(quadrilaterals(34, SIDE, -SIDE / 2))
     sides = [(axis, sign, tines(mesh, axis, sign)) for axis in (0, 1) for sign in (1, -1)]
     mesh.springs = sum((springs for _, _, springs in sides[1:]), sides[0][2]).tocsr()
+    mesh.dx = mesh.dx * leaflet.thickness(mesh.quadrature)
     line = SPACING * (np.arange(NODES) - NODES // 2)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     u = np.zeros(2 * mesh.nodes)
@@ -175,7 +186,7 @@ def main() -> None:
     for name, value in asdict(Leaflet()).items():
         parser.add_argument(f"--{name}", type=float, default=value)
     given = parser.parse_args()
-    leaflet = Leaflet(given.mu, given.k1, given.k2, given.first, given.second)
+    leaflet = Leaflet(**{name: getattr(given, name) for name in asdict(Leaflet())})
     for name, frames in make_leaflet(given.out, leaflet=leaflet, jobs=given.jobs).items():
         print(f"{name}: {len(frames)} frames on {len(frames.x)} nodes")
 

@@ -2,8 +2,9 @@
 
 Every kernel gathers: a node reads what its bonds and their far ends hold, and writes its own place.
 The derivative in the displacement is the tangent, symmetric, and the force is linear in the
-coefficients and in the thickness, so no tape is needed. A state holds six numbers: the nodal strain, (H3), and the short
-one, (H4), each as E11, E22, 2 E12; `whole` tells which of them a node has (1, 2, or both as 3).
+coefficients and in the thickness, so no tape is needed. A state holds six numbers: the nodal
+strain, (H3), and the short one, (H4), each as E11, E22, 2 E12; `whole` tells which of them a node
+has (1, 2, or both as 3).
 """
 
 from functools import cache
