@@ -1,8 +1,9 @@
 """A heart valve's leaflet learned from displacement alone, as digital image correlation sees it.
 
 Three protocols of a biaxial test are learned from, four are held out; no load is known. By default
-the leaflet is synthetic, with noise; --frames takes a folder of real frames instead, learns from
-some and predicts the others.
+the leaflet is synthetic, with noise, and even; --uneven makes its thickness vary. --frames takes a
+folder of real frames instead, learns a material and the sheet's thickness from some, and predicts
+the others; --other takes the material to another sheet.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,11 @@ from tools.make_leaflet import Leaflet, make_leaflet, noisy
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import plain, write_json
 from warp_peri.learning.fibres import families, rose
-from warp_peri.learning.from_displacement import DisplacementFit, fit_displacement
+from warp_peri.learning.from_displacement import (
+    DisplacementFit,
+    fit_displacement,
+    fit_thickness,
+)
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
 from warp_peri.models.febio import in_words, save_febio
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
@@ -36,26 +42,65 @@ UNEVEN = "neo-Hookean, uneven"
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 MATRIX = (Term("plane_stress"), Term("volumetric"))
 ROSE = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(8, (2.0, 3.0, 4.0, 6.0))))
+DEGREE = 2
+"""Of the polynomial that is the logarithm of a thickness."""
+CANDIDATES = {
+    "even matrix": (Dictionary(3.0, (), NEAREST, MATRIX), 0),
+    "matrix": (Dictionary(3.0, (), NEAREST, MATRIX), DEGREE),
+    "even, eight directions": (ROSE, 0),
+    "eight directions": (ROSE, DEGREE),
+}
+"""What a real sheet may be, by name: energies and degree of the thickness."""
+Fits = dict[str, tuple[DisplacementFit, float]]
 
 
-def learn(train: Samples, *, progress: bool) -> dict[str, tuple[DisplacementFit, float]]:
+def learn(train: Samples, degree: int, *, progress: bool) -> Fits:
     """A fit on eight directions, then one whose directions and exponents are unknowns."""
     began = time.process_time()
-    wide = fit_displacement(train, ROSE, most_steps=6, progress=progress)
-    fits = {"eight directions": (wide, time.process_time() - began)}
+    mark = ", uneven" if degree else ""
+    wide = fit_displacement(train, ROSE, thickness=degree, most_steps=6, progress=progress)
+    fits = {f"eight directions{mark}": (wide, time.process_time() - began)}
     dictionary, start = families(wide.solid)
     if len(dictionary.terms) > len(MATRIX):
         few = fit_displacement(
-            train, dictionary, moving=True, start=start, most_steps=20, tolerance=1e-3,
-            progress=progress,
+            train, dictionary, moving=True, start=start, thickness=degree, most_steps=20,
+            tolerance=1e-3, progress=progress,
         )  # fmt: skip
-        fits["families"] = few, time.process_time() - began
+        fits[f"families{mark}"] = few, time.process_time() - began
     return fits
+
+
+def choose(train: Samples, *, progress: bool) -> tuple[dict[str, float], Fits]:
+    """Errors of the candidates on a frame left out; the best of them, learned from all frames."""
+    out = np.arange(len(train)) == len(train) // 2
+    rest, left = (Samples(train.points, train.u[part]) for part in (~out, out))
+    errors = {}
+    for name, (dictionary, degree) in CANDIDATES.items():
+        fit = real_fit(rest, dictionary, degree, progress=progress)
+        errors[name] = float(hyperelastic_errors(fit.solid, left, thickness=of(fit, left))["E_u"])
+    best = min(errors, key=lambda name: errors[name])
+    began = time.process_time()
+    fit = real_fit(train, *CANDIDATES[best], progress=progress)
+    return errors, {best: (fit, time.process_time() - began)}
+
+
+def real_fit(
+    train: Samples, dictionary: Dictionary, degree: int, *, progress: bool
+) -> DisplacementFit:
+    """One candidate."""
+    return fit_displacement(
+        train, dictionary, thickness=degree, most_steps=10, tolerance=1e-3, progress=progress
+    )
+
+
+def of(fit: DisplacementFit, frames: Samples) -> np.ndarray | None:
+    """Thickness of every node, None for an even sheet."""
+    return None if fit.thickness is None else fit.thickness.at(frames.x)
 
 
 def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str, Any]:
     """Errors of a fit on frames it never saw."""
-    errors = hyperelastic_errors(fit.solid, test, truth=truth)
+    errors = hyperelastic_errors(fit.solid, test, truth=truth, thickness=of(fit, test))
     solid = fit.solid
     first = solid.dictionary.first_term
     energies = zip(solid.dictionary.labels[first:], solid.coefficients[first:])
@@ -67,6 +112,8 @@ def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str
         "frames": errors["displacements"],
         "material": {word: value for word, value in energies if value > 0},
     }
+    if fit.thickness is not None:
+        report["thickness"] = dict(zip(fit.thickness.names, fit.thickness.numbers))
     if "protocol" in test.arrays:
         protocols = test.arrays["protocol"]
         report["protocols"] = {
@@ -78,7 +125,7 @@ def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str
 
 def synthetic(given: argparse.Namespace) -> tuple[Samples, Samples, np.ndarray]:
     """Frames to learn from, frames held out, and the latter without noise."""
-    leaflet = Leaflet(given.mu, given.k1, given.k2, given.first, given.second)
+    leaflet = Leaflet(**{name: getattr(given, name) for name in vars(Leaflet())})
     sets = make_leaflet(given.data, leaflet=leaflet, jobs=given.jobs, progress=not given.json)
     train = noisy(sets["train"], given.noise, given.seed)
     test = noisy(sets["test"], given.noise, given.seed + 1)
@@ -114,10 +161,12 @@ def export(solid: HyperelasticSolid, folder: Path) -> list[str]:
 
 
 def other_sheet(fit: DisplacementFit, folder: Path, given: argparse.Namespace) -> dict[str, Any]:
-    """Errors on another sheet, of a material that knows nothing of it and of rivals that do."""
+    """Errors on another sheet, taken as even, and with the thickness that its own frames tell."""
     own, other = measured(folder, given)
+    report = held_out(replace(fit, thickness=None), other, other.u)
     rivals = rival_errors(own, other, other.u, ["neo-Hookean", UNEVEN])
-    return held_out(fit, other, other.u) | {"rivals": rivals}
+    uneven = fit_thickness(own, fit.solid, DEGREE, progress=not given.json)
+    return report | {"own thickness": held_out(uneven, other, other.u), "rivals": rivals}
 
 
 def blank(report: Any) -> Any:
@@ -149,17 +198,21 @@ def main() -> None:
     given = parser.parse_args()
     if given.rivals is None:  # the synthetic leaflet is even
         given.rivals = [name for name in RIVALS if given.frames or name != UNEVEN]
+    report: dict[str, Any] = {}
     if given.frames is None:
         train, test, truth = synthetic(given)
+        fits = learn(train, 0, progress=not given.json)
+        if given.uneven:
+            fits |= learn(train, DEGREE, progress=not given.json)
     else:
         train, test = measured(given.frames, given)
         truth = test.u
-    report: dict[str, Any] = {
+        report["left out"], fits = choose(train, progress=not given.json)
+    report |= {
         "frames": [len(train), len(test)],
         "interior nodes": int(train.interior.sum()),
         "noise in spacings": noise_of(test) / test.spacing,
     }
-    fits = learn(train, progress=not given.json)
     for name, (fit, seconds) in fits.items():
         report[name] = held_out(fit, test, truth) | {"seconds": seconds}
     best = min(fits, key=lambda name: fits[name][0].history[-1])
@@ -168,7 +221,7 @@ def main() -> None:
     report["rivals"] = rival_errors(train, test, truth, given.rivals)
     report["rivals' seconds"] = time.perf_counter() - began
     report["words"] = export(fits[best][0].solid, given.out)
-    draw(fits[best][0].solid, test, truth, report, given.out)
+    draw(fits[best][0].solid, test, truth, report, given.out, of(fits[best][0], test))
     report = blank(plain(report))
     write_json(given.out / "errors.json", report)
     if given.json:
@@ -178,8 +231,10 @@ def main() -> None:
         if isinstance(entry, dict) and "held out" in entry:
             error = "-" if entry["held out"] is None else f"{100 * entry['held out']:.3f} %"
             print(f"{name:20} held out {error} ({entry['not_solved']} not solved)")
-            for word, value in entry.get("material", {}).items():
+            for word, value in (entry.get("material", {}) | entry.get("thickness", {})).items():
                 print(f"    {word}: {value:.4f}")
+            if "own thickness" in entry:
+                print(f"    own thickness: {100 * entry['own thickness']['held out']:.3f} %")
     print("\n".join(report["words"]))
 
 

@@ -26,24 +26,29 @@ def draw(
     truth: np.ndarray,
     report: dict[str, Any],
     folder: Path,
+    thickness: np.ndarray | None = None,
 ) -> None:
-    """Write the four figures."""
+    """Write the four figures, and the thickness of a sheet that is not even."""
     folder.mkdir(parents=True, exist_ok=True)
+    op = HyperelasticOperator(solid.dictionary, test, thickness=thickness)
     figures = {
-        "maps": maps(solid, test, truth),
-        "curves": curves(solid, test),
+        "maps": maps(op, solid, test, truth),
+        "curves": curves(op, solid, test),
         "rose": fibre_rose(solid),
         "errors": errors_by_frame(report),
     }
+    if thickness is not None:
+        figures["thickness"] = thickness_map(test, thickness)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=130)
         plt.close(figure)
 
 
-def maps(solid: HyperelasticSolid, test: Samples, truth: np.ndarray) -> Figure:
+def maps(
+    op: HyperelasticOperator, solid: HyperelasticSolid, test: Samples, truth: np.ndarray
+) -> Figure:
     """Measured, predicted and difference of both components on the last held-out frame."""
-    problem = StaticProblem(HyperelasticOperator(solid.dictionary, test))
-    solved = problem.find(solid.coefficients, None, test.u[-1])
+    solved = StaticProblem(op).find(solid.coefficients, None, test.u[-1])
     u = test.u[-1] if solved is None else solved.u
     inner = test.interior
     figure, axes = plt.subplots(2, 3, figsize=(10.5, 6.4), layout="constrained")
@@ -57,9 +62,17 @@ def maps(solid: HyperelasticSolid, test: Samples, truth: np.ndarray) -> Figure:
     return figure
 
 
-def curves(solid: HyperelasticSolid, test: Samples) -> Figure:
+def thickness_map(test: Samples, thickness: np.ndarray) -> Figure:
+    """Thickness over that at the centre."""
+    figure, ax = plt.subplots(figsize=(4.6, 4.0), layout="constrained")
+    drawn = ax.scatter(*test.x.T, c=thickness, s=22, marker="s", cmap="cividis")
+    figure.colorbar(drawn, ax=ax, label="thickness / that at the centre")
+    ax.set(aspect="equal")
+    return figure
+
+
+def curves(op: HyperelasticOperator, solid: HyperelasticSolid, test: Samples) -> Figure:
     """Mean nominal stress against mean stretch by protocol; bands span the middle four fifths."""
-    op = HyperelasticOperator(solid.dictionary, test)
     protocols = test.arrays.get("protocol", np.zeros(len(test), int))
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained", sharey=True)
     for number in np.unique(protocols):
@@ -97,9 +110,9 @@ def fibre_rose(solid: HyperelasticSolid) -> Figure:
 def errors_by_frame(report: dict[str, Any]) -> Figure:
     """Held-out errors of every frame, of the fits and their rivals."""
     figure, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
-    for name in ("eight directions", "families"):
-        if name in report:
-            ax.plot(100 * np.asarray(report[name]["frames"]), "o-", ms=3, label=name)
+    for name, entry in report.items():
+        if isinstance(entry, dict) and "frames" in entry:
+            ax.plot(100 * np.asarray(entry["frames"]), "o-", ms=3, label=name)
     for number, (name, rival) in enumerate(report.get("rivals", {}).items()):
         errors = 100 * np.asarray(rival["frames"])
         ax.plot(errors, "x--", color=f"C{number + 2}", lw=1, ms=3, label=name)

@@ -65,7 +65,7 @@ class Leaflet:
         return plane_stress_hgo(self.mu, families)
 
     def thickness(self, x: np.ndarray) -> np.ndarray:
-        """Thickness at points of shape [..., 2], over that at the centre; no polynomial's, (H18)."""
+        """Thickness at points of shape [..., 2], over that at the centre; no polynomial (H18)."""
         wave = np.sin(2 * x[..., 0]) + np.cos(3 * x[..., 1]) - 1 - x[..., 0] * x[..., 1]
         values: np.ndarray = np.exp(self.uneven * wave)
         return values
