@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 from examples.leaflet_pictures import draw
-from examples.studies.leaflet_rivals import RIVALS, rival_errors
+from examples.studies.leaflet_rivals import RIVALS, interpolated_errors, rival_errors
 from tools.make_leaflet import Leaflet, make_leaflet, noisy
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.whole import plain, write_json
@@ -39,9 +39,12 @@ from warp_peri.points.samples import Samples
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
 
 UNEVEN = "neo-Hookean, uneven"
+INTERPOLATED = "no material, interpolation"
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 MATRIX = (Term("plane_stress"), Term("volumetric"))
 ROSE = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(8, (2.0, 3.0, 4.0, 6.0))))
+FIRST = 0.25
+"""Real frames before this part of a test are not used: so little moves that other errors show."""
 DEGREE = 2
 """Of the polynomial that is the logarithm of a thickness."""
 CANDIDATES = {
@@ -133,7 +136,7 @@ def synthetic(given: argparse.Namespace) -> tuple[Samples, Samples, np.ndarray]:
 
 
 def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]:
-    """Real frames: of `count` spread over the test, every second is learned from."""
+    """Real frames, spread from a quarter of the test to its end: every second is learned from."""
     paths = sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt"))
     frames = []
     for path in paths:
@@ -143,9 +146,10 @@ def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]
             continue  # tables of forces lie beside frames
     if len(frames) < 4:
         raise InputError(f"{folder}: expected at least four frames, got {len(frames)}")
-    chosen = np.unique(np.linspace(0, len(frames) - 1, given.count + 1).astype(int)[1:])
+    last = len(frames) - 1
+    chosen = np.unique(np.linspace(FIRST * last, last, given.count).astype(int))
     samples = frames_on_lattice([frames[n] for n in chosen], radius=given.smooth)
-    pick = np.arange(len(chosen)) % 2 == 1
+    pick = np.arange(len(chosen))[::-1] % 2 == 0
     return tuple(Samples(samples.points, samples.u[part]) for part in (pick, ~pick))  # type: ignore[return-value]
 
 
@@ -165,6 +169,7 @@ def other_sheet(fit: DisplacementFit, folder: Path, given: argparse.Namespace) -
     own, other = measured(folder, given)
     report = held_out(replace(fit, thickness=None), other, other.u)
     rivals = rival_errors(own, other, other.u, ["neo-Hookean", UNEVEN])
+    rivals[INTERPOLATED] = interpolated_errors(other, other.u)
     uneven = fit_thickness(own, fit.solid, DEGREE, progress=not given.json)
     return report | {"own thickness": held_out(uneven, other, other.u), "rivals": rivals}
 
@@ -185,7 +190,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7, help="of the noise")
     parser.add_argument("--frames", type=Path, help="folder of real frames")
     parser.add_argument("--other", type=Path, nargs="*", default=[], help="folders to predict too")
-    parser.add_argument("--count", type=int, default=8, help="real frames to use")
+    parser.add_argument("--count", type=int, default=7, help="real frames to use")
     parser.add_argument("--pixel", type=float, default=1.0, help="length of the frames' unit")
     parser.add_argument("--smooth", type=float, default=0.0, help="radius of local fits, spacings")
     parser.add_argument("--rivals", nargs="*", choices=RIVALS, help="all but the uneven sheet")
@@ -219,6 +224,7 @@ def main() -> None:
     report |= {folder.name: other_sheet(fits[best][0], folder, given) for folder in given.other}
     began = time.perf_counter()
     report["rivals"] = rival_errors(train, test, truth, given.rivals)
+    report["rivals"][INTERPOLATED] = interpolated_errors(test, truth)
     report["rivals' seconds"] = time.perf_counter() - began
     report["words"] = export(fits[best][0].solid, given.out)
     draw(fits[best][0].solid, test, truth, report, given.out, of(fits[best][0], test))

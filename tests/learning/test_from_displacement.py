@@ -7,6 +7,7 @@ import pytest
 
 from tests.support.sheets import NEAREST, square, waves
 from warp_peri import InputError
+from warp_peri.learning.displacement_search import Search, initial_stiffness
 from warp_peri.learning.fibres import (
     families,
     grouped,
@@ -16,10 +17,8 @@ from warp_peri.learning.fibres import (
     with_directions,
 )
 from warp_peri.learning.from_displacement import (
-    _Path,
     fit_displacement,
     fit_thickness,
-    initial_stiffness,
     scaled_by_force,
 )
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
@@ -72,7 +71,7 @@ def test_direction_and_exponent_are_found(frames):
 def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
     uneven = Thickness.over(frames.x, 2)
     uneven = replace(uneven, numbers=np.array([0.3, -0.2, 0.1, 0.15, -0.1]))
-    path = _Path(frames, sheet(1.0, 1.5), 0.0, True, uneven)
+    path = Search(frames, sheet(1.0, 1.5), 0.0, True, uneven)
     c = path.scaled(TRUTH)
     path.begin(c)
     reduced, gap = path._equations()
