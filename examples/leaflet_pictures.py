@@ -65,7 +65,8 @@ def maps(
 def thickness_map(test: Samples, thickness: np.ndarray) -> Figure:
     """Thickness over that at the centre."""
     figure, ax = plt.subplots(figsize=(4.6, 4.0), layout="constrained")
-    drawn = ax.scatter(*test.x.T, c=thickness, s=22, marker="s", cmap="cividis")
+    x, y = test.x.T
+    drawn = ax.scatter(x, y, c=thickness, s=22, marker="s", cmap="cividis")
     figure.colorbar(drawn, ax=ax, label="thickness / that at the centre")
     ax.set(aspect="equal")
     return figure

@@ -237,7 +237,7 @@ class Search:
         """Coefficients, angles and exponents of the fibres that move, numbers of the thickness."""
         dictionary = self.problem.op.dictionary
         terms = [dictionary.terms[n - dictionary.first_term] for n in self.moving]
-        numbers = [] if self.thickness is None else self.thickness.numbers
+        numbers = np.zeros(0) if self.thickness is None else self.thickness.numbers
         return np.array(
             [*self.c, *(t.angle for t in terms), *(t.exponent for t in terms), *numbers]
         )

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.displacement_search import DisplacementFit, Search, initial_stiffness
+from warp_peri.learning.displacement_search import DisplacementFit, Search
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
 from warp_peri.models.thickness import Thickness
 from warp_peri.operator.hyperelastic import HyperelasticOperator
@@ -26,12 +26,11 @@ __all__ = [
     "check_identifiable",
     "fit_displacement",
     "fit_thickness",
-    "initial_stiffness",
     "scaled_by_force",
 ]
 
 INTERPOLATES = 20.0
-"""Deviations so many times as stiff as the sheet at rest fill in the collar as a stiff plate does."""
+"""Times as stiff as the sheet at rest: such deviations fill in the collar as a stiff plate does."""
 AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
 

@@ -79,4 +79,5 @@ class Thickness:
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Its derivative by the numbers, shape [N, P]."""
-        return self.at(x)[:, None] * self._terms(x)
+        values: np.ndarray = self.at(x)[:, None] * self._terms(x)
+        return values
