@@ -35,6 +35,7 @@ from examples.studies import (
     atlas_points,
     atlas_solves,
     atlas_transfer,
+    atlas_uneven,
 )
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
@@ -73,6 +74,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "larger-strains": lambda: atlas_nonlinear.larger_strains(data, cache),
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
+        "uneven": atlas_uneven.uneven_as_even,
         "noise-of-its-own": atlas_flow.independent_noise,
         "stretched-and-turned": atlas_flow.stretched_and_turned,
         "broken": lambda: atlas_cracks.broken_kernels(model()),
