@@ -71,7 +71,7 @@ def test_direction_and_exponent_are_found(frames):
 def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
     uneven = Thickness.over(frames.x, 2)
     uneven = replace(uneven, numbers=np.array([0.3, -0.2, 0.1, 0.15, -0.1]))
-    path = Search(frames, sheet(1.0, 1.5), 0.0, True, uneven)
+    path = Search(frames, sheet(1.0, 1.5), (0.0, np.inf), True, uneven)
     c = path.scaled(TRUTH)
     path.begin(c)
     reduced, gap = path._equations()

@@ -74,7 +74,7 @@ class Search:
         self,
         frames: Samples,
         dictionary: Dictionary,
-        stiffness: float,
+        bounds: tuple[float, float],
         moving: bool,
         thickness: Thickness | None = None,
         *,
@@ -90,7 +90,10 @@ class Search:
         self.size = np.linalg.norm(self.data[:, self.inner].reshape(len(self.data), -1), axis=1)
         self.kept = list(range(len(self.data)))
         self.left_out: list[int] = []
-        self.lower = lower_bounds(dictionary, stiffness)
+        least, greatest = bounds
+        self.lower, self.upper = lower_bounds(dictionary, least), np.full(len(dictionary), np.inf)
+        deviations = slice(dictionary.first_deviation, dictionary.first_term)
+        self.upper[deviations] = max(greatest, least + 1e-9)
         self.measure = initial_stiffness(even)
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
@@ -131,7 +134,7 @@ class Search:
         y[-1] = SCALE_WEIGHT * np.abs(triangle).max() / np.abs(self.measure).max()
         length = np.linalg.norm(A, axis=0)
         length[length == 0] = 1.0
-        least = lsq_linear(A / length, y, (self.lower * length, np.inf), method="bvls")
+        least = lsq_linear(A / length, y, (self.lower * length, self.upper * length), method="bvls")
         return self.scaled(least.x / length)
 
     def descended(
@@ -248,7 +251,7 @@ class Search:
         reach = np.full(len(now), np.inf)
         reach[K : K + M], reach[K + M : K + 2 * M], reach[K + 2 * M :] = TURN, GROWTH, THICKEN
         lower, upper = now - reach, now + reach
-        lower[:K] = self.lower
+        lower[:K], upper[:K] = self.lower, self.upper
         of_exponents = slice(K + M, K + 2 * M)
         lower[of_exponents] = np.maximum(lower[of_exponents], [self._least(n) for n in self.moving])
         upper[of_exponents] = np.minimum(upper[of_exponents], LARGEST_EXPONENT)

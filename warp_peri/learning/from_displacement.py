@@ -39,7 +39,7 @@ def fit_displacement(
     frames: Samples,
     dictionary: Dictionary,
     *,
-    stiffness: float = 0.05,
+    stiffness: float | tuple[float, float] = 0.05,
     moving: bool = False,
     start: np.ndarray | None = None,
     thickness: int = 0,
@@ -52,7 +52,8 @@ def fit_displacement(
     Args:
         frames: samples without loads.
         dictionary: energies that are safe with coefficients ≥ 0.
-        stiffness: least coefficient of the deviations, in units of the initial stiffness.
+        stiffness: least coefficient of the deviations, in units of the initial stiffness, or the
+            least and the greatest: what is held low does not fit the frames in place of a material.
         moving: whether angles and exponents of fibres are unknowns too.
         start: coefficients to begin with, shape [K]; those of least equation error where none.
         thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18);
@@ -71,8 +72,12 @@ def fit_displacement(
         )
     check_identifiable(frames)
     uneven = Thickness.over(frames.x, thickness) if thickness else None
-    search = Search(frames, dictionary, stiffness, moving, uneven)
-    c = search.equation_error() if start is None else search.scaled(np.maximum(start, search.lower))
+    bounds = stiffness if isinstance(stiffness, tuple) else (stiffness, np.inf)
+    search = Search(frames, dictionary, bounds, moving, uneven)
+    if start is None:
+        c = search.equation_error()
+    else:
+        c = search.scaled(np.clip(start, search.lower, search.upper))
     fit = search.descended(c, most_steps, tolerance, progress)
     warn_of_interpolation(fit.solid)
     return fit
@@ -99,7 +104,7 @@ def fit_thickness(
     """
     check_unloaded(frames)
     uneven = Thickness.over(frames.x, degree)
-    search = Search(frames, solid.dictionary, 0.0, False, uneven, held=True)
+    search = Search(frames, solid.dictionary, (0.0, np.inf), False, uneven, held=True)
     return search.descended(search.scaled(solid.coefficients), most_steps, tolerance, progress)
 
 
