@@ -48,11 +48,12 @@ FIRST = 0.25
 DEGREE = 2
 """Of the polynomial that is the logarithm of a thickness."""
 PLAIN = Dictionary(3.0, (), NEAREST, MATRIX)
+FOUR = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(4, (2.0, 4.0))))
 CANDIDATES = {
     "even matrix": (PLAIN, 0),
     "matrix": (PLAIN, DEGREE),
-    "even, eight directions": (ROSE, 0),
-    "eight directions": (ROSE, DEGREE),
+    "even, four directions": (FOUR, 0),
+    "four directions": (FOUR, DEGREE),
 }
 """What a real sheet may be, by name: energies and degree of the thickness."""
 HELD = "matrix, deviations held"

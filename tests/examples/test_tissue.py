@@ -14,7 +14,7 @@ import torch
 
 from examples.leaflet import blank, measured
 from examples.leaflet_pictures import draw
-from examples.studies.leaflet_rivals import RIVALS, Window, fit
+from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
 from examples.studies.pno_rival import PeridynamicOperator, mirrored, on_grid
 from tests.support.sheets import hgo_dictionary, square
 from tools.hyperelastic_energies import plane_stress_hgo
@@ -67,6 +67,8 @@ def test_frames_of_a_folder_are_learned_from_and_held_out(tmp_path):
     (tmp_path / "forces.csv").write_text("time,force\n0,1\n")
     train, test = measured(tmp_path, Given)
     assert (len(train), len(test)) == (2, 2)
+    last = 0.08 * train.x[:, 0].max()
+    assert train.u[-1, :, 0].max() == pytest.approx(last + 1e-4 * 0.1 * 130**2, rel=1e-6)
     assert train.spacing == pytest.approx(1.0)
 
 
@@ -88,6 +90,16 @@ def test_a_rival_recovers_its_own_numbers():
     assert left < 1e-4
     assert numbers[2] == pytest.approx(-0.5, abs=0.02)
     assert window.solve(plane_stress_hgo(1.0), u) is not None
+
+
+def test_interpolation_is_exact_for_cubics_and_not_beyond():
+    points = square(3)
+    x, y = (points.x - points.x.mean(axis=0)).T
+    cubic = np.stack([x**3 - x * y**2, 1 + y**3 + x**2 * y], axis=1)
+    samples = Samples(points, np.stack([cubic, cubic + x[:, None] ** 4]))
+    exact, beyond = interpolated_errors(samples, samples.u)["frames"]
+    assert exact < 1e-12
+    assert beyond > 1e-6
 
 
 def test_an_uneven_sheet_is_seen_as_one():

@@ -60,6 +60,13 @@ def test_ratios_are_found_and_the_scale_is_one(frames):
     assert fit.errors.max() < 1e-5
 
 
+def test_deviations_stay_between_their_bounds(frames):
+    fit = fit_displacement(frames, sheet(), stiffness=(0.1, 0.12), most_steps=4)
+    deviations = fit.solid.coefficients[:4]
+    assert deviations.min() > 0.1 - 1e-6
+    assert deviations.max() < 0.12 + 1e-6
+
+
 def test_direction_and_exponent_are_found(frames):
     start = sheet(TRUE_ANGLE + 0.3, 1.0)
     fit = fit_displacement(frames, start, stiffness=0.0, moving=True, most_steps=30, tolerance=1e-6)
