@@ -151,6 +151,10 @@ def test_a_force_sets_the_scale(frames):
     unscaled = HyperelasticSolid(sheet(), 7.0 * TRUTH, frames.spacing)
     scaled = scaled_by_force(unscaled, frames, np.array(pulls), width=2.0, axis=1)
     np.testing.assert_allclose(scaled.coefficients, true.coefficients, rtol=1e-12)
+    twice = scaled_by_force(
+        unscaled, frames, np.array(pulls), width=2.0, axis=1, thickness=np.full(len(frames.x), 2.0)
+    )
+    np.testing.assert_allclose(twice.coefficients, true.coefficients / 2, rtol=1e-12)
     with pytest.raises(InputError, match="sign of the solid's stress"):
         scaled_by_force(unscaled, frames, -np.array(pulls), width=2.0, axis=1)
 

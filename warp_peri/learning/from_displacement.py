@@ -150,6 +150,7 @@ def scaled_by_force(
     *,
     width: float,
     axis: int = 0,
+    thickness: np.ndarray | None = None,
 ) -> HyperelasticSolid:
     """The same solid with the scale that measured forces give.
 
@@ -160,13 +161,14 @@ def scaled_by_force(
             in stress times length.
         width: of that section in the reference; the stress on it is taken as that of the interior.
         axis: 0 for x, 1 for y.
+        thickness: of every node over that which the forces are divided by, shape [N]; one for none.
 
     Raises InputError for forces of another number, or where the solid carries none.
     """
     forces = np.asarray(forces, float)
     if forces.shape != (len(frames),) or not np.isfinite(forces).all():
         raise InputError(f"forces: expected {len(frames)} finite numbers")
-    op = HyperelasticOperator(solid.dictionary, frames)
+    op = HyperelasticOperator(solid.dictionary, frames, thickness=thickness)
     carried = np.array(
         [
             width * piola_stress(op, u, solid.coefficients)[op.interior, axis, axis].mean()
