@@ -55,6 +55,19 @@ def test_a_leaflet_is_learned_from_displacement(tmp_path):
     assert (tmp_path / "rose.png").exists()
 
 
+@pytest.mark.slow
+def test_an_uneven_leaflet_is_told_from_its_material(tmp_path):
+    report = run(
+        "leaflet.py", "--uneven", "0.3", "--rivals", "neo-Hookean", "--data", tmp_path / "data",
+        "--out", tmp_path,
+    )  # fmt: skip
+    assert report["families, uneven"]["held out"] < report["families"]["held out"] / 4
+    assert report["families, uneven"]["held out"] < 0.005
+    fibres = [word for word in report["families, uneven"]["material"] if word.startswith("fibre")]
+    angles = sorted(float(word.split(" at ")[1].split("°")[0]) for word in fibres)
+    np.testing.assert_allclose(angles, [115, 155], atol=1)
+
+
 def test_frames_of_a_folder_are_learned_from_and_held_out(tmp_path):
     class Given:
         pixel, count, smooth = 0.1, 4, 0.0

@@ -29,7 +29,7 @@ __all__ = [
     "scaled_by_force",
 ]
 
-INTERPOLATES = 20.0
+INTERPOLATES = 50.0
 """Times as stiff as the sheet at rest: such deviations fill in the collar as a stiff plate does."""
 AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
