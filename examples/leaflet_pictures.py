@@ -111,12 +111,12 @@ def fibre_rose(solid: HyperelasticSolid) -> Figure:
 def errors_by_frame(report: dict[str, Any]) -> Figure:
     """Held-out errors of every frame, of the fits and their rivals."""
     figure, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
-    for name, entry in report.items():
-        if isinstance(entry, dict) and "frames" in entry:
-            ax.plot(100 * np.asarray(entry["frames"]), "o-", ms=3, label=name)
+    fits = {n: e["frames"] for n, e in report.items() if isinstance(e, dict) and "frames" in e}
+    for name, frames in fits.items():
+        ax.plot(100 * np.asarray(frames), "o-", ms=3, label=name)
     for number, (name, rival) in enumerate(report.get("rivals", {}).items()):
         errors = 100 * np.asarray(rival["frames"])
-        ax.plot(errors, "x--", color=f"C{number + 2}", lw=1, ms=3, label=name)
+        ax.plot(errors, "x--", color=f"C{number + len(fits)}", lw=1, ms=3, label=name)
     ax.set(xlabel="held-out frame", ylabel="error of displacement [%]", yscale="log")
     ax.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     return figure

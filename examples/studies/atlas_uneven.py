@@ -67,6 +67,6 @@ def uneven_as_even() -> Entry:
     ):  # fmt: skip
         ax.semilogy(curves["ratio"], curves[name], style, label=name)
     ax.set(xlabel="thickest / thinnest place", ylabel="error of displacement [%]")
-    ax.legend(frameon=False)
+    ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     last = {name.replace(", ", "_"): values[-1] for name, values in curves.items()}
     return Entry(*written("uneven", **last), [seen], figure, dict(curves))
