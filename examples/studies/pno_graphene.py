@@ -210,7 +210,8 @@ def train(
             adam.step()
             total += float(loss.detach()) * len(some) / len(everything)
         epochs += 1
-        if epochs % LOOKED:
+        over = time.process_time() - began >= 60 * minutes
+        if epochs % LOOKED and not over:
             continue
         with torch.no_grad():
             score = total + float(errors_of(net, val, unseen).mean())
