@@ -72,9 +72,10 @@ class Continuum:
         first, last: ends of the right one.
         """
         inner, outer = first - np.arange(-1, 4), last + np.arange(-1, 4)
-        table = [self.energy([(a, last + 1), (-last - 1, -a)]) for a in inner]
+        near, far = first - round(zone), last + round(zone)  # the tip that is not moved
+        table = [self.energy([(a, far), (-far, -a)]) for a in inner]
         by_inner = CubicSpline(inner[::-1], table[::-1])(first - zone, 1)
-        table = [self.energy([(first - 1, b), (-b, 1 - first)]) for b in outer]
+        table = [self.energy([(near, b), (-b, -near)]) for b in outer]
         by_outer = -CubicSpline(outer, table)(last + zone, 1)
         return float(max(by_inner, by_outer) / (2 * self.step))
 
