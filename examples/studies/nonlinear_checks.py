@@ -134,7 +134,7 @@ def other_lattices(model: NonlinearModel, atoms: SmoothedAtoms) -> dict[str, Any
 
 
 def costs(model: NonlinearModel) -> dict[str, float]:
-    """Force, and with all gradients, over the linear part: medians of processor time, alternating."""
+    """Force, and with all gradients, over the linear part: medians of processor time."""
     steps = np.argwhere(np.ones((NODES, NODES)))
     h = model.linear.certified_on[0]
     points = Points(h * steps, np.ones(len(steps), bool), h, box=(h * NODES, h * NODES))
