@@ -13,7 +13,6 @@ import argparse
 import copy
 import json
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,8 @@ import itertools
 import numpy as np
 import torch
 from scipy.optimize import root
-from tqdm import tqdm
 
+from examples.studies.pno_training import chosen_setting, relative, train
 from tools.make_hgo import ELEMENTS, HORIZON, NODES, SPACING, make_hgo
 from warp_peri.errors import exit_status
 from warp_peri.files.whole import finite, plain, write_json
@@ -37,8 +36,6 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
 REACH = HORIZON
-CHOICES = tuple(itertools.product(((16, 32), (32, 64)), (2e-3, 6e-3)))
-"""Widths and rates that are tried."""
 STRETCH = 5.0
 """Scale of the network's inputs; strains are about a fifth."""
 
@@ -158,44 +155,6 @@ def solved_errors(model: PeridynamicOperator, samples: Samples, count: int) -> n
     return errors
 
 
-def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Relative ℓ2 errors, shape [S]."""
-    return (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
-
-
-def train(
-    sets: dict[str, Samples], minutes: float, widths: tuple[int, int], rate: float, quiet: bool
-) -> tuple[PeridynamicOperator, dict[str, Any]]:
-    """Adam with a cosine; the weights of least validation error count."""
-    torch.manual_seed(0)
-    u, b = on_grid(sets["train"])
-    u_val, b_val = on_grid(sets["val"])
-    model = PeridynamicOperator(*widths)
-    with torch.no_grad():
-        model.scale = float(b[:20].norm() / model(u[:20]).norm())
-    adam = torch.optim.Adam(model.parameters(), lr=rate)
-    began, best, epochs = time.process_time(), np.inf, 0
-    kept = {key: value.clone() for key, value in model.state_dict().items()}
-    bar = tqdm(total=round(60 * minutes), unit="s", disable=quiet, leave=False)
-    while (part := (time.process_time() - began) / (60 * minutes)) < 1:
-        for group in adam.param_groups:
-            group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
-        for batch in torch.randperm(len(u)).split(10):
-            adam.zero_grad()
-            relative(model(u[batch]), b[batch]).mean().backward()
-            adam.step()
-        epochs += 1
-        with torch.no_grad():
-            error = float(relative(model(u_val), b_val).mean())
-        if error < best:
-            best = error
-            kept = {key: value.clone() for key, value in model.state_dict().items()}
-        bar.n = round(time.process_time() - began)
-        bar.set_postfix(validation=f"{100 * error:.2f} %")
-    model.load_state_dict(kept)
-    return model, {"epochs": epochs, "numbers": sum(p.numel() for p in model.parameters())}
-
-
 def mirrored(samples: Samples) -> Samples:
     """The square with its mirrored ring, where all inner nodes carry equations."""
     ring = 2 * REACH
@@ -220,18 +179,6 @@ def dictionary_errors(sets: dict[str, Samples], dictionary: Dictionary) -> dict[
         name: hyperelastic_errors(solid, samples, solve=False)["E_res"]
         for name, samples in sets.items()
     }
-
-
-def chosen_setting(sets: dict[str, Samples], minutes: float, quiet: bool) -> dict[str, Any]:
-    """Widths and rate of least validation error after so many minutes each, and all errors."""
-    errors = {}
-    for widths, rate in CHOICES:
-        model, _ = train(sets, minutes, widths, rate, quiet)
-        error = float(residuals(model, sets["val"]).mean())
-        errors[widths, rate] = error if np.isfinite(error) else np.inf
-    widths, rate = min(errors, key=lambda choice: errors[choice])
-    tried = {f"widths {w}, rate {r:g}": error for (w, r), error in errors.items()}
-    return {"widths": widths, "rate": rate, "tried": tried}
 
 
 def record_of(
@@ -277,14 +224,18 @@ def main() -> None:
         "dictionary": dictionary_errors(sets, FREE),
         "dictionary, mirror rule": dictionary_errors(wide, FREE),
     }
-    setting = chosen_setting(sets, given.tune, given.json)
-    records["setting"] = setting
     runs = {"network": sets, **({"network, mirror rule": wide} if given.mirror else {})}
+    shared = {"folder": given.out / "checkpoints", "quiet": given.json}
+    fields = {name: [on_grid(data[key]) for key in ("train", "val")] for name, data in runs.items()}
+    choice = chosen_setting(PeridynamicOperator, *fields["network"], given.tune, **shared)
+    records["setting"] = choice
     for name, data in runs.items():
-        model, record = train(data, given.minutes, setting["widths"], setting["rate"], given.json)
+        model, record = train(
+            PeridynamicOperator, *fields[name], choice["setting"], given.minutes, **shared
+        )
         records[name] = record | record_of(model, data, 0 if data is wide else given.solved)
         if data is wide:
-            records[name]["within the data"] = record_of(model, sets, 0)
+            records[name]["within the data"] = record_of(model, sets, given.solved)
         records = finite(plain(records))  # a network that diverged has no errors
         write_json(given.out / f"{given.element}.json", records)  # the next may take minutes
     if given.json:

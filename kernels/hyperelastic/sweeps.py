@@ -38,7 +38,7 @@ def types(scalar):
     class Terms:
         bond_kind: wp.array(dtype=wp.int32)
         kind: wp.array(dtype=wp.int32)
-        seen: wp.array(dtype=wp.int32)  # 0 the strain, 1 the ripple, 2 + p its step across bond p
+        seen: wp.array(dtype=wp.int32)  # 0 the strain, 1 the ripple, 2 + p its step across bond p, 6 corners
         angle: wp.array(dtype=scalar)
         exponent: wp.array(dtype=scalar)
         c: wp.array(dtype=scalar)  # all coefficients
@@ -193,7 +193,7 @@ def _across(scalar):
     @wp.func
     def across(lattice: Lattice, seen: wp.int32, side: wp.int32, i: wp.int32):
         """Far end of the bond that a term acts across, on one side of a node; −1 for none."""
-        if seen < 2:
+        if seen < 2 or seen > 5:
             return wp.int32(-1)
         j = lattice.neighbour[i, seen - 2 + side * (lattice.xi.shape[0] / 2)]
         if j < 0:

@@ -8,13 +8,15 @@ import torch
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.kernels.hyperelastic.sweeps import sweeps
-from warp_peri.launch import empty, launch
 from warp_peri.models.hyperelastic import FIBRES, Dictionary, Term
 from warp_peri.operator.hyperelastic import BOND_SLOPES, HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.points import Points
+
+
+EDGE = (slice(None, -1), slice(1, None))
+"""The lower and the upper of two nodes beside each other."""
 
 
 def uneven_problem(thickness):
@@ -283,7 +285,7 @@ def test_the_stress_is_the_slope_of_the_energy_density(even_problem):
     def density(F):
         """Energy of a node and half of its bonds."""
         u = x @ (F - np.eye(2)).T
-        return float(nodal_energy(wide, u, c)[inner][0])
+        return float(wide.nodal_energy(u, c)[inner][0])
 
     for a in range(2):
         for b in range(2):
@@ -293,10 +295,18 @@ def test_the_stress_is_the_slope_of_the_energy_density(even_problem):
             assert P[a, b] == pytest.approx(slope, rel=1e-6, abs=1e-7 * np.abs(P).max())
 
 
-def nodal_energy(op, u, c):
-    """The energy of every node over h², as the kernel leaves it."""
-    field, terms = op._field(u), op._terms(c)
-    E, _ = op._states(field, terms)
-    U = empty(*field.shape, dtype=op.scalar)
-    launch(sweeps(op.scalar).energy, field.shape, [op.lattice, terms, field, E], [U])
-    return U.numpy()[0]
+def test_corners_of_cells_are_linear_triangles():
+    """Energy and force are means over the four ways to leave one node out of every cell."""
+    points = square(3)
+    term = Term("volumetric", corner=True)
+    op = HyperelasticOperator(Dictionary(3.0, terms=(term,)), points)
+    u = waves(points, 0.3)
+    y = (points.x + u).reshape(2 * [int(np.sqrt(len(u)))] + [2]) / SPACING
+    total = 0.0
+    for apex in np.ndindex(2, 2):
+        cell = [np.diff(y, axis=a)[(slice(None),) * (1 - a) + (EDGE[apex[1 - a]],)] for a in (0, 1)]
+        D = (cell[0][..., 0] * cell[1][..., 1] - cell[0][..., 1] * cell[1][..., 0]) ** 2
+        total += SPACING**2 / 4 * (0.5 * (D - 1 - np.log(D))).sum()
+    assert op.energy(u, np.ones(1)) == pytest.approx(total, rel=1e-12)
+    with pytest.raises(InputError, match="corner: expected neither"):
+        Term("trace", across=(1, 0), corner=True)

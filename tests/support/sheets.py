@@ -33,6 +33,8 @@ def everything():
         Term("fibre_power", next(angles), 2.5, ripple=True),
         Term("fibre_power", 0.9, 2.5, across=(1, 0)),
         Term("fibre_exponential", 2.0, 1.5, across=(1, -1)),
+        Term("volumetric", corner=True),
+        Term("fibre_power", 0.7, 2.5, corner=True),
     ]
     return Dictionary(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
 

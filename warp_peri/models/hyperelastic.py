@@ -68,6 +68,7 @@ class Term:
         ripple: acts on the difference of the two nodal strains, (H4), instead of on the strain.
         across: a near bond in lattice steps; the term is then the energy of the step of the short
             strain between its ends, (H17). Convex kinds only.
+        corner: acts on the strains of the four corners of lattice cells at a node, (H18).
 
     Raises InputError for an unknown kind, an exponent that the kind cannot take, or a difference
     that it cannot act on.
@@ -78,6 +79,7 @@ class Term:
     exponent: float = 0.0
     ripple: bool = False
     across: tuple[int, int] | None = None
+    corner: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -88,6 +90,8 @@ class Term:
             raise InputError(f"fibre_power: expected an exponent ≥ 2, got {self.exponent}")
         if self.kind == "fibre_exponential" and self.exponent < 0:
             raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
+        if self.corner and (self.ripple or self.across is not None):
+            raise InputError(f"corner: expected neither ripple nor across beside it, got {self.label}")
         if self.across is not None:
             object.__setattr__(self, "across", tuple(self.across))
             if self.across not in ACROSS or self.kind not in STEPPING or self.ripple:
@@ -106,6 +110,7 @@ class Term:
         """Its name in tables."""
         words = self.kind + (" of the ripple" if self.ripple else "")
         words += f" across {self.across}" if self.across else ""
+        words += " of corners" if self.corner else ""
         if self.kind in (*FIBRES, "along"):
             words += f" at {np.rad2deg(self.angle):.1f}°"
         return words + (f", {self.exponent:g}" if self.kind in FIBRES else "")
@@ -170,6 +175,11 @@ class Dictionary:
         names = [f"bond {tuple(step)}, {name}" for step in half for name in self.bonds]
         names += [f"deviation {tuple(step)}" for step in self.deviations]
         return names + [term.label for term in self.terms]
+
+    @property
+    def cornered(self) -> bool:
+        """Whether a strain energy acts on corners."""
+        return any(term.corner for term in self.terms)
 
     @property
     def guaranteed(self) -> bool:

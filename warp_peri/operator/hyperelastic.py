@@ -14,6 +14,7 @@ import warp as wp
 from torch.autograd.function import once_differentiable
 
 from warp_peri.errors import InputError
+from warp_peri.kernels.hyperelastic.corners import CORNER, corners
 from warp_peri.kernels.hyperelastic.sweeps import sweeps, types
 from warp_peri.kernels.hyperelastic.tangent import features, tangents
 from warp_peri.launch import empty, floats, ints, launch, zeros
@@ -212,13 +213,14 @@ class HyperelasticOperator:
         packed.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
         packed.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
         seen = [int(t.ripple) if t.across is None else 2 + ACROSS.index(t.across) for t in terms]
+        seen = [CORNER if term.corner else n for term, n in zip(terms, seen)]
         packed.seen = ints(np.array(seen, int))
         packed.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
         packed.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
         packed.c = floats(np.array(c, real), self.scalar)
         packed.first_deviation = dictionary.first_deviation
         packed.first_term = dictionary.first_term
-        packed.local = bool(dictionary.deviations) or any(n > 1 for n in seen)
+        packed.local = bool(dictionary.deviations) or any(1 < n < CORNER for n in seen)
         self._packed = np.array(c, float), packed
         return packed
 
@@ -262,12 +264,19 @@ class HyperelasticOperator:
 
     def energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """U, (H1), for every sample [stress × area], shape [S] or []."""
+        total: np.ndarray = self.nodal_energy(u, c).sum(axis=-1) * self.bonds.spacing**2
+        return total
+
+    def nodal_energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """What every node and half of its bonds hold, over h², shape [..., N]."""
         field, terms = self._field(u), self._terms(self._coefficients(c))
         E, _ = self._states(field, terms)
         U = empty(*field.shape, dtype=self.scalar)
         launch(sweeps(self.scalar).energy, field.shape, [self.lattice, terms, field, E], [U])
-        total: np.ndarray = U.numpy().sum(axis=1) * self.bonds.spacing**2
-        return total.reshape(np.shape(u)[:-2])
+        if self.dictionary.cornered:
+            launch(corners(self.scalar).energy, field.shape, [self.lattice, terms, field], [U])
+        energies: np.ndarray = U.numpy().reshape(np.shape(u)[:-1])
+        return energies
 
     def force(
         self, u: np.ndarray | torch.Tensor, c: np.ndarray | torch.Tensor
@@ -284,6 +293,8 @@ class HyperelasticOperator:
         E, G = self._states(field, terms)
         f = empty(*field.shape, dtype=self.of.vec)
         launch(sweeps(self.scalar).force, field.shape, [self.lattice, terms, field, E, G], [f])
+        if self.dictionary.cornered:
+            launch(corners(self.scalar).force, field.shape, [self.lattice, terms, field], [f])
         forces: np.ndarray = f.numpy().reshape(np.shape(u))
         return forces
 
@@ -300,6 +311,8 @@ class HyperelasticOperator:
         launch(kernels.strain_rate, shape, [lattice, field, along], [dE])
         launch(kernels.stress_rate, shape, [lattice, terms, field, along, H, E, dE], [dG])
         launch(kernels.force_rate, shape, [lattice, terms, field, along, E, dE, G, dG], [df])
+        if self.dictionary.cornered:
+            launch(corners(self.scalar).product, shape, [lattice, terms, field, along], [df])
         rates: np.ndarray = df.numpy().reshape(np.shape(u))
         return rates
 
@@ -348,6 +361,9 @@ class HyperelasticOperator:
             F = zeros(len(field), len(rows), K, dtype=self.of.vec)
             inputs = [self.lattice, terms, rows, field, E, G]
             launch(kernels.force_of_each, F.shape[:2], inputs, [F])
+            if self.dictionary.cornered:
+                inputs = [self.lattice, terms, which, rows, field]
+                launch(corners(self.scalar).force_of_each, F.shape[:2], inputs, [F])
             forces[first : first + chunk] = F.numpy().transpose(0, 1, 3, 2)
         return forces
 
@@ -381,6 +397,14 @@ class HyperelasticOperator:
         H = empty(*field.shape, dtype=self.of.block)
         launch(tangents(self.scalar).curvature, field.shape, [self.lattice, terms, E], [H])
         return field, terms, E, G, H
+
+    def corner_stress(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """What corners add to the stress (H16) at the nodes of one field, shape [N, 2, 2]."""
+        field, terms = self._field(u), self._terms(self._coefficients(c))
+        P = zeros(*field.shape, dtype=wp.types.matrix((2, 2), self.scalar))
+        launch(corners(self.scalar).stress, field.shape, [self.lattice, terms, field], [P])
+        stresses: np.ndarray = P.numpy()[0]
+        return stresses
 
     def states(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Strains, their stresses and curvatures of one field, shapes [N, 6], [N, 6], [N, 6, 6]."""

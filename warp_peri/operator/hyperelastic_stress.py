@@ -37,7 +37,7 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
         tension *= (op.thickness[i] + op.thickness[j]) / 2
     along = tension / square + ((G[i] + G[j]) * op.weight[k]).sum(axis=1)
     carried = 0.5 * along[:, None, None] * Y[:, :, None] * xi[:, None, :]
-    P = np.zeros((len(u), 2, 2))
+    P = op.corner_stress(u, c)
     np.add.at(P, i, carried)
     np.add.at(P, j, carried)
     return P
