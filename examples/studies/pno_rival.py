@@ -226,7 +226,7 @@ def main() -> None:
     }
     runs = {"network": sets, **({"network, mirror rule": wide} if given.mirror else {})}
     shared = {"folder": given.out / "checkpoints", "quiet": given.json}
-    fields = {name: [on_grid(data[key]) for key in ("train", "val")] for name, data in runs.items()}
+    fields = {name: (on_grid(data["train"]), on_grid(data["val"])) for name, data in runs.items()}
     choice = chosen_setting(PeridynamicOperator, *fields["network"], given.tune, **shared)
     records["setting"] = choice
     for name, data in runs.items():

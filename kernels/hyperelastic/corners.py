@@ -1,4 +1,4 @@
-"""Energies of the corners of lattice cells: the strain of the triangle of a node and two neighbours.
+"""Energies of the corners of lattice cells: strains of a node with two neighbours.
 
 A corner has an apex n and bonds Y₁, Y₂ along the axes, (H18). Its strain is E11 = (|Y₁|²/h² − 1)/2,
 E22 likewise and 2 E12 = ± Y₁·Y₂/h². A node gathers over the twelve corners it belongs to: four as
@@ -153,7 +153,7 @@ def _pull(scalar):
 def _bent(scalar):
     of = types(scalar)
     energy, vec = energies(scalar), of.vec
-    three, mat, four = energy.vec, energy.mat, wp.types.matrix((4, 4), scalar)
+    three, mat = energy.vec, energy.mat
     wide = wp.types.matrix((3, 4), scalar)
     quarter, zero = scalar(0.25), scalar(0.0)
 

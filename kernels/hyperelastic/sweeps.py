@@ -38,7 +38,7 @@ def types(scalar):
     class Terms:
         bond_kind: wp.array(dtype=wp.int32)
         kind: wp.array(dtype=wp.int32)
-        seen: wp.array(dtype=wp.int32)  # 0 the strain, 1 the ripple, 2 + p its step across bond p, 6 corners
+        seen: wp.array(dtype=wp.int32)  # 0 the strain, 1 the ripple, 2 + p its step, 6 corners
         angle: wp.array(dtype=scalar)
         exponent: wp.array(dtype=scalar)
         c: wp.array(dtype=scalar)  # all coefficients

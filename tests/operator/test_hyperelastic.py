@@ -14,7 +14,6 @@ from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.points import Points
 
-
 EDGE = (slice(None, -1), slice(1, None))
 """The lower and the upper of two nodes beside each other."""
 
@@ -308,5 +307,5 @@ def test_corners_of_cells_are_linear_triangles():
         D = (cell[0][..., 0] * cell[1][..., 1] - cell[0][..., 1] * cell[1][..., 0]) ** 2
         total += SPACING**2 / 4 * (0.5 * (D - 1 - np.log(D))).sum()
     assert op.energy(u, np.ones(1)) == pytest.approx(total, rel=1e-12)
-    with pytest.raises(InputError, match="corner: expected neither"):
+    with pytest.raises(InputError, match="neither ripple nor across"):
         Term("trace", across=(1, 0), corner=True)

@@ -11,12 +11,16 @@ import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
 from warp_peri.errors import InputError
+from warp_peri.learning.stable_fit import stable_coefficients
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.points.samples import Samples
+from warp_peri.stability.uniform_strain import UniformTangents, strains_of
 
 ROWS = 4096
 """Equations that are factored at once."""
+STRAINS = 60
+"""Uniform strains in which a fit may be asked to be stable."""
 RIDGE = 1e-9
 """Of the squared length of the scaled coefficients, relative to the data."""
 
@@ -68,14 +72,19 @@ def equations(op: HyperelasticOperator, samples: Samples) -> Equations:
     return Equations(wide[:K, :K], wide[:K, K], float(wide[K, K] ** 2))
 
 
+def weighed(system: Equations, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and right side in coefficients times the scale, with the ridge below."""
+    K = len(system.y)
+    A = np.concatenate([system.R / system.scale, np.sqrt(ridge) * np.eye(K)])
+    return A, np.concatenate([system.y, np.zeros(K)])
+
+
 def least_squares(
     system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
 ) -> np.ndarray:
     """Coefficients of any sign, or not below `lower` (−∞ where there is no bound), shape [K]."""
     scale = system.scale
-    K = len(scale)
-    A = np.concatenate([system.R / scale, np.sqrt(ridge) * np.eye(K)])
-    y = np.concatenate([system.y, np.zeros(K)])
+    A, y = weighed(system, ridge)
     if lower is None:
         c: np.ndarray = np.linalg.lstsq(A, y, rcond=None)[0] / scale
     else:
@@ -109,11 +118,14 @@ class EnergyFit:
         solid: dictionary and coefficients.
         residual: root mean squared relative residual on the training samples.
         guaranteed: whether no coefficient is below its bound, so that (H9) holds.
+        margin: least ratio of a wave in the strains that were asked to be stable [stress]; none
+            where none were.
     """
 
     solid: HyperelasticSolid
     residual: float
     guaranteed: bool
+    margin: float | None = None
 
 
 def fit_energy(
@@ -123,6 +135,7 @@ def fit_energy(
     positive: bool = False,
     stiffness: float = 0.0,
     ridge: float = RIDGE,
+    stable: float | None = None,
 ) -> EnergyFit:
     """Fit the coefficients of a dictionary.
 
@@ -134,20 +147,32 @@ def fit_energy(
             two spacings), against hourglasses [stress]. Without positive it bounds the deviations
             only, and the other coefficients have any sign.
         ridge: relative weight of the coefficients' squared length.
+        stable: least eigenvalue of the tangent over the Laplacian's for every wave in uniform
+            strains, STRAINS of them spread over those of the samples, (H20) [stress].
 
-    Raises InputError for positive with a dictionary that guarantees nothing, or samples as for
-    equations().
+    Raises InputError for a margin out of reach, positive with a dictionary that guarantees
+    nothing, or samples as for equations().
     """
     if positive and not dictionary.guaranteed:
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
     op = HyperelasticOperator(dictionary, samples)
     system = equations(op, samples)
-    if positive:
+    margin = None
+    if stable is not None:
+        if positive:
+            lower: np.ndarray | None = lower_bounds(dictionary, stiffness)
+        else:
+            lower = deviations_only(dictionary, stiffness)
+        tangents = UniformTangents.of(dictionary, samples.spacing, strains_of(op, samples, STRAINS))
+        c, margin = stable_coefficients(
+            *weighed(system, ridge), tangents, stable, scale=system.scale, lower=lower
+        )
+    elif positive:
         c = non_negative(system, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
     else:
         c = least_squares(system, lower=deviations_only(dictionary, stiffness), ridge=ridge)
     solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch=largest_stretch(op, samples))
-    return EnergyFit(solid, residual(system, c), positive)
+    return EnergyFit(solid, residual(system, c), positive, margin)
 
 
 def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:

@@ -106,6 +106,20 @@ def with_directions(
     return dictionary.with_terms((*dictionary.terms, *added))
 
 
+def with_families(dictionary: Dictionary, solid: HyperelasticSolid) -> Dictionary:
+    """A dictionary with another solid's families of fibres, at the nodes and on corners of cells.
+
+    Args:
+        dictionary: of any energies.
+        solid: whose fibres have exponents that were unknowns, as read_material gives.
+    """
+    read = [term for term in solid.dictionary.terms if term.is_fibre]
+    added = [*read, *(replace(term, corner=True) for term in read)]
+    return dictionary.with_terms(
+        (*dictionary.terms, *(term for term in added if term not in dictionary.terms))
+    )
+
+
 def grouped(energy: dict[float, float], within: float) -> list[tuple[float, float]]:
     """Directions and energies, those within an angle of each other as one in their middle."""
     groups: list[list[tuple[float, float]]] = []

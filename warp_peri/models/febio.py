@@ -42,7 +42,10 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
         for term, value in zip(dictionary.terms, c[dictionary.first_term :])
         if value and not term.ripple and term.across is None
     ]
-    matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
+    matrix: dict[str, float] = {}
+    for term, value in active:
+        if term.kind != "fibre_exponential":  # nodal and corner energies are one material
+            matrix[term.kind] = matrix.get(term.kind, 0.0) + value
     if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
         raise InputError(
             f"solid: expected neo_hookean and volumetric, or plane_stress, and fibre exponentials; "

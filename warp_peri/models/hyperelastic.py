@@ -91,7 +91,7 @@ class Term:
         if self.kind == "fibre_exponential" and self.exponent < 0:
             raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
         if self.corner and (self.ripple or self.across is not None):
-            raise InputError(f"corner: expected neither ripple nor across beside it, got {self.label}")
+            raise InputError(f"corner: expected neither ripple nor across, got {self.label}")
         if self.across is not None:
             object.__setattr__(self, "across", tuple(self.across))
             if self.across not in ACROSS or self.kind not in STEPPING or self.ripple:
