@@ -29,9 +29,15 @@ from tools.make_hgo import ELEMENTS, Material, make_hgo
 from warp_peri.errors import exit_status
 from warp_peri.files.whole import plain, write_json
 from warp_peri.learning.energy_fit import fit_energy
-from warp_peri.learning.fibres import read_material, rose, with_directions, with_families
+from warp_peri.learning.fibres import (
+    read_material,
+    rose,
+    with_corners,
+    with_directions,
+    with_families,
+)
 from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
-from warp_peri.models.febio import in_words, save_febio
+from warp_peri.models.febio import in_words, material_terms, save_febio
 from warp_peri.models.hyperelastic import ACROSS, QUADRATICS, Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.points.samples import Samples
@@ -80,7 +86,11 @@ def learn(samples: Samples, stiffness: float) -> dict[str, tuple[HyperelasticSol
     ways = {
         "free signs": lambda: fit_energy(samples, free, stable=stable).solid,
         "guaranteed": lambda: fit_energy(samples, safe, positive=True, stable=stable).solid.sparse,
-        "read out": lambda: read,
+        "read out": lambda: (
+            (
+                fit_energy(samples, with_corners(read.dictionary), positive=True, stable=stable)
+            ).solid.sparse
+        ),
         "rival: bonds only": lambda: fit_energy(samples, BONDS).solid,
         "rival: no fibres": lambda: fit_energy(samples, ISOTROPIC, stiffness=RIVAL).solid,
     }
@@ -157,9 +167,7 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
             **table(solid, sets, given.solved),
         }
         if name == "read out":
-            words = solid.dictionary.labels[solid.dictionary.first_term :]
-            values = solid.coefficients[solid.dictionary.first_term :]
-            report[name]["material"] = dict(zip(words, values))
+            report[name]["material"] = {t.label: c for t, c in material_terms(solid)}
             report[name]["words"] = in_words(solid)
             solid.save(given.out / f"{element}.json")
             save_febio(solid, given.out / f"{element}.feb")

@@ -6,8 +6,13 @@ import pytest
 from tests.support.sheets import everything, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.learning.energy_fit import equations, fit_energy, non_negative, residual
+from warp_peri.learning.fibres import with_corners
+from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
+from warp_peri.stability.uniform_strain import UniformTangents, shortest_margin, strains_of, zone
 
+MATRIX = (Term("neo_hookean"), Term("volumetric"))
+SOFT = np.array([0.1, 0.1, 0.1, 0.1, 0.07, 0.08])
 TRUTH = np.array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
 
 
@@ -44,6 +49,43 @@ def test_the_reduced_equations_are_the_equations(samples):
     size = np.linalg.norm(b.reshape(3, -1), axis=1)
     assert residual(system, c) == pytest.approx(np.sqrt(np.mean((left / size) ** 2)), rel=1e-8)
     assert (non_negative(system) >= 0).all()
+
+
+def test_waves_are_stable_where_they_are_asked_to_be(samples):
+    strong = [np.diag([0.45, 1.1]), np.diag([1.2, 0.5])]
+    bare = Dictionary(3.0, (), ((1, 0), (0, 1), (1, 1), (1, -1)), MATRIX)
+    assert shortest_margin(HyperelasticSolid(bare, SOFT, 0.1), strong).min() < -0.1
+    fit = fit_energy(samples, with_corners(hgo_dictionary()), positive=True, stable=0.05)
+    assert fit.margin >= 0.98 * 0.05
+    assert (fit.solid.coefficients >= 0).all()
+    assert fit.residual < 0.2
+    op = HyperelasticOperator(fit.solid.dictionary, samples)
+    seen = strains_of(op, samples, 5)
+    np.testing.assert_allclose(seen[0], np.eye(2))
+    assert shortest_margin(fit.solid, seen).min() > 0.04
+    with pytest.raises(InputError, match="margin > 0"):
+        fit_energy(samples, hgo_dictionary(), stable=0.0)
+    with pytest.raises(InputError, match="strains: expected shape"):
+        shortest_margin(fit.solid, np.eye(2))
+
+
+def test_the_uniform_tangent_is_the_tangent():
+    dictionary = with_corners(hgo_dictionary())
+    F = np.array([[0.8, 0.1], [0.05, 1.2]])
+    points = square(1)
+    op = HyperelasticOperator(dictionary, points)
+    c = np.random.default_rng(3).uniform(0.05, 0.2, len(dictionary))
+    tangents = UniformTangents.of(dictionary, points.spacing, F[None])
+    ratios, directions = tangents.lowest(c)
+    number = 7
+    k = zone(8)[number]
+    a = directions[0, number]
+    centre = points.x[op.interior[0]]
+    wave = np.cos((points.x - centre) @ k / points.spacing)[:, None] * a
+    force = op.product(points.x @ (F - np.eye(2)).T, c, wave)[op.interior[0]]
+    laplace = (4 * np.sin(k / 2) ** 2).sum() / points.spacing**2
+    assert force @ a / laplace == pytest.approx(ratios[0, number], rel=1e-5)
+    assert tangents.row(0, number, a) @ c == pytest.approx(ratios[0, number], rel=1e-12)
 
 
 def test_what_cannot_be_learned_is_refused(samples):

@@ -114,10 +114,18 @@ def with_families(dictionary: Dictionary, solid: HyperelasticSolid) -> Dictionar
         solid: whose fibres have exponents that were unknowns, as read_material gives.
     """
     read = [term for term in solid.dictionary.terms if term.is_fibre]
-    added = [*read, *(replace(term, corner=True) for term in read)]
-    return dictionary.with_terms(
-        (*dictionary.terms, *(term for term in added if term not in dictionary.terms))
-    )
+    return _joined(dictionary, [*read, *(replace(term, corner=True) for term in read)])
+
+
+def with_corners(dictionary: Dictionary) -> Dictionary:
+    """A dictionary whose energies of a uniform strain act on corners of cells as well."""
+    own = [term for term in dictionary.terms if term.across is None and not term.ripple]
+    return _joined(dictionary, [replace(term, corner=True) for term in own])
+
+
+def _joined(dictionary: Dictionary, terms: Sequence[Term]) -> Dictionary:
+    new = [term for term in terms if term not in dictionary.terms]
+    return dictionary.with_terms((*dictionary.terms, *new))
 
 
 def grouped(energy: dict[float, float], within: float) -> list[tuple[float, float]]:

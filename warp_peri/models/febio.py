@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.whole import write_text
-from warp_peri.models.hyperelastic import HyperelasticSolid
+from warp_peri.models.hyperelastic import HyperelasticSolid, Term
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress"}
@@ -37,15 +38,8 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
     bonds = c[: dictionary.first_deviation]
     if np.any(bonds):
         raise InputError("solid: expected no bond energies, which FEBio does not know")
-    active = [
-        (term, value)
-        for term, value in zip(dictionary.terms, c[dictionary.first_term :])
-        if value and not term.ripple and term.across is None
-    ]
-    matrix: dict[str, float] = {}
-    for term, value in active:
-        if term.kind != "fibre_exponential":  # nodal and corner energies are one material
-            matrix[term.kind] = matrix.get(term.kind, 0.0) + value
+    active = [(term, scale * value) for term, value in material_terms(solid)]
+    matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
     if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
         raise InputError(
             f"solid: expected neo_hookean and volumetric, or plane_stress, and fibre exponentials; "
@@ -95,12 +89,23 @@ def save_febio(
     write_text(path, febio_material(solid, scale=scale) + "\n")
 
 
+def material_terms(solid: HyperelasticSolid) -> list[tuple[Term, float]]:
+    """Energies of uniform strain with their coefficients; nodes and corners are one material."""
+    sums: dict[Term, float] = {}
+    for term, value in zip(
+        solid.dictionary.terms, solid.coefficients[solid.dictionary.first_term :]
+    ):
+        if value and not term.ripple and term.across is None:
+            own = replace(term, corner=False)
+            sums[own] = sums.get(own, 0.0) + float(value)
+    return list(sums.items())
+
+
 def in_words(solid: HyperelasticSolid) -> list[str]:
     """What the coefficients say, one line for each number."""
     lines = []
     values = dict.fromkeys(COMPRESSIBLE | INCOMPRESSIBLE, 0.0)
-    first = solid.dictionary.first_term
-    for term, value in zip(solid.dictionary.terms, solid.coefficients[first:]):
+    for term, value in material_terms(solid):
         if term.kind in values:
             values[term.kind] = float(value)
         elif value > 0 and term.kind == "fibre_exponential":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +33,8 @@ CHUNK = 2**26
 """Bytes of the states of single energies that are held at once."""
 SHORT_REACH = 2**0.5
 """Horizon of the short strain in spacings, (H4)."""
+FAR = 3
+"""Spacings from the interior to the last node whose short strain shares an energy with it."""
 SMALLEST_AREA = 0.02
 """Of the nodal strain, det C: below it a solve treats a field as folded."""
 
@@ -136,6 +138,21 @@ class HyperelasticOperator:
         self.lattice = self._place()
         self._packed: tuple[np.ndarray, Any] | None = None
         self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
+
+    def near_interior(self) -> HyperelasticOperator:
+        """The same forces on the interior, without short strains that it does not move.
+
+        Far out in the collar a field may be folded, and its energy no number.
+        """
+        bonds = self.bonds
+        moved: np.ndarray = np.isin(np.arange(len(self.points.x)), self.interior)
+        near = bonds.neighbour[:, (np.abs(bonds.steps) <= 1).all(axis=1)]
+        for _ in range(FAR):
+            moved = moved | np.where(near >= 0, moved[near], False).any(axis=1)
+        other = copy(self)
+        other.bonds = replace(bonds, whole=np.where(moved, bonds.whole, bonds.whole % 2))
+        other.lattice = other._place()
+        return other
 
     def with_terms(self, terms: Sequence[Term]) -> HyperelasticOperator:
         """The same lattice with other strain energies."""
@@ -261,6 +278,22 @@ class HyperelasticOperator:
         """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
         E = self.strain(u).reshape(-1, 3)
         return float(((1 + 2 * E[:, 0]) * (1 + 2 * E[:, 1]) - E[:, 2] ** 2).min())
+
+    def folded(self, u: np.ndarray) -> int:
+        """Number of corners with an interior node that one field turns over, shape of u [N, 2]."""
+        y, C = self.points.x + u, self.bonds.classes
+        inside = self.points.interior
+        count = 0
+        for first in (1, 1 + C):  # ACROSS: bonds (0, 1) and (1, 0) come first
+            for second in (0, C):
+                ends = self.bonds.neighbour[:, [first, second]]
+                n = np.flatnonzero((ends >= 0).all(axis=1))
+                p, q = ends[n].T
+                Y, Z = y[p] - y[n], y[q] - y[n]
+                sign = 1 if (first < C) == (second < C) else -1
+                over = sign * (Y[:, 0] * Z[:, 1] - Y[:, 1] * Z[:, 0]) <= 0
+                count += int((over & (inside[n] | inside[p] | inside[q])).sum())
+        return count
 
     def energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """U, (H1), for every sample [stress × area], shape [S] or []."""

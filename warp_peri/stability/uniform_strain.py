@@ -95,7 +95,8 @@ def zone(count: int) -> np.ndarray:
     line = np.linspace(-np.pi, np.pi, 2 * count + 1)
     k = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     half: np.ndarray = (k[:, 0] > 1e-9) | ((np.abs(k[:, 0]) <= 1e-9) & (k[:, 1] > 1e-9))
-    return k[half]
+    vectors: np.ndarray = k[half]
+    return vectors
 
 
 def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.ndarray:

@@ -73,9 +73,9 @@ class StaticProblem:
     def __init__(
         self, op: HyperelasticOperator, *, tolerance: float = 1e-8, direct: int = DIRECT
     ) -> None:
-        self.op, self.tolerance = op, tolerance
+        self.op, self.tolerance = op.near_interior(), tolerance
         self.direct = 2 * len(op.interior) <= direct
-        self.pattern = TangentPattern.of(op) if self.direct else None
+        self.pattern = TangentPattern.of(self.op) if self.direct else None
         self._laplacian, self._to_collar = laplacian(op)
         self._laplace = splu(self._laplacian.tocsc())
         self.softest = float(
@@ -261,7 +261,7 @@ class StaticProblem:
             if shift > 0 and not shifts:
                 return None, count
             if np.abs(residual).max() <= self.tolerance * scale and shift == 0.0:
-                return u, count
+                return (None if self._folded(u) else u), count
             moved = self._search(c, load, u, step, residual, scale)
             if moved is None:
                 return None, count
@@ -327,12 +327,12 @@ class StaticProblem:
         area = self.op.bonds.spacing**2
         before = float(self.op.energy(u, c)) - area * float((load * u[inner]).sum())
         slope = -area * float((residual * step).sum())
-        size = np.linalg.norm(residual)
+        size, folded = np.linalg.norm(residual), self._folded(u)
         part = 1.0
         while part > 1e-4:
             moved = u.copy()
             moved[inner] += part * step
-            if self.op.smallest_area(moved) > SMALLEST_AREA:
+            if self.op.smallest_area(moved) > SMALLEST_AREA and self._folded(moved) <= folded:
                 after = float(self.op.energy(moved, c)) - area * float((load * moved[inner]).sum())
                 if np.isfinite(after) and after <= before + 1e-4 * part * slope:
                     return moved
@@ -341,6 +341,10 @@ class StaticProblem:
                     return moved
             part /= 2
         return None
+
+    def _folded(self, u: np.ndarray) -> int:
+        """Corners that are turned over, which their energies, functions of C, do not see."""
+        return self.op.folded(u) if self.op.dictionary.cornered else 0
 
     def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
         """Smallest eigenvalue of the tangent between interior nodes at u."""
