@@ -49,7 +49,7 @@ STIFFNESS = 0.35
 """Least coefficient of the deviations where a material is read [stress of the data]."""
 STABLE = 0.2
 """Part of its least stiffness at rest, against any wave, that a sheet keeps in all strains of the
-data, (H20)."""
+data, (H21)."""
 RIVAL = 0.2
 """Least coefficient of the deviations of the rival without fibres."""
 QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)

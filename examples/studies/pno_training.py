@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 import os
 import pickle
 import time
@@ -11,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
@@ -67,7 +67,7 @@ def train(
     adam = torch.optim.Adam(model.parameters(), lr=setting.rate)
     path = folder / f"{_key(setting, minutes, learned)}.pt"
     state = _read(path)
-    spent, epochs, best = 0.0, 0, np.inf
+    spent, epochs, best = 0.0, 0, math.inf
     kept = {key: value.clone() for key, value in model.state_dict().items()}
     if state is not None:
         model.load_state_dict(state["model"])
@@ -77,9 +77,9 @@ def train(
     bar = tqdm(total=round(60 * minutes), unit="s", disable=quiet, leave=False)
     clock, saved = time.process_time(), spent
     while spent < 60 * minutes:
+        part = min(1.0, spent / (60 * minutes))
         for group in adam.param_groups:
-            part = spent / (60 * minutes)
-            group["lr"] = setting.rate * (0.5 + 0.5 * np.cos(np.pi * part)) + 1e-6
+            group["lr"] = setting.rate * (0.5 + 0.5 * math.cos(math.pi * part)) + 1e-6
         for batch in torch.randperm(len(u)).split(setting.batch):
             adam.zero_grad()
             relative(model(u[batch]), b[batch]).mean().backward()
@@ -138,7 +138,7 @@ def validation_error(model: Any, validation: Fields) -> float:
     with torch.no_grad():
         errors = torch.cat([relative(model(u[n : n + 1]), b[n : n + 1]) for n in range(len(u))])
     error = float(errors.mean())
-    return error if np.isfinite(error) else np.inf
+    return error if math.isfinite(error) else math.inf
 
 
 def _key(setting: Setting, minutes: float, learned: Fields) -> str:

@@ -1,6 +1,6 @@
 """Energies of the corners of lattice cells: strains of a node with two neighbours.
 
-A corner has an apex n and bonds Y₁, Y₂ along the axes, (H18). Its strain is E11 = (|Y₁|²/h² − 1)/2,
+A corner has an apex n and bonds Y₁, Y₂ along the axes, (H19). Its strain is E11 = (|Y₁|²/h² − 1)/2,
 E22 likewise and 2 E12 = ± Y₁·Y₂/h². A node gathers over the twelve corners it belongs to: four as
 their apex, and as the end of their first and of their second bond four each.
 """
@@ -189,7 +189,7 @@ def _energy(scalar):
     def energy_of_corners(
         lattice: Lattice, terms: Terms, u: wp.array2d(dtype=vec), U: wp.array2d(dtype=scalar)
     ):
-        """Adds ¼ Σ c Φ of the corners a node is apex of, over h², (H18)."""
+        """Adds ¼ Σ c Φ of the corners a node is apex of, over h², (H19)."""
         s, i = wp.tid()
         total = U[s, i]
         for role in range(4):

@@ -148,7 +148,7 @@ def fit_energy(
             only, and the other coefficients have any sign.
         ridge: relative weight of the coefficients' squared length.
         stable: least eigenvalue of the tangent over the Laplacian's for every wave in uniform
-            strains, STRAINS of them spread over those of the samples, (H20) [stress].
+            strains, STRAINS of them spread over those of the samples, (H21) [stress].
 
     Raises InputError for a margin out of reach, positive with a dictionary that guarantees
     nothing, or samples as for equations().

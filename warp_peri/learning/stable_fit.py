@@ -1,7 +1,7 @@
 """Least squares among sheets whose waves are stable in the strains of the data, by cutting planes.
 
 That no wave in a uniform strain lowers the energy is a set of linear inequalities on the
-coefficients, one for every strain, wave and direction, (H20). Those that a fit breaks worst join
+coefficients, one for every strain, wave and direction, (H21). Those that a fit breaks worst join
 it until none is broken.
 """
 

@@ -68,7 +68,7 @@ class Term:
         ripple: acts on the difference of the two nodal strains, (H4), instead of on the strain.
         across: a near bond in lattice steps; the term is then the energy of the step of the short
             strain between its ends, (H17). Convex kinds only.
-        corner: acts on the strains of the four corners of lattice cells at a node, (H18).
+        corner: acts on the strains of the four corners of lattice cells at a node, (H19).
 
     Raises InputError for an unknown kind, an exponent that the kind cannot take, or a difference
     that it cannot act on.

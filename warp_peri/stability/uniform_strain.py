@@ -1,6 +1,6 @@
 """Waves on a uniformly strained hyperelastic lattice: which of them lower the energy.
 
-In uniform strain the tangent is one stencil for all nodes, (H19), and linear in the coefficients.
+In uniform strain the tangent is one stencil for all nodes, (H20), and linear in the coefficients.
 Its symbol over that of the five-point Laplacian, the same for long waves as the acoustic tensor
 over |k|², says for every wave whether the lattice is stable against it.
 """
