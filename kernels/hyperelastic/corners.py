@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_peri.kernels.hyperelastic.energies import energies
 from warp_peri.kernels.hyperelastic.rows import Window
-from warp_peri.kernels.hyperelastic.sweeps import types
+from warp_peri.kernels.hyperelastic.sweeps import parts, types
 
 CORNER = 6
 """What a term sees (Terms.seen) that acts on corners."""
@@ -183,6 +183,7 @@ def _energy(scalar):
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
     place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
     strain, value = _strain(scalar), energies(scalar).value
+    thick = parts(scalar).share
     quarter = scalar(0.25)
 
     @wp.kernel(enable_backward=False)
@@ -200,7 +201,8 @@ def _energy(scalar):
                 for k in range(terms.kind.shape[0]):
                     if terms.seen[k] == CORNER:
                         local = value(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                        total += quarter * terms.c[terms.first_term + k] * local
+                        c = thick(lattice, i, i) * terms.c[terms.first_term + k]
+                        total += quarter * c * local
         U[s, i] = total
 
     return energy_of_corners
@@ -212,6 +214,7 @@ def _force(scalar):
     vec, Lattice, Terms, three = of.vec, of.Lattice, of.Terms, energies(scalar).vec
     place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
     strain, pull, slope = _strain(scalar), _pull(scalar), energies(scalar).slope
+    thick = parts(scalar).share
 
     @wp.kernel(enable_backward=False)
     def force_of_corners(
@@ -231,7 +234,7 @@ def _force(scalar):
                 for k in range(terms.kind.shape[0]):
                     if terms.seen[k] == CORNER:
                         local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                        g += terms.c[terms.first_term + k] * local
+                        g += thick(lattice, n, n) * terms.c[terms.first_term + k] * local
                 total += pull(role, Y1, Y2, inverse, sign(role), g)
         f[s, i] = total
 
@@ -244,6 +247,7 @@ def _force_of_each(scalar):
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
     place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
     strain, pull, slope_by = _strain(scalar), _pull(scalar), energies(scalar).slope_by
+    thick = parts(scalar).share
 
     @wp.kernel(enable_backward=False)
     def force_of_each_corner(
@@ -267,7 +271,7 @@ def _force_of_each(scalar):
                 for k in range(terms.kind.shape[0]):
                     if terms.seen[k] == CORNER:
                         g = slope_by(by, terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                        pulled = pull(role, Y1, Y2, inverse, sign(role), g)
+                        pulled = thick(lattice, n, n) * pull(role, Y1, Y2, inverse, sign(role), g)
                         F[s, t, terms.first_term + k] += pulled
 
     return force_of_each_corner
@@ -280,6 +284,7 @@ def _curved(scalar):
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
     place, arm, sign = _place(scalar), _arm(scalar), _sign(scalar)
     strain, bent, slope, curve = _strain(scalar), _bent(scalar), energy.slope, energy.curve
+    thick = parts(scalar).share
     three, mat = energy.vec, energy.mat
 
     @wp.func
@@ -298,7 +303,7 @@ def _curved(scalar):
         g, H = three(), mat()
         for k in range(terms.kind.shape[0]):
             if terms.seen[k] == CORNER:
-                c = terms.c[terms.first_term + k]
+                c = thick(lattice, n, n) * terms.c[terms.first_term + k]
                 g += c * slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
                 H += c * curve(terms.kind[k], terms.angle[k], terms.exponent[k], E)
         return bent(Y1, Y2, lattice.inverse[0], sign(role), g, H)
@@ -384,6 +389,7 @@ def _stress(scalar):
     pair = wp.types.matrix((2, 2), scalar)
     place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
     strain, pull, slope = _strain(scalar), _pull(scalar), energy.slope
+    thick = parts(scalar).share
 
     @wp.kernel(enable_backward=False)
     def stress_of_corners(
@@ -402,7 +408,7 @@ def _stress(scalar):
                 for k in range(terms.kind.shape[0]):
                     if terms.seen[k] == CORNER:
                         local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                        g += terms.c[terms.first_term + k] * local
+                        g += thick(lattice, i, i) * terms.c[terms.first_term + k] * local
                 first = pull(4, Y1, Y2, inverse, sign(role), g)
                 second = pull(8, Y1, Y2, inverse, sign(role), g)
                 total += wp.outer(first, lattice.xi[p]) + wp.outer(second, lattice.xi[q])
