@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.sheets import hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.models.hyperelastic import HyperelasticSolid
+from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.statics.large_deformation import (
     NoEquilibrium,
@@ -79,3 +79,32 @@ def test_a_solid_without_stiffness_is_refused(manufactured):
         solve_hyperelastic(solid, op.points, b, u)
     with pytest.raises(InputError, match="b: expected finite numbers"):
         solve_hyperelastic(solid, op.points, np.full_like(b, np.nan), u)
+
+
+def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
+    points = square(3)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    c = np.array([0.1] * 4 + [0.07, 0.08, 0.2])
+    u = waves(points, 0.1)
+    even = StaticProblem(op).solve(c, None, u)
+    corner = np.flatnonzero((points.x < 2.5 * points.spacing).all(axis=1))
+    u[corner] += points.spacing * np.random.default_rng(4).normal(size=(len(corner), 2))
+    assert not np.isfinite(op.energy(u, c))
+    answer = StaticProblem(op).solve(c, None, u)
+    inner = points.interior
+    np.testing.assert_allclose(answer.u[inner], even.u[inner], atol=1e-10)
+
+
+def test_a_corner_that_is_turned_over_is_no_equilibrium():
+    points = square(3)
+    terms = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
+    op = HyperelasticOperator(Dictionary(3.0, terms=terms), points)
+    u = np.zeros_like(points.x)
+    assert op.folded(u) == 0
+    u[op.interior[4]] = [-2.4 * points.spacing, 0.0]  # through its neighbour, to the other side
+    assert op.folded(u) > 0
+    problem = StaticProblem(op)
+    c = np.array([0.07, 0.08])
+    answer = problem.find(c, None, np.zeros_like(u), start=u)
+    assert answer is None or op.folded(answer.u) == 0
+    assert np.abs(problem.solve(c, None, np.zeros_like(u)).u).max() < 1e-12

@@ -23,6 +23,7 @@ from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.positive import positive_factors
+from warp_peri.statics.harmonic import laplacian
 
 DIRECT = 12_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
@@ -390,25 +391,6 @@ def solve_hyperelastic(
     """
     op = HyperelasticOperator(solid.dictionary, points, thickness=thickness)
     return StaticProblem(op).solve(solid.coefficients, b, u)
-
-
-def laplacian(op: HyperelasticOperator) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-    """The five-point Laplacian between interior nodes, and from the collar (columns: all nodes)."""
-    steps = op.bonds.steps
-    near = np.flatnonzero(np.abs(steps).sum(axis=1) == 1)
-    far = op.bonds.neighbour[op.interior][:, near]
-    number = np.full(len(op.points.x), -1)
-    number[op.interior] = np.arange(len(op.interior))
-    rows = np.repeat(np.arange(len(op.interior)), len(near))
-    square = op.bonds.spacing**2
-    whole = sp.csr_matrix(
-        (np.full(len(rows), -1 / square), (rows, far.ravel())),
-        shape=(len(op.interior), len(op.points.x)),
-    )
-    inside = op.points.interior
-    own = whole[:, inside] + sp.eye(len(op.interior)) * (len(near) / square)
-    collar = whole @ sp.diags((~inside).astype(float))
-    return own.tocsr(), collar.tocsr()
 
 
 def _inverse(factor: Any) -> LinearOperator:
