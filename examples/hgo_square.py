@@ -182,7 +182,7 @@ def main() -> None:
     parser.add_argument("--element", choices=(*ELEMENTS, "both"), default="both")
     parser.add_argument("--samples", type=int, default=200, help="to learn from")
     parser.add_argument("--solved", type=int, default=10, help="samples of a set solved for E_u")
-    parser.add_argument("--stiffness", type=float, default=STIFFNESS, help="of the deviations")
+    parser.add_argument("--stiffness", type=float, default=STIFFNESS, help="of deviations, to read")
     parser.add_argument("--seed", type=int, default=1000, help="of the first load")
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--data", type=Path, default=ROOT / "data" / "hgo")
