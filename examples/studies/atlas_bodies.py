@@ -108,7 +108,7 @@ def at_home(model: warp_peri.Model, overlap: float | None = None) -> Coupling:
 
 
 def limits(model: warp_peri.Model) -> list[str]:
-    """What is said of a small hole, of no overlap, and of a thin body."""
+    """What is said of a small hole, of hardly any overlap, and of a thin body."""
     finer = warp_peri.on_lattice(model, spacing=model.certified_on[0] / 2)
     plate = box(2 * HALF, 2 * HALF)
     small = mesh_outline(plate, [Circle(5.0, size=2.0)], size=8.0)
@@ -119,4 +119,4 @@ def limits(model: warp_peri.Model) -> list[str]:
         coupling = at_home(finer, overlap)
         return words(lambda: solve_body(finer, mesh, displacement=held, coupling=coupling))
 
-    return [run(small), run(mesh_outline(plate, size=1.5), 0.0), run(thin)]
+    return [run(small), run(mesh_outline(plate, size=1.5), 1e-3), run(thin)]
