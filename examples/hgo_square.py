@@ -152,7 +152,7 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
         given.data,
         material=material,
         element=element,
-        counts=(given.samples, 25, 25, 10),
+        counts=(given.samples, 25, 25, given.disks),
         seed=given.seed,
         jobs=given.jobs,
         progress=not given.json,
@@ -181,6 +181,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--element", choices=(*ELEMENTS, "both"), default="both")
     parser.add_argument("--samples", type=int, default=200, help="to learn from")
+    parser.add_argument("--disks", type=int, default=10, help="to test on")
     parser.add_argument("--solved", type=int, default=10, help="samples of a set solved for E_u")
     parser.add_argument("--stiffness", type=float, default=STIFFNESS, help="of deviations, to read")
     parser.add_argument("--seed", type=int, default=1000, help="of the first load")
