@@ -69,7 +69,7 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     for body, strain, style in (("patch", of_patch, ":"), ("disk", of_disk, "--")):
         axes.axvline(100 * strain, color="0.6", linestyle=style, label=f"atoms fail ({body})")
     axes.set(xlabel="largest bond strain [%]", ylabel="E_u [%]")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     last = sets[max(sets)]
     seen = [words(lambda: warp_peri.evaluate(energy, last))]
     proven = energy.proven_strain(train.spacing)
