@@ -77,17 +77,17 @@ def critical_step(model: Model) -> Entry:
     growth: dict[str, list[float]] = {}
     sharpness, shapes = {}, {}
     refused = ""
-    for number, (name, model) in enumerate(models.items()):
-        points, stiffest = box_of_the_stiffest(model, spacing)
-        critical = critical_time_step(model, spacing=spacing, density=DENSITY)
+    for number, (name, solid) in enumerate(models.items()):
+        points, stiffest = box_of_the_stiffest(solid, spacing)
+        critical = critical_time_step(solid, spacing=spacing, density=DENSITY)
         sharpness[name] = 2 * np.sqrt(DENSITY) / stiffest / critical - 1
         shapes[name] = "×".join(f"{side / spacing:.0f}" for side in points.box or ())
         u = np.random.default_rng(number).normal(size=points.x.shape)
         growth[name] = [
-            largest_growth(model, points, u, part * critical)
+            largest_growth(solid, points, u, part * critical)
             for part in tqdm(PARTS, desc=f"time step, {name}")
         ]
-        refused = words(functools.partial(one_step, model, points, 1.01 * critical))
+        refused = words(functools.partial(one_step, solid, points, 1.01 * critical))
     above = min(values[PARTS.index(1.01)] for values in growth.values())
     return Entry(
         *written(
