@@ -59,15 +59,19 @@ def test_wrong_files_are_refused(key, value, words, tmp_path):
 
 def test_a_gradient_of_its_own_has_weights_for_its_classes(tmp_path):
     classes = bond_classes(1.0, 3.0)
-    model = replace(solid("energy"), gradient=np.linspace(0.0, 0.1, len(classes.r)))
+    weights = np.arange(len(classes.r)) / (classes.count * classes.r**2)
+    weights /= np.arange(len(classes.r)).sum()
+    model = replace(solid("energy"), gradient=weights)
     model.save(tmp_path / "m.json")
     again = load_nonlinear(tmp_path / "m.json")
     assert again.gradient == model.gradient
     p_in, p_out = again.weights(classes)
     assert p_in is p_out
-    assert np.array_equal(p_in, np.linspace(0.0, 0.1, len(classes.r)))
+    assert np.array_equal(p_in, weights)
     with pytest.raises(InputError, match="expected weights of 7 classes of bonds, got 6"):
         again.weights(bond_classes(1.0, 3.5))
+    with pytest.raises(InputError, match=r"weights of this lattice, Σ n r² p = 1, got 1\.02"):
+        again.weights(bond_classes(1.01, 3.05))
     with pytest.raises(InputError, match="gradient: expected finite weights"):
         replace(model, gradient=(np.nan,))
     with pytest.raises(InputError, match="gradient: expected None beside a smoothing"):
@@ -112,3 +116,25 @@ def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
         )
     sigma = classes.count * classes.r**2
     assert [sigma @ p for p in (inward, outward)] == pytest.approx([1, 1])
+
+
+@pytest.mark.parametrize("kind", [*FORMS, "gradient"])
+def test_other_units_are_the_same_solid(kind, tmp_path):
+    model = solid("filtered" if kind == "filtered" else "energy")
+    if kind == "gradient":
+        model = replace(model, gradient=model.weights(bond_classes(1.0, 3.0))[0])
+    linear = replace(model.linear, certified_on=(1.0,))
+    model = replace(model, linear=linear, proven={"1": {"strain": 0.03}})
+    assert model.in_units(("angstrom", "TPa")) is model
+    other = model.in_units(("nm", "GPa"))
+    assert other.units == ("nm", "GPa")
+    assert other.numbers == pytest.approx(1e3 * model.numbers)
+    for here, there in zip(
+        model.weights(bond_classes(1.0, 3.0)), other.weights(bond_classes(0.1, 0.3))
+    ):
+        np.testing.assert_allclose(there, 100 * here, rtol=1e-9)
+    assert other.proven_strain(0.1) == 0.03
+    other.save(tmp_path / "m.json")
+    assert load_nonlinear(tmp_path / "m.json").gradient == other.gradient
+    with pytest.raises(InputError, match="stress_unit: expected one of"):
+        model.in_units(("nm", "furlong"))

@@ -59,3 +59,12 @@ def test_the_energy_form_keeps_the_gradient_of_long_waves_and_takes_little_of_sh
     assert np.abs(response(transferred, 0.7, long) / at_home - 1).max() < 0.04
     assert response(transferred, 0.7, short).max() < 0.1 < 0.4 < response(plain, 0.7, short).max()
     assert transferred.proven_strain(0.7) > 2 * uniqueness(plain, spacing=0.7).strain
+
+
+def test_a_third_lattice_takes_the_gradient_of_the_second_one():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="transferred")
+        finest = nonlinear_for(proven("energy"), lattice(5, 3.0, spacing=0.6))
+        third = nonlinear_for(finest, lattice(5, 3.0, spacing=0.7))
+    plain = uniqueness(replace(third, gradient=None), spacing=0.7).strain
+    assert third.proven_strain(0.7) > 1.5 * plain > 0

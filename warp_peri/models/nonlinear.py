@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,12 +21,14 @@ from warp_peri.models.lps import (
 )
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
-from warp_peri.points.unit_names import Units
+from warp_peri.points.unit_names import Units, factors
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
 
 KIND = "nonlinear"
+OWN = 1e-4
+"""What Σ n r² p of a `gradient` may miss 1 by on the lattice that it was made for."""
 CUBIC = ("t3", "tq2", "q3")
 _RECORDS = ("proven", "errors", "provenance")
 _OPTIONAL = {"sha256", "gradient"}
@@ -106,7 +108,8 @@ class NonlinearModel:
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C].
 
-        Raises InputError for a lattice of other classes than a `gradient` has weights for.
+        Raises InputError for another lattice than a `gradient` was made for: other classes, or
+        uniform strain that it does not return, Σ n r² p ≠ 1.
         """
         if self.smoothing is not None:
             return self.smoothing.weights(classes)
@@ -117,6 +120,11 @@ class NonlinearModel:
                     f"got {len(self.gradient)}"
                 )
             own = np.array(self.gradient)
+            uniform = float((classes.count * classes.r**2) @ own)
+            if not abs(uniform - 1) <= OWN:
+                raise InputError(
+                    f"gradient: expected weights of this lattice, Σ n r² p = 1, got {uniform:g}"
+                )
             return own, own
         kw = self.linear.influence_dilatation(classes.r) * classes.weight
         p = kw / (classes.count @ (kw * classes.r**2))
@@ -136,6 +144,33 @@ class NonlinearModel:
         if not spacing > 0:
             raise InputError("points: a nonlinear model is for lattices, got scattered points")
         self.linear.check_spacing(spacing, allow_uncertified=allow_uncertified)
+
+    def in_units(self, units: Units) -> NonlinearModel:
+        """The same solid with its numbers in other units.
+
+        Proven strains, which have no unit, go along with their spacings; other figures and records
+        stay as they are, as in Model.in_units.
+
+        Raises InputError for units that are not known, or that no factor leads to.
+        """
+        length, stress = factors(self.units, units)
+        linear, smoothing, gradient = self.linear.in_units(units), self.smoothing, self.gradient
+        if linear is self.linear:
+            return self
+        return replace(
+            self,
+            linear=linear,
+            t3=self.t3 * stress,
+            tq2=self.tq2 * stress,
+            q3=self.q3 * stress,
+            smoothing=smoothing and replace(smoothing, radius=smoothing.radius * length),
+            gradient=gradient and tuple(p / length**2 for p in gradient),
+            proven={
+                f"{spacing * length:g}": self.proven[f"{spacing:g}"]
+                for spacing in self.linear.certified_on
+                if f"{spacing:g}" in self.proven
+            },
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""

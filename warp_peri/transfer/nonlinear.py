@@ -33,8 +33,8 @@ def nonlinear_for(
     """The model for the spacing of the points and the horizon that their collar carries.
 
     t3, tq2, q3 and the smoothing belong to the material and go along; the weights of Ψ follow the
-    lattice, those of the energy form on finer ones by (N21), and the proven strain is that of the
-    model there.
+    lattice, those of the energy form by (N21) on finer ones, and on any other one once they have;
+    the proven strain is that of the model there.
 
     Args:
         model: certified on some lattice.
@@ -50,8 +50,9 @@ def nonlinear_for(
         return model
     spacing = linear.nominal_spacing(points.spacing)
     home = home_of(model.linear, spacing).spacing
-    finer = model.smoothing is None and spacing < home  # coarser ones have no such short waves
-    gradient = _gradient(model, home, linear, spacing) if finer else None
+    gradient = None
+    if model.smoothing is None and (spacing < home or model.gradient is not None):
+        gradient = _gradient(model, home, linear, spacing)  # else no wave is shorter than at home
     transferred = dataclasses.replace(model, linear=linear, proven={}, gradient=gradient)
     smoothing = None if model.smoothing is None else dataclasses.astuple(model.smoothing)
     key = (model_content(linear)["sha256"], *model.numbers.tolist(), smoothing, gradient, spacing)
