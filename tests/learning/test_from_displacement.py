@@ -144,6 +144,28 @@ def test_what_says_nothing_is_refused(frames):
         fit_displacement(Samples(points, frames.u, np.ones_like(frames.u)), sheet())
 
 
+def test_numbers_that_make_no_sense_are_refused(frames):
+    solid = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    for stiffness in (-1.0, np.nan, (0.1, 0.05), (0.1, np.nan), (1.0, 2.0, 3.0), "soft", np.inf):
+        with pytest.raises(InputError, match="stiffness: expected"):
+            fit_displacement(frames, sheet(), stiffness=stiffness)
+    with pytest.raises(InputError, match="start: expected 6 coefficients"):
+        fit_displacement(frames, sheet(), start=np.ones(2))
+    for degree in (2.0, True, 7):
+        with pytest.raises(InputError, match="degree: expected 1 to 6"):
+            fit_displacement(frames, sheet(), thickness=degree)
+    at_rest = Samples(frames.points, np.stack([frames.u[0], 0 * frames.u[0]]))
+    with pytest.raises(InputError, match="frame 1 is at rest"):
+        fit_displacement(at_rest, sheet())
+    with pytest.raises(InputError, match="frame 1 is at rest"):
+        fit_thickness(at_rest, solid)
+    with pytest.raises(InputError, match="frames: expected one or more"):
+        fit_thickness(Samples(frames.points, frames.u[:0]), solid)
+    for options in ({"width": np.nan}, {"width": -1.0}, {"width": 1.0, "axis": 2}):
+        with pytest.raises(InputError, match="axis, width: expected"):
+            scaled_by_force(solid, frames, np.ones(3), **options)
+
+
 def test_a_force_sets_the_scale(frames):
     true = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
     op = HyperelasticOperator(sheet(), frames)

@@ -31,9 +31,19 @@ def test_slopes_are_central_differences():
         np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-5, atol=1e-8)
 
 
+def test_beyond_the_largest_it_stays_as_it_is():
+    steep = Thickness(1, np.zeros(2), np.ones(2), np.array([100.0, 0.0]))
+    there = np.array([[1.0, 0.5], [0.1, 0.5]])
+    assert steep.at(there) == pytest.approx(np.exp([20.0, 10.0]))
+    np.testing.assert_array_equal(steep.slopes(there)[0], 0.0)
+
+
 def test_what_is_no_thickness_is_refused():
-    with pytest.raises(InputError, match="degree: expected 1 to 6, got 7"):
-        Thickness.over(X, 7)
+    for degree in (7, 0, 2.0, True, "2"):
+        with pytest.raises(InputError, match=f"degree: expected 1 to 6, got {degree!r}"):
+            Thickness.over(X, degree)
+    with pytest.raises(InputError, match=r"x: expected positions of shape \[N, 2\], got \[2\]"):
+        Thickness.over(X, 2).at(X[0])
     with pytest.raises(InputError, match="numbers: expected 5 finite numbers"):
         replace(Thickness.over(X, 2), numbers=np.ones(4))
     with pytest.raises(InputError, match="half: expected two lengths > 0"):

@@ -87,7 +87,13 @@ class Search:
             self.problem = self.problem.with_thickness(thickness.at(self.x))
         self.inner = self.problem.op.interior
         self.data = frames.u
+        if not len(self.data):
+            raise InputError("frames: expected one or more")
         self.size = np.linalg.norm(self.data[:, self.inner].reshape(len(self.data), -1), axis=1)
+        if not self.size.all():
+            raise InputError(
+                f"frames: expected interiors that move, frame {self.size.argmin()} is at rest"
+            )
         self.kept = list(range(len(self.data)))
         self.left_out: list[int] = []
         least, greatest = bounds

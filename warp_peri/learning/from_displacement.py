@@ -19,6 +19,7 @@ from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
 from warp_peri.models.thickness import Thickness
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
+from warp_peri.points.arrays import is_number
 from warp_peri.points.samples import Samples
 
 __all__ = [
@@ -63,7 +64,8 @@ def fit_displacement(
         progress: show a bar on stderr.
 
     Warns where deviations come out so stiff that they, and not a material, explain the frames.
-    Raises InputError for frames with loads, affine frames, or energies that guarantee nothing.
+    Raises InputError for frames with loads, affine frames, a frame at rest, energies that guarantee
+    nothing, and numbers that make no sense; NoEquilibrium where no frame has one at the start.
     """
     check_unloaded(frames)
     if not dictionary.guaranteed:
@@ -72,11 +74,13 @@ def fit_displacement(
         )
     check_identifiable(frames)
     uneven = Thickness.over(frames.x, thickness) if thickness else None
-    bounds = stiffness if isinstance(stiffness, tuple) else (stiffness, np.inf)
+    bounds = bounds_of(stiffness)
     search = Search(frames, dictionary, bounds, moving, uneven)
     if start is None:
         c = search.equation_error()
     else:
+        if np.shape(start) != (len(dictionary),):
+            raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
         c = search.scaled(np.clip(start, search.lower, search.upper))
     fit = search.descended(c, most_steps, tolerance, progress)
     warn_of_interpolation(fit.solid)
@@ -100,12 +104,24 @@ def fit_thickness(
         degree: of the polynomial.
         most_steps, tolerance, progress: as in fit_displacement.
 
-    Raises InputError for frames with loads.
+    Raises InputError for frames with loads, none, or a frame at rest, and for another degree;
+    NoEquilibrium where no frame has one in an even sheet.
     """
     check_unloaded(frames)
     uneven = Thickness.over(frames.x, degree)
     search = Search(frames, solid.dictionary, (0.0, np.inf), False, uneven, held=True)
     return search.descended(search.scaled(solid.coefficients), most_steps, tolerance, progress)
+
+
+def bounds_of(stiffness: float | tuple[float, float]) -> tuple[float, float]:
+    """Least and greatest coefficient of the deviations; InputError where they are none."""
+    given = (stiffness, np.inf) if is_number(stiffness) else stiffness
+    if not (isinstance(given, (tuple, list)) and len(given) == 2 and all(map(is_number, given))):
+        raise InputError(f"stiffness: expected one number or two, got {stiffness!r:.60}")
+    least, greatest = map(float, given)
+    if not (0 <= least <= greatest and least < np.inf):
+        raise InputError(f"stiffness: expected 0 ≤ least ≤ greatest, got {stiffness!r:.60}")
+    return least, greatest
 
 
 def check_unloaded(frames: Samples) -> None:
@@ -159,12 +175,16 @@ def scaled_by_force(
         frames: that the forces belong to.
         forces: pull along the axis on a section across it, over the thickness, shape [S]
             in stress times length.
-        width: of that section in the reference; the stress on it is taken as that of the interior.
+        width: of that section in the reference [length], > 0; the stress on it is taken as that of
+            the interior.
         axis: 0 for x, 1 for y.
         thickness: of every node over that which the forces are divided by, shape [N]; one for none.
 
-    Raises InputError for forces of another number, or where the solid carries none.
+    Raises InputError for forces of another number, another axis or width, or where the solid
+    carries no force.
     """
+    if axis not in (0, 1) or not 0 < width < np.inf:
+        raise InputError(f"axis, width: expected 0 or 1 and a length > 0, got {axis} and {width}")
     forces = np.asarray(forces, float)
     if forces.shape != (len(frames),) or not np.isfinite(forces).all():
         raise InputError(f"forces: expected {len(frames)} finite numbers")

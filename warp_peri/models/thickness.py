@@ -10,7 +10,7 @@ from warp_peri.errors import InputError
 
 LARGEST_DEGREE = 6
 LARGEST = 20.0
-"""Of the polynomial: beyond it the thickness is no number worth computing with."""
+"""Of the polynomial: beyond ± this the thickness stays at e^± this, so that it is a number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,8 @@ class Thickness:
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if self.degree not in range(1, LARGEST_DEGREE + 1):
+        whole = isinstance(self.degree, (int, np.integer)) and not isinstance(self.degree, bool)
+        if not (whole and 1 <= self.degree <= LARGEST_DEGREE):
             raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree!r}")
         centre, half = (np.array(value, float) for value in (self.centre, self.half))
         if centre.shape != (2,) or half.shape != (2,) or not np.isfinite(centre).all():
@@ -69,15 +70,20 @@ class Thickness:
         return words
 
     def _terms(self, x: np.ndarray) -> np.ndarray:
-        place = (np.asarray(x, float) - self.centre) / self.half
+        x = np.asarray(x, float)
+        if x.ndim != 2 or x.shape[1] != 2:
+            raise InputError(f"x: expected positions of shape [N, 2], got {list(x.shape)}")
+        place = (x - self.centre) / self.half
         return np.stack([place[:, 0] ** a * place[:, 1] ** b for a, b in self._powers], axis=1)
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Thickness at positions of shape [N, 2], over that at the centre, shape [N]."""
+        """Thickness at positions [length] of shape [N, 2], over that at the centre, shape [N]."""
         values: np.ndarray = np.exp(np.clip(self._terms(x) @ self.numbers, -LARGEST, LARGEST))
         return values
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Its derivative by the numbers, shape [N, P]."""
-        values: np.ndarray = self.at(x)[:, None] * self._terms(x)
+        terms = self._terms(x)
+        inside = np.abs(terms @ self.numbers) <= LARGEST
+        values: np.ndarray = (inside * self.at(x))[:, None] * terms
         return values
