@@ -120,6 +120,11 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
         CrackRun(body, dt / 2, **options).march(body.start(cracks=CRACK), steps)
     with pytest.raises(InputError, match="another body, start, load or step"):
         CrackRun(body, dt, **options).march(body.start(), steps)
+    options = {"checkpoint": tmp_path / "other.npz", "every": 1, "checkpoint_every": 1}
+    lines = [{"middle": [(-9, y), (9, y)]} for y in (0, 1)]
+    CrackRun(body, dt, sections=lines[0], **options).march(body.start(), 2)
+    with pytest.raises(InputError, match="another body, start, load or step"):
+        CrackRun(body, dt, sections=lines[1], **options).march(body.start(), 4)
 
 
 def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
@@ -139,6 +144,8 @@ def test_runs_that_would_record_nothing_are_refused():
         ({"checkpoint_every": -1}, "checkpoint_every: expected"),
         ({"regions": {"far": body.body.x[:, 0] > 1e3}}, "'far' of shape .* with 0"),
         ({"regions": {"few": np.ones(3, bool)}}, "'few' of shape"),
+        ({"sections": {"far": [(-9, 99), (9, 99)]}}, "section: expected two ends"),
+        ({"sections": {"bent": [(-9, 0), (0, 0), (9, 8)]}}, "section: expected two ends"),
     ):
         with pytest.raises(InputError, match=words):
             CrackRun(body, dt, **options)

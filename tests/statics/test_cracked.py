@@ -73,6 +73,15 @@ def test_growth_breaks_the_most_stretched_bonds_and_loses_energy():
     assert np.abs(body.x[node, 1]).max() < 3  # along the crack
 
 
+def test_growth_of_what_cannot_grow_is_refused():
+    body = plate(20, 16)
+    held = np.abs(body.x[:, 1]) > 5
+    with pytest.raises(InputError, match="no_fail: expected shape .* of int"):
+        grow(solid().model, body, held, body.x, 1, no_fail=held.astype(int))
+    with pytest.raises(InputError, match="against 0 of its 3 rigid motions"):
+        grow(solid().model, body, held & False, body.x, 1)
+
+
 def test_a_growing_crack_spends_more_than_a_straight_cut():
     ratio = apparent_toughness(solid().model, 1.0, cells=10, length=2)
     assert 1.1 < ratio < 1.9
@@ -114,8 +123,11 @@ def test_the_release_of_an_inclined_crack_needs_several_lengths():
 def test_contours_and_lengths_that_make_no_sense_are_refused():
     body, model = plate(20, 20), solid().model
     held, u = np.zeros(400, bool), np.zeros((400, 2))
-    with pytest.raises(InputError, match="smaller < larger"):
-        contour_integral(model, body, u, (0.0, 0.0), (4.0, 4.0))
+    for radii in ((4.0, 4.0), (3.6, 4.4), (4.0, np.nan)):
+        with pytest.raises(InputError, match="smaller < larger by a spacing of 1"):
+            contour_integral(model, body, u, (0.0, 0.0), radii)
+    with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
+        contour_integral(model, body, u[:3], (0.0, 0.0), (2.0, 4.0))
     with pytest.raises(InputError, match="more than from the tip to the edge"):
         contour_integral(model, body, u, (6.0, 0.0), (2.0, 6.0))
     with pytest.raises(InputError, match="two lengths or more"):

@@ -98,13 +98,16 @@ def test_the_load_of_a_crack_undoes_it():
 def test_fluids_and_loads_that_make_no_sense_are_refused():
     body, model = plate(12, 12), solid().model
     held, cut = np.abs(body.x).max(axis=1) > 5, cracked(body, [[(-3, 0), (3, 0)]])
-    with pytest.raises(InputError, match="stress: expected a symmetric one"):
-        crack_load(model, body, cut, np.array([[0.0, 1.0], [0.0, 0.0]]))
+    for stress in ([[0.0, 1.0], [0.0, 0.0]], np.full((2, 2), np.inf)):
+        with pytest.raises(InputError, match="stress: expected a finite, symmetric one"):
+            crack_load(model, body, cut, np.array(stress))
     with pytest.raises(InputError, match="normal: expected one along an axis"):
         opening_volume(body, body.x, cut, (0.7, 0.7))
-    for halves, toughness in (([3.0, 2.0], 1.0), ([2.0, 3.0], -1.0), ([1.0], 1.0)):
+    for halves, toughness in (([3.0, 2.0], 1.0), ([2.0, 3.0], -1.0), ([1.0], 1.0), ([], 1.0)):
         with pytest.raises(InputError, match="half lengths that rise"):
             inject(model, body, held, halves, toughness)
+    with pytest.raises(InputError, match="leak, compressibility: expected numbers ≥ 0"):
+        inject(model, body, held, [2.0], 1.0, leak=-1.0)
 
 
 def test_examples_print_and_draw(tmp_path, capsys):

@@ -100,9 +100,10 @@ def test_what_cannot_be_pulled_is_refused():
     body, model, law = lattice(12, 16), solid(1.0).model, BondLaw(2.0, 0.05, 0.02)
     ends = np.repeat(np.abs(body.x[:, 1:]) > 5, 2, axis=1)
     for options, words in (
-        ({"held": ends[:, 0]}, "held, no_fail: expected shapes"),
+        ({"held": ends[:, 0]}, "held: expected shape"),
         ({"held": ends & False}, "against 0 of its 3 rigid motions"),
-        ({"held": ends, "no_fail": np.ones(3, bool)}, "held, no_fail: expected shapes"),
+        ({"held": ends, "no_fail": np.ones(3, bool)}, "no_fail: expected shape"),
+        ({"held": ends, "no_fail": np.ones(len(ends), int)}, r"of bool, got \[192\] of int"),
     ):
         with pytest.raises(InputError, match=words):
             SoftBody(model, body, law, **options)
@@ -113,6 +114,7 @@ def test_what_cannot_be_pulled_is_refused():
         (u, [], line, "one finite factor"),
         (u, [0.2, 0.1], line, "factors that rise"),
         (u[:, 0], [0.1], line, "u: expected shape"),
+        (u * np.nan, [0.1], line, "u: expected finite"),
         (u, [0.1], [(-7, 40), (7, 40)], "no bond of the body crosses it"),
     ):
         with pytest.raises(InputError, match=words):

@@ -22,7 +22,12 @@ from warp_peri.launch import floats, launch_slices, zeros
 from warp_peri.models.damage import BrittleSolid
 from warp_peri.operator.damage import CutOperator, unit_bond_energy, unit_toughness
 from warp_peri.points.body import Body, cracked
-from warp_peri.stability.breaking import breaking_time_step, check_breakable
+from warp_peri.stability.breaking import (
+    breaking_time_step,
+    check_breakable,
+    check_horizon,
+    check_no_fail,
+)
 
 
 @dataclass(eq=False)
@@ -114,16 +119,11 @@ class BreakingBody:
         ramp: Callable[[float], float] | None = None,
     ) -> None:
         check_breakable(solid.model, body.classes)
-        if not np.isclose(body.classes.horizon, solid.model.horizon, rtol=1e-9):
-            raise InputError(
-                f"body: expected the horizon {solid.model.horizon:g}, got {body.classes.horizon:g}"
-            )
+        check_horizon(solid.model, body)
         self.solid, self.body, self.ramp = solid, body, ramp
         self.stretch, limits = criterion(solid, body)
         count = len(body.x)
-        self.no_fail = np.zeros(count, bool) if no_fail is None else np.asarray(no_fail)
-        if self.no_fail.shape != (count,) or self.no_fail.dtype != bool:
-            raise InputError(f"no_fail: expected shape [{count}] of bool")
+        self.no_fail = check_no_fail(no_fail, count)
         self.operator = CutOperator(
             solid.model,
             body,

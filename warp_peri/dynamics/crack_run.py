@@ -53,8 +53,10 @@ class History:
         return float(missing.max() / scale) if scale else 0.0
 
     def column(self, name: str) -> np.ndarray:
-        """One column of the ledger, by its name."""
-        return np.array(self.ledger)[:, LEDGER.index(name)]
+        """One column of the ledger, by its name, shape [K]; InputError for another name."""
+        if name not in LEDGER:
+            raise InputError(f"column: expected one of {', '.join(LEDGER)}, got {name!r}")
+        return np.reshape(self.ledger, (-1, len(LEDGER)))[:, LEDGER.index(name)]
 
 
 class Section:
@@ -63,11 +65,18 @@ class Section:
     Args:
         body: the body in motion.
         line: two ends, shape [2, 2].
+
+    Raises InputError for a line of another shape, and one that no bond crosses.
     """
 
     def __init__(self, body: BreakingBody, line: ArrayLike) -> None:
-        ends = np.asarray(line, dtype=float)
-        node, bond = np.nonzero(crossing_bonds(body.body, ends))
+        cut = crossing_bonds(body.body, line)
+        self.ends = ends = np.asarray(line, dtype=float)
+        if ends.shape != (2, 2) or not cut.any():
+            raise InputError(
+                f"section: expected two ends of a line that bonds cross, got {ends.tolist()}"
+            )
+        node, bond = np.nonzero(cut)
         along = ends[1] - ends[0]
         left = (body.body.x[node] - ends[0]) @ (-along[1], along[0]) > 0
         self._node, self._bond, self._owner = node[left], bond[left], body
@@ -101,7 +110,8 @@ class CrackRun:
         series: folder for ParaView's files, one a record.
         allow_unstable: warn about a step that is too long instead of raising.
 
-    Raises InputError for a step or counts that are not > 0, and for regions without nodes.
+    Raises InputError for a step or counts that are not > 0, for regions without nodes, and for
+    sections without bonds.
     """
 
     def __init__(
@@ -177,9 +187,10 @@ class CrackRun:
         fields = (body.load.numpy(), body.held.numpy(), body.grip.numpy())
         solid, model = body.solid, body.solid.model
         numbers = (model.lam, model.mu, model.alpha, model.D.tolist(), model.horizon, solid.density)
+        lines = [section.ends for section in self.sections.values()]
         kinds = (solid.by_energy, solid.tension_only, self.every, list(self.sections))
         text = hashlib.sha256(repr((numbers, kinds, list(self.regions))).encode() + self._began)
-        for part in (*parts, *fields, *self.regions.values()):
+        for part in (*parts, *fields, *self.regions.values(), *lines):
             text.update(np.ascontiguousarray(part).tobytes())
         return text.hexdigest()
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -115,10 +116,10 @@ def fit_thickness(
 
 def bounds_of(stiffness: float | tuple[float, float]) -> tuple[float, float]:
     """Least and greatest coefficient of the deviations; InputError where they are none."""
-    given = (stiffness, np.inf) if is_number(stiffness) else stiffness
+    given: Any = (stiffness, np.inf) if is_number(stiffness) else stiffness
     if not (isinstance(given, (tuple, list)) and len(given) == 2 and all(map(is_number, given))):
         raise InputError(f"stiffness: expected one number or two, got {stiffness!r:.60}")
-    least, greatest = map(float, given)
+    least, greatest = float(given[0]), float(given[1])
     if not (0 <= least <= greatest and least < np.inf):
         raise InputError(f"stiffness: expected 0 ≤ least ≤ greatest, got {stiffness!r:.60}")
     return least, greatest

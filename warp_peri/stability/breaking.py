@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights, stiffness_across
+from warp_peri.points.body import Body
 from warp_peri.points.families import BondClasses
 from warp_peri.stability.inertia import pivots, symmetric_factors
 from warp_peri.stability.proof import largest_bound
@@ -33,6 +35,24 @@ def check_breakable(model: Model, classes: BondClasses) -> None:
         "breaking some of them leaves energies below zero; bonds may break in a positive kernel "
         "(positive_kernel keeps its moduli)"
     )
+
+
+def check_horizon(model: Model, body: Body) -> None:
+    """Refuse a body whose bonds are not those of the model's ball."""
+    if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
+        raise InputError(
+            f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
+        )
+
+
+def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
+    """Nodes whose bonds do not break, shape [N] bool; InputError for numbers or another shape."""
+    safe = np.zeros(count, bool) if no_fail is None else np.asarray(no_fail)
+    if safe.shape != (count,) or safe.dtype != bool:
+        raise InputError(
+            f"no_fail: expected shape [{count}] of bool, got {list(safe.shape)} of {safe.dtype}"
+        )
+    return safe
 
 
 def energy_bounds(model: Model) -> tuple[float, float]:

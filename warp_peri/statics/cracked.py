@@ -15,7 +15,7 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights, cut_matrix
 from warp_peri.points.body import Body, cracked
 from warp_peri.stability import inertia
-from warp_peri.stability.breaking import check_cut
+from warp_peri.stability.breaking import check_cut, check_horizon
 
 RESIDUAL = 1e-9
 """Largest relative residual of a solve."""
@@ -104,14 +104,6 @@ def symmetric_factors(matrix: sp.csc_array) -> Any:
         raise InputError(f"operator: parts of the body hang loose ({error})") from None
 
 
-def check_horizon(model: Model, body: Body) -> None:
-    """Refuse a body whose bonds are not those of the model's ball."""
-    if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
-        raise InputError(
-            f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
-        )
-
-
 def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:
     """Refuse a body of which a piece may move freely: cracks have cut it off and nothing holds it.
 
@@ -182,13 +174,20 @@ def contour_integral(
         body: a rectangle of nodes, the tip midway between rows.
         u: displacement, shape [N, 2].
         tip: where the crack ends.
-        radii: half sides of the squares, the smaller first.
+        radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
 
-    Raises InputError for a body that is no rectangle, and squares that do not fit into it.
+    Raises InputError for a body that is no rectangle, another shape of u, and squares that do not
+    differ by a spacing or do not fit into the body.
     """
-    if not 0 <= radii[0] < radii[1]:
-        raise InputError(f"radii: expected 0 ≤ smaller < larger, got {radii[0]:g}, {radii[1]:g}")
     h = body.spacing
+    if not (np.isfinite(radii).all() and 0 <= round(radii[0] / h) < round(radii[1] / h)):
+        raise InputError(
+            f"radii: expected 0 ≤ smaller < larger by a spacing of {h:g} or more, got "
+            f"{radii[0]:g}, {radii[1]:g}"
+        )
+    r1, r2 = (round(radius / h) * h for radius in radii)
+    if np.shape(u) != body.x.shape:
+        raise InputError(f"u: expected shape {list(body.x.shape)}, got {list(np.shape(u))}")
     place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
     sides = place.max(axis=0) + 1
     if np.prod(sides) != len(body.x):
@@ -197,15 +196,14 @@ def contour_integral(
     field = u[order].reshape(*sides, 2)
     x, y = (body.x[order, a].reshape(sides) - tip[a] for a in (0, 1))
     room = min(-x[0, 0], x[-1, 0], -y[0, 0], y[0, -1])
-    if room < radii[1]:
-        raise InputError(f"radii: {radii[1]:g} is more than from the tip to the edge, {room:g}")
+    if room < r2 - 1e-9 * h:
+        raise InputError(f"radii: {r2:g} is more than from the tip to the edge, {room:g}")
     gradient = crack_gradient(field, h, x[:, 0] < 0, int(np.count_nonzero(y[0] < 0)))
     strain = (gradient + gradient.swapaxes(-1, -2)) / 2
     stress = 2 * model.mu * strain
     trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
     stress = stress + model.lam * trace * np.eye(2)
     density = (stress * strain).sum(axis=(-1, -2)) / 2
-    r1, r2 = (round(radius / h) * h for radius in radii)
     sideways = np.abs(x) >= np.abs(y)
     slope = [
         np.where(side, np.sign(axis) * _fall(np.abs(axis), h, r1, r2), 0.0)

@@ -65,10 +65,10 @@ def transient(
 
     Raises InputError for other shapes, a step not > 0, or a number of steps below 0.
     """
-    if not 0 < step < np.inf or steps < 0:
+    if not (0 < step < np.inf and isinstance(steps, (int, np.integer)) and steps >= 0):
         raise InputError(
-            f"step: expected a number > 0 and steps ≥ 0, got {step} and {steps}; `steady` solves "
-            "the state at rest"
+            f"step: expected a number > 0 and a whole number of steps ≥ 0, got {step} and {steps}; "
+            "`steady` solves the state at rest"
         )
     count = len(operator.points.x)
     matrix, rows = operator.matrix(), operator.rows

@@ -17,7 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import unit_toughness
 from warp_peri.points.body import Body, cracked, lattice_body, rectangle
-from warp_peri.stability.breaking import check_breakable
+from warp_peri.stability.breaking import check_breakable, check_no_fail
 from warp_peri.statics.cracked import CutSolid, westergaard
 
 TOGETHER = 1e-6
@@ -71,20 +71,23 @@ def grow(
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
         progress: shows a bar.
+
+    Raises InputError for a body that CutSolid refuses, and another `no_fail`.
     """
     check_breakable(model, body.classes)
     neighbour = cracked(body, cracks)
     xi, r = body.xi, body.r
-    safe = np.zeros(len(body.x), bool) if no_fail is None else np.asarray(no_fail)
-    if safe.shape != (len(body.x),):
-        raise InputError(f"no_fail: expected shape [{len(body.x)}], got {list(safe.shape)}")
-    loads, energies, counts = [], [], []
+    safe = check_no_fail(no_fail, len(body.x))
+    loads: list[float] = []
+    energies, counts = [], []
     start = int((neighbour >= 0).sum())
     for _ in tqdm(range(events), disable=not progress, unit="event"):
         try:
             solid = CutSolid(model, body, held, neighbour=neighbour)
-        except InputError:  # a piece has come off
-            break
+        except InputError:
+            if not loads:
+                raise
+            break  # a piece has come off
         field = solid.solve(u)
         reach = field[neighbour] - field[:, None]
         stretch = (xi * reach).sum(axis=-1) / r**2

@@ -87,8 +87,8 @@ def mixed_matrix(
 def solve_mixed(matrix: sp.csr_array, held: np.ndarray, u: np.ndarray) -> np.ndarray:
     """u at rest without load, given at held nodes [N] bool; both of shape [N, 2].
 
-    Raises InputError for other shapes, and for moduli or holds that leave the body indefinite or
-    loose.
+    Raises InputError for other shapes, values that are not finite, and for moduli or holds that
+    leave the body indefinite or loose.
     """
     count = matrix.shape[0] // 2
     held, given = np.asarray(held), np.array(u, dtype=float)
@@ -100,6 +100,8 @@ def solve_mixed(matrix: sp.csr_array, held: np.ndarray, u: np.ndarray) -> np.nda
     free = np.repeat(~held, 2)
     solved = given.ravel()
     solved[free] = 0
+    if not np.isfinite(solved).all():
+        raise InputError("u: expected finite values at held nodes")
     right = -(matrix @ solved)[free]
     factors = definite_factors(sp.csc_array(matrix[free][:, free]))
     if factors is None:

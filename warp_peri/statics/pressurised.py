@@ -12,6 +12,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights, cut_matrix
 from warp_peri.points.body import Body, cracked
+from warp_peri.stability.breaking import check_horizon
 from warp_peri.statics.cracked import CutSolid
 
 
@@ -28,12 +29,16 @@ def crack_load(model: Model, body: Body, neighbour: np.ndarray, stress: np.ndarr
         neighbour: with broken bonds, shape [N, B].
         stress: symmetric, shape [2, 2]; p n⊗n for a pressure on faces with normal n.
 
-    Raises InputError for another stress.
+    Raises InputError for another stress, and a body of another horizon.
     """
+    check_horizon(model, body)
     lam, mu = model.lam, model.mu
     stress = np.asarray(stress, dtype=float)
-    if stress.shape != (2, 2) or not np.allclose(stress, stress.T):
-        raise InputError(f"stress: expected a symmetric one of shape [2, 2], got {stress.tolist()}")
+    fine = stress.shape == (2, 2) and np.isfinite(stress).all() and np.allclose(stress, stress.T)
+    if not fine:
+        raise InputError(
+            f"stress: expected a finite, symmetric one of shape [2, 2], got {stress.tolist()}"
+        )
     strain = (stress - lam / (2 * (lam + mu)) * np.trace(stress) * np.eye(2)) / (2 * mu)
     u = (body.x @ strain).ravel()
     w = bond_weights(model, body.classes)
@@ -95,14 +100,19 @@ def inject(
 
     Args:
         model, body, held: as for CutSolid.
-        halves: half lengths in rising order, multiples of the spacing.
+        halves: half lengths in rising order, multiples of the spacing, one or more.
         toughness: G_c [stress · length].
-        leak: volume lost per length of new face [length].
-        compressibility: of the fluid [1 / stress].
+        leak: volume lost per length of new face [length], ≥ 0.
+        compressibility: of the fluid [1 / stress], ≥ 0.
 
-    Raises InputError for half lengths that do not rise and a toughness not > 0.
+    Raises InputError for half lengths that do not rise, a toughness not > 0, and a fluid below 0.
     """
-    if not (toughness > 0 and halves[0] > body.spacing and (np.diff(halves) > 0).all()):
+    if not (0 <= leak < np.inf and 0 <= compressibility < np.inf):
+        raise InputError(
+            f"leak, compressibility: expected numbers ≥ 0, got {leak} and {compressibility}"
+        )
+    rising = len(halves) > 0 and halves[0] > body.spacing and (np.diff(halves) > 0).all()
+    if not (rising and 0 < toughness < np.inf):
         raise InputError(
             f"crack: expected half lengths that rise from more than {body.spacing:g} and a "
             f"toughness > 0, got {list(halves)} and {toughness:g}"

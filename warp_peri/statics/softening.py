@@ -19,8 +19,8 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights
 from warp_peri.points.arrays import is_number
 from warp_peri.points.body import Body, cracked, crossing_bonds
-from warp_peri.stability.breaking import check_breakable
-from warp_peri.statics.cracked import check_horizon, check_pieces, symmetric_factors
+from warp_peri.stability.breaking import check_breakable, check_horizon, check_no_fail
+from warp_peri.statics.cracked import check_pieces, symmetric_factors
 
 NEWTON = 40
 TOLERANCE = 1e-8
@@ -153,11 +153,10 @@ class SoftBody:
         check_breakable(model, body.classes)
         check_horizon(model, body)
         count, held = len(body.x), np.asarray(held)
-        safe = np.zeros(count, bool) if no_fail is None else np.asarray(no_fail)
-        if held.shape != (count, 2) or held.dtype != bool or safe.shape != (count,):
+        safe = check_no_fail(no_fail, count)
+        if held.shape != (count, 2) or held.dtype != bool:
             raise InputError(
-                f"held, no_fail: expected shapes [{count}, 2] and [{count}] of bool, got "
-                f"{list(held.shape)} and {list(safe.shape)}"
+                f"held: expected shape [{count}, 2] of bool, got {list(held.shape)} of {held.dtype}"
             )
         self.body, self.law, self.held = body, law, held
         table = cracked(body, cracks or [])
@@ -220,14 +219,15 @@ class SoftBody:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
         Args:
-            u: given components at unit load, shape [N, 2].
+            u: given components at unit load, shape [N, 2]; the others are where the first solve
+                begins.
             loads: rising factors.
             line: across which the force is read, [2, 2].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
 
-        Raises InputError for another shape of u, loads that do not rise, and a line that no bond
-        crosses.
+        Raises InputError for another shape of u, values that are not finite, loads that do not
+        rise, and a line that no bond crosses.
         """
         loads = np.asarray(loads, dtype=float)
         if not (loads.ndim == 1 and len(loads) and np.isfinite(loads).all()):
@@ -236,6 +236,8 @@ class SoftBody:
             raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
         if np.shape(u) != self.held.shape:
             raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
+        if not np.isfinite(u).all():
+            raise InputError("u: expected finite values")
         if not crossing_bonds(self.body, line).any():
             raise InputError("line: no bond of the body crosses it, so no force can be read there")
         given = np.where(self.held, u, 0).ravel()
