@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
-from tools.cracked_sheet import critical_strain, ideal_strength
+from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from warp_peri import Model
@@ -91,7 +91,7 @@ def fitted(release, strain: float, E: float, strength: float, step: float) -> tu
 
 def atoms(names: dict[str, tuple[list, float]], step: float, kept: Path) -> dict[str, float]:
     """Critical strains by LAMMPS; each is written down when it is found, and not found again."""
-    measured = json.loads(kept.read_text()) if kept.exists() else {}
+    measured = finished(kept, "strain")
     for name, (cracks, expected) in tqdm(names.items(), desc="sheets", unit="sheet"):
         half = LATER_HALF if name.endswith(SMALL) else HALF
         if name not in measured:

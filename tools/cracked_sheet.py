@@ -7,11 +7,13 @@ would reach, are excluded; so are the bonds that a crack cuts.
 
 from __future__ import annotations
 
+import json
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +31,7 @@ from tools.lammps_session import (
     potential_file,
 )
 from tools.statics import find_bonds
+from warp_peri.errors import InputError
 from warp_peri.stability.inertia import symmetric_factors
 
 SWITCH, WIDTH = 2.65, 0.05
@@ -133,8 +136,13 @@ def _crossing(ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarra
 
 
 def opened(body: CrackedSheet, ends: np.ndarray) -> float:
-    """Length of a straight crack [Å]: each tip is midway from its last cut bond to the next one."""
-    (start, y), (end, _) = ends
+    """Length of a crack along x [Å]: each tip is midway from its last cut bond to the next one.
+
+    Raises ValueError for a crack along another direction.
+    """
+    (start, y), (end, other) = ends
+    if other != y:
+        raise ValueError("crack: expected one along x; the crystal is what is turned")
     line = np.array([(2 * start - end, y), (2 * end - start, y)])
     crossing = _crossing(body.positions[body.bonds], *line)
     bonds, cut = body.positions[body.bonds[crossing]], body.cut[crossing]
@@ -232,8 +240,9 @@ class Pulled:
     def rest(self, x: np.ndarray, steps: int = 80) -> tuple[np.ndarray, bool]:
         """Atoms at rest downhill from x, the rim held, and whether they were found, none parted.
 
-        Newton's method with old factors while they serve. No step goes uphill: a tip that snaps
-        from one equilibrium to the next, a bond further open, is followed there.
+        Newton's method with old factors while they serve. A step that goes uphill is halved, eight
+        times at most: a tip that snaps from one equilibrium to the next, a bond further open, is
+        followed there.
         """
         x = x.copy()
         force, energy = self._pull(x)
@@ -241,10 +250,10 @@ class Pulled:
         if fresh:
             self.factorise(x)
         for _ in range(steps):
-            if np.abs(force).max() < PLACE:
-                return x, True
             if self.longest(x) > OPEN:
                 break
+            if np.abs(force).max() < PLACE:
+                return x, True
             assert self._factors is not None
             move = self._factors.solve(force)
             move *= min(1.0, 0.15 / np.abs(move).max())
@@ -310,6 +319,20 @@ def critical_strain(
         "atoms": len(body.positions),
         "seconds": time.perf_counter() - began,
     }
+
+
+def finished(path: Path, *figures: str) -> dict[str, dict[str, Any]]:
+    """Sheets that earlier runs wrote to a file; those without all of the figures are left out.
+
+    Raises InputError for a file that is none of theirs.
+    """
+    if not path.exists():
+        return {}
+    try:
+        sheets = json.loads(path.read_text(encoding="utf-8"))
+        return {name: sheet for name, sheet in sheets.items() if {*figures} <= {*sheet}}
+    except (ValueError, AttributeError, TypeError) as error:
+        raise InputError(f"{path}: expected sheets that were pulled before ({error})") from None
 
 
 def ideal_strength(*, step: float = 0.01, along_zigzag: bool = False) -> tuple[float, float]:

@@ -38,10 +38,13 @@ def to_failure(body: Piece, load: Load, start: Sample) -> list[Sample]:
     Args:
         body: what carries the load; as many atoms of one sublattice as of the other.
         load: its own amplitude does not matter.
-        start: an equilibrium under this load, no bond beyond the stock cut-off.
+        start: an equilibrium under this load, which is not 0, no bond beyond the stock cut-off.
 
-    Raises ConvergenceError when `start` is no equilibrium.
+    Raises ConvergenceError when `start` is no equilibrium, ValueError for one without a load and
+    for a body of unequal sublattices.
     """
+    if not abs(start.amplitude) > 0:
+        raise ValueError(f"start: expected one under a load, got {start.amplitude:g} TPa/Å")
     order = _alternating(find_bonds(start.reference, body.box), len(start.reference))
     reference = start.reference[order]
     shape = load.shape(reference, body.box)

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from examples.cracked_graphene import Continuum, fitted
-from tools.cracked_sheet import cracked_sheet, critical_strain, ideal_strength, opened
+from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_strength, opened
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from warp_peri.errors import exit_status
@@ -110,9 +110,9 @@ def sheets(step: float) -> Sheets:
     constants = elastic_constants(step / np.sqrt(3))
     strengths = (ideal_strength()[0], ideal_strength(along_zigzag=True)[0])
     solids = {
-        half: Continuum(constants["lambda"], constants["mu"], step, half) for half in (40, 20)
+        half: Continuum(constants["lambda"], constants["mu"], step, half) for half in (LARGE, SMALL)
     }
-    releases = {half: solid.release(14 if half == LARGE else 10) for half, solid in solids.items()}
+    releases = {LARGE: solids[LARGE].release(14), SMALL: solids[SMALL].release(10)}
     return Sheets(constants["E"], strengths, step, releases)
 
 
@@ -124,7 +124,7 @@ def label(case: tuple[float, int, int], step: float) -> str:
 
 def atoms(cases: tuple, step: float, kept: Path) -> dict[str, dict]:
     """Critical strains by LAMMPS and half lengths [hexagons]; each is written when it is found."""
-    measured = json.loads(kept.read_text()) if kept.exists() else {}
+    measured = finished(kept, "strain", "half_length")
     for case in tqdm(cases, desc="sheets", unit="sheet"):
         turned, count, half = case
         if label(case, step) not in measured:
@@ -146,7 +146,9 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     step = float(np.sqrt(3) * bond_length())
-    cases = CASES[: max(1, args.cases)]
+    if args.cases < 1:
+        parser.error(f"--cases: expected a number ≥ 1, got {args.cases}")
+    cases = CASES[: args.cases]
     measured = atoms(cases, step, args.out / "atoms.json")
     known = sheets(step)
     base = measured[label(FITTED, step)]["strain"]

@@ -37,8 +37,8 @@ from warp_peri.errors import exit_status
 from warp_peri.files.whole import locked, write_json
 
 ANGLES = (0.0, 5.0, 10.0, 17.0, 23.0, 30.0, 45.0)
-"""Of the crystal [degrees]. It repeats every 60° and the nodes every 90°: all turns there are lie
-between 0 and 30°."""
+"""Of the crystal [degrees]. It repeats every 60° and the nodes every 90°, so that all turns
+are between 0 and 30°."""
 PRINTED = (0.0, 17.0)
 """Of crystals under the printed loads, in all their directions [degrees]."""
 WAVES = 5

@@ -1,13 +1,16 @@
 """The command on a nonlinear model."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.statics.test_nonlinear import problem, proven
-from warp_peri import Dataset, Samples, load_dataset, save_dataset
+from tests.support.problems import lattice
+from warp_peri import Dataset, Samples, load_dataset, save_dataset, solve_nonlinear
 from warp_peri.cli.main import main
+from warp_peri.transfer.nonlinear import nonlinear_for
 
 
 @pytest.fixture
@@ -54,3 +57,30 @@ def test_export_has_the_stress_of_the_energy(files, capsys):
     assert piola.shape == (len(points.x), 9)
     assert np.isfinite(piola[points.interior]).all()
     assert np.abs(piola[points.interior][:, :2]).max() > 0
+
+
+@pytest.mark.filterwarnings("ignore:transferred")
+def test_a_finer_lattice_exports_what_it_solves(files, capsys):
+    h5py = pytest.importorskip("h5py")
+    folder, model, *_ = files
+    points = lattice(4, model.horizon, spacing=0.7)
+    u = 0.02 * np.stack([np.sin(points.x[:, 1]), np.cos(2 * points.x[:, 0])], axis=1)
+    fine = Dataset({"fine": Samples(points, u[None], 0 * u[None])}, 3.35, 2200.0)
+    save_dataset(folder / "fine.h5", fine)
+    words = (folder / "m.json", "--data", folder / "fine.h5", "--set", "fine", "--format", "xdmf")
+    printed(capsys, "export", "fields", *words, "--out", folder / "fields")
+    with h5py.File(folder / "fields" / "samples.h5") as file:
+        exported = file["sample_0000/displacement"][:, :2]
+    solved = solve_nonlinear(model, points, 0 * u, u)
+    dilatation = replace(nonlinear_for(model, points), gradient=None)
+    other = solve_nonlinear(dilatation, points, 0 * u, u)
+    assert np.abs(exported - solved).max() < 1e-9 < 1e-6 < np.abs(other - solved).max()
+
+
+def test_a_transferred_model_is_certified_on_its_own_lattice(files, capsys):
+    folder, model, *_ = files
+    with pytest.warns(UserWarning, match="transferred"):
+        fine = nonlinear_for(model, lattice(4, model.horizon, spacing=0.8))
+    fine.save(folder / "fine.json")
+    proof = printed(capsys, "certify", folder / "fine.json")["0.8 Å"]["nonlinear"]
+    assert proof["strain"] == pytest.approx(fine.proven_strain(0.8))

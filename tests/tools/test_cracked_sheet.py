@@ -1,5 +1,7 @@
 """Cracked sheets of atoms: what is cut, forces without the cut bonds, the fold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,13 @@ from tools.cracked_sheet import (
     Pulled,
     _uniaxial_stress,
     cracked_sheet,
+    finished,
     longer_cutoff,
+    opened,
 )
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
+from warp_peri import InputError
 
 STEP = np.sqrt(3) * bond_length()
 
@@ -53,6 +58,29 @@ def test_atoms_across_a_hexagon_stay_strangers_where_a_sheet_contracts(tmp_path)
     stress = [_uniaxial_stress(bond, e, potential, 1) for e in strains]
     slopes = np.diff(stress) / np.diff(strains)
     assert slopes[1] == pytest.approx(slopes[0], rel=0.2)
+
+
+def test_bonds_that_are_open_are_no_rest(tmp_path):
+    body = cracked_sheet([], half=8.0)
+    with CutSession(body, longer_cutoff(tmp_path)) as session:
+        apart = 3 * body.positions  # no atom sees another any more, so that no force is left
+        held = replace(body, held=np.ones(len(apart), bool))
+        held.held[len(apart) // 2] = False
+        assert not Pulled(held, session).rest(apart)[1]
+
+
+def test_finished_sheets_lack_nothing_and_slanted_cracks_have_no_length(tmp_path):
+    kept = tmp_path / "atoms.json"
+    assert finished(kept, "strain") == {}
+    kept.write_text('{"old": {"strain": 0.03}, "new": {"strain": 0.04, "half_length": 3.0}}')
+    assert set(finished(kept, "strain")) == {"old", "new"}
+    assert set(finished(kept, "strain", "half_length")) == {"new"}
+    for text in ("{", "[1]", '{"old": 3}'):
+        kept.write_text(text)
+        with pytest.raises(InputError, match="expected sheets that were pulled before"):
+            finished(kept, "strain")
+    with pytest.raises(ValueError, match="crack: expected one along x"):
+        opened(cracked_sheet([], half=8.0), np.array([(-2.0, 0.0), (2.0, 1.0)]))
 
 
 @pytest.mark.slow

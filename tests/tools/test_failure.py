@@ -53,3 +53,5 @@ def test_no_equilibrium_to_begin_with(failing):
     beyond = replace(start, amplitude=3 * path[-1].amplitude)
     with pytest.raises(ConvergenceError, match="load 'start'"):
         to_failure(body, load, beyond)
+    with pytest.raises(ValueError, match="start: expected one under a load"):
+        to_failure(body, load, replace(start, amplitude=0.0))

@@ -26,6 +26,7 @@ from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import LENGTHS, symbols
 from warp_peri.sources.coarse_graining import smoothing_matrix
+from warp_peri.transfer.nonlinear import nonlinear_for
 
 if TYPE_CHECKING:
     from warp_peri.learning.run import Run
@@ -209,7 +210,8 @@ def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
     given_model = load_any(given.model)
     model = given_model.linear if isinstance(given_model, NonlinearModel) else given_model
-    spacings = given.spacing or list(model.trained_on)
+    own = model.trained_on if model.transferred_from is None else model.certified_on
+    spacings = given.spacing or list(own)
     if not spacings:
         raise InputError("spacing: the model names no training lattice; give --spacing")
     proven = {}
@@ -294,19 +296,20 @@ def run_export(given: argparse.Namespace) -> Result:
     else:
         points = load_dataset(given.data, units=model.units)[given.set]
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
-        if given.what == "operator" or not given.allow_uncertified:  # which solve warns of
-            model = warp_peri.model_for(model, points, **asked)
         if given.what == "operator":
+            model = warp_peri.model_for(model, points, **asked)
             paths = [warp_peri.export.write_operator(given.out, model, points)]
         else:
             settings = given.out / "export.toml"
             fields = (points.loads, points.u)
             if isinstance(solid, NonlinearModel):
-                solid = dataclasses.replace(solid, linear=model)
+                if not given.allow_uncertified:  # which solve warns of
+                    solid = nonlinear_for(solid, points, **asked)
                 u = warp_peri.solve_nonlinear(solid, points, *fields, **asked)
             else:
-                solid = model
-                u = warp_peri.solve(model, points, *fields, **asked)
+                if not given.allow_uncertified:
+                    solid = warp_peri.model_for(solid, points, **asked)
+                u = warp_peri.solve(solid, points, *fields, **asked)
             with locked(given.out):
                 paths = warp_peri.export.write_fields(
                     given.out, solid, points, u, format=given.format
