@@ -66,7 +66,9 @@ def test_bonds_that_are_open_are_no_rest(tmp_path):
         apart = 3 * body.positions  # no atom sees another any more, so that no force is left
         held = replace(body, held=np.ones(len(apart), bool))
         held.held[len(apart) // 2] = False
-        assert not Pulled(held, session).rest(apart)[1]
+        pulled = Pulled(held, session)
+        assert pulled.rest(body.positions)[1]
+        assert not pulled.rest(apart)[1]
 
 
 def test_finished_sheets_lack_nothing_and_slanted_cracks_have_no_length(tmp_path):
