@@ -201,8 +201,8 @@ def blank(report: Any) -> Any:
     return None if isinstance(report, float) and np.isnan(report) else report
 
 
-def main() -> None:
-    """Run and print."""
+def arguments() -> argparse.Namespace:
+    """What was asked for on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--noise", type=float, default=0.002, help="of every node, in spacings")
     parser.add_argument("--seed", type=int, default=7, help="of the noise")
@@ -222,6 +222,17 @@ def main() -> None:
     given = parser.parse_args()
     if given.rivals is None:  # the synthetic leaflet is even
         given.rivals = [name for name in RIVALS if given.frames or name != UNEVEN]
+    if not (given.noise >= 0 and given.pixel > 0 and given.count >= 4):
+        parser.error(
+            "expected --noise ≥ 0, --pixel > 0 and --count ≥ 4, got "
+            f"{given.noise}, {given.pixel} and {given.count}"
+        )
+    return given
+
+
+def main() -> None:
+    """Run and print."""
+    given = arguments()
     report: dict[str, Any] = {}
     if not given.frames:
         train, test, truth = synthetic(given)

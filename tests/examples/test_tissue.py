@@ -12,7 +12,7 @@ pytest.importorskip("skfem")
 
 import torch
 
-from examples.leaflet import blank, measured
+from examples.leaflet import arguments, blank, measured
 from examples.leaflet_pictures import draw
 from examples.studies import pno_training
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
@@ -205,3 +205,13 @@ def test_pictures_are_drawn(tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {
         "maps.png", "curves.png", "rose.png", "errors.png",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "words", [["--noise", "-1"], ["--noise", "nan"], ["--pixel", "0"], ["--count", "3"]]
+)
+def test_noise_below_zero_and_too_few_frames_are_refused(words, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["leaflet.py", *words])
+    with pytest.raises(SystemExit):
+        arguments()
+    assert "expected --noise ≥ 0, --pixel > 0 and --count ≥ 4" in capsys.readouterr().err

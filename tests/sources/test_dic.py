@@ -115,6 +115,8 @@ def test_what_is_no_frame_is_refused(tmp_path):
     (tmp_path / "bad.csv").write_text("time,load\n0,1\n")
     with pytest.raises(InputError, match="expected columns x, y, u and v"):
         read_frame(tmp_path / "bad.csv")
+    with pytest.raises(InputError, match="pixel: expected a length > 0"):
+        read_frame(tmp_path / "frame.csv", pixel=0.0)
     with pytest.raises(InputError, match="cannot be read"):
         read_frame(tmp_path / "missing.csv")
     (tmp_path / "small.csv").write_text(plain(X[:40], field(X[:40])))

@@ -60,8 +60,11 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> SheetFram
         pixel: length of the table's unit; positions and displacements are multiplied by it.
 
     Points are left out where a number is missing or not finite, or where DICe's SIGMA is negative
-    (the correlation failed). Raises InputError for a table without the columns, or without points.
+    (the correlation failed). Raises InputError for a table without the columns, or without points,
+    and a pixel that is no length > 0.
     """
+    if not 0 < pixel < np.inf:
+        raise InputError(f"pixel: expected a length > 0, got {pixel}")
     path = Path(path)
     try:
         if path.stat().st_size > LARGEST_FILE:
