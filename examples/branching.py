@@ -135,6 +135,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "branching")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
+    if not (args.spacing > 0 and args.share > 0 and (args.time is None or args.time > 0)):
+        parser.error("--spacing, --share, --time: expected numbers > 0")
     h = args.spacing
     if args.kalthoff:
         body, cracks, x = steel(h, args.ratio, args.turn)

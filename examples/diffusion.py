@@ -149,6 +149,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "diffusion")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
+    if min(args.cells) < 4 or len(set(args.cells)) < 2:
+        parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
     cells = args.cells
     numbers: dict[str, Any] = {
         "smooth": study(cells, lambda n: smooth(n, 0.0)),

@@ -72,6 +72,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "inclusion")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
+    if min(args.cells) < 4 or len(set(args.cells)) < 2:
+        parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
     numbers: dict = {}
     figure = Figure(figsize=(5, 4), layout="constrained")
     ax = figure.subplots()

@@ -63,6 +63,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "pressurised_crack")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
+    if min(args.cells) < 4:
+        parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
     numbers: dict = {"over Sneddon": {}}
     figure = Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)

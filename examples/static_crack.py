@@ -61,6 +61,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "static_crack")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
+    if min(args.cells) < 4:
+        parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
     table = {}
     for cells in args.cells:
         table[f"L/{cells}"], (x, u, exact, h) = static_crack(cells, args.ratio, args.lam)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from examples import diffusion, pressurised_crack, static_crack
 from examples import inclusion as inclusions
-from examples import pressurised_crack
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
 from warp_peri import InputError, Model
@@ -118,3 +118,10 @@ def test_examples_print_and_draw(tmp_path, capsys):
     assert "series, ball" in out
     assert "over Sneddon" in out
     assert {path.name for path in tmp_path.iterdir()} == {"inclusion.png", "opening.png"}
+
+
+@pytest.mark.parametrize("example", [static_crack, pressurised_crack, inclusions, diffusion])
+def test_examples_refuse_too_few_cells(example, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        example.main(["--cells", "3", "8", "--out", str(tmp_path)])
+    assert "--cells: expected" in capsys.readouterr().err
