@@ -26,7 +26,6 @@ from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import LENGTHS, symbols
 from warp_peri.sources.coarse_graining import smoothing_matrix
-from warp_peri.transfer.nonlinear import nonlinear_for
 
 if TYPE_CHECKING:
     from warp_peri.learning.run import Run
@@ -304,6 +303,8 @@ def run_export(given: argparse.Namespace) -> Result:
             fields = (points.loads, points.u)
             if isinstance(solid, NonlinearModel):
                 if not given.allow_uncertified:  # which solve warns of
+                    from warp_peri.transfer.nonlinear import nonlinear_for  # loads Warp
+
                     solid = nonlinear_for(solid, points, **asked)
                 u = warp_peri.solve_nonlinear(solid, points, *fields, **asked)
             else:
