@@ -1,238 +1,111 @@
-"""The energy Ψ of a displacement gradient, its stress and the product with its Hessian, (N1–N5).
+"""What a gradient H has for stress, and derivatives of that, (N1–N10), as C++ for one lane.
 
 H = (t/2) I + Q + ω J with the deviator Q = [[d, c], [c, −d]] and J a quarter turn. With q = d + i c
 and z = 1 + t/2 + i ω, the Green strain has the trace e = t + t²/4 + ω² + |q|² and the deviator
-w = q z̄. The numbers of a material are λ, μ, t3, tq2, and q3 e^(−6ia) by real and imaginary part.
+w = q z̄. The numbers m of a material are λ, μ, t3, tq2, and q3 e^(−6ia) by real and imaginary part.
+
+The pieces read h00 … h11, and d00 … d11 for a direction, and leave r00 … r11.
 """
 
-from functools import cache
-from types import SimpleNamespace
+MEASURES = """
+    const REAL t = h00 + h11, w = REAL(0.5) * (h10 - h01);
+    const REAL d = REAL(0.5) * (h00 - h11), c = REAL(0.5) * (h01 + h10);
+    const REAL x = REAL(1) + REAL(0.5) * t;
+    const REAL rho = d * d + c * c, zz = x * x + w * w;
+    const REAL e = t + REAL(0.25) * t * t + w * w + rho, product = rho * zz;
+    const REAL gx = d * x + c * w, gy = c * x - d * w;
+    const REAL ggx = gx * gx - gy * gy, ggy = REAL(2) * gx * gy;
+"""
+"""Of H: zz = |z|², g = q z̄ and its square."""
 
-import warp as wp
+SLOPES_OF_ENERGY = """
+    const REAL K = m.c[0] + m.c[1];
+    const REAL by_e = K * e + REAL(3) * m.c[2] * e * e + m.c[3] * product;
+    const REAL by_s = REAL(2) * m.c[1] + m.c[3] * e;
+    const REAL A = by_e + by_s * rho;
+    const REAL B = by_e + m.c[3] * e * zz + REAL(2) * m.c[1] * (zz - REAL(1));
+    const REAL yx = REAL(3) * (m.c[4] * ggx - m.c[5] * ggy);
+    const REAL yy = REAL(3) * (m.c[4] * ggy + m.c[5] * ggx);
+"""
+JOINED = """
+    const REAL r00 = by_t + REAL(0.5) * by_d, r01 = REAL(0.5) * (by_c - by_w);
+    const REAL r10 = REAL(0.5) * (by_c + by_w), r11 = by_t - REAL(0.5) * by_d;
+"""
+"""The matrix whose product with δH is by_t δt + by_d δd + by_c δc + by_w δω."""
 
+STRESS = (
+    MEASURES
+    + SLOPES_OF_ENERGY
+    + """
+    const REAL by_t = A * x - K * t + REAL(0.5) * (yx * d - yy * c);
+    const REAL by_d = REAL(2) * d * B + (yx * x + yy * w);
+    const REAL by_c = REAL(2) * c * B - (yy * x - yx * w);
+    const REAL by_w = REAL(2) * w * A + (yx * c + yy * d);
+"""
+    + JOINED
+)
+"""P = Ψ′(H), (N4)."""
 
-@cache
-def _times(scalar):
-    vec = wp.types.vector(2, scalar)
+DIRECTION = """
+    const REAL dt = d00 + d11, dw = REAL(0.5) * (d10 - d01);
+    const REAL dd = REAL(0.5) * (d00 - d11), dc = REAL(0.5) * (d01 + d10);
+    const REAL dx = REAL(0.5) * dt;
+    const REAL d_rho = REAL(2) * (d * dd + c * dc), d_zz = x * dt + REAL(2) * w * dw;
+    const REAL d_e = d_zz + d_rho, d_s = d_rho * zz + rho * d_zz;
+    const REAL dgx = dd * x + dc * w + d * dx + c * dw;
+    const REAL dgy = dc * x - dd * w + c * dx - d * dw;
+    const REAL dggx = gx * dgx - gy * dgy, dggy = gx * dgy + gy * dgx;
+"""
+"""How the measures change, that of g² by half."""
 
-    @wp.func
-    def times(a: vec, b: vec):
-        """The product of complex numbers."""
-        return vec(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+CURVED = (
+    MEASURES
+    + SLOPES_OF_ENERGY
+    + DIRECTION
+    + """
+    const REAL d_by_e = (K + REAL(6) * m.c[2] * e) * d_e + m.c[3] * d_s;
+    const REAL d_A = d_by_e + m.c[3] * d_e * rho + by_s * d_rho;
+    const REAL d_B = d_by_e + m.c[3] * d_e * zz + by_s * d_zz;
+    const REAL dyx = REAL(6) * (m.c[4] * dggx - m.c[5] * dggy);
+    const REAL dyy = REAL(6) * (m.c[4] * dggy + m.c[5] * dggx);
+    const REAL dyzx = dyx * x + dyy * w + yx * dx + yy * dw;
+    const REAL dyzy = dyy * x - dyx * w + yy * dx - yx * dw;
+    const REAL dyqx = dyx * d - dyy * c + yx * dd - yy * dc;
+    const REAL dyqy = dyx * c + dyy * d + yx * dc + yy * dd;
+    const REAL by_t = d_A * x + A * dx - K * dt + REAL(0.5) * dyqx;
+    const REAL by_d = REAL(2) * (d * d_B + B * dd) + dyzx;
+    const REAL by_c = REAL(2) * (c * d_B + B * dc) - dyzy;
+    const REAL by_w = REAL(2) * (w * d_A + A * dw) + dyqy;
+"""
+    + JOINED
+)
+"""Ψ″(H) D, (N5)."""
 
-    return times
+SLOPES = (
+    MEASURES
+    + DIRECTION
+    + """
+    const REAL bulk_slope = e * d_e - t * dt;
+    const REAL n0 = bulk_slope, n1 = bulk_slope + REAL(2) * (d_s - d_rho);
+    const REAL n2 = REAL(3) * e * e * d_e, n3 = d_e * product + e * d_s;
+    const REAL n4 = REAL(3) * (ggx * dgx - ggy * dgy), n5 = -REAL(3) * (ggx * dgy + ggy * dgx);
+"""
+)
+"""n0 … n5: derivatives of Ψ′(H):D to the six numbers; Ψ is linear in them."""
 
+CLIP = """
+    REAL size = wp::sqrt(k00 * k00 + k01 * k01 + k10 * k10 + k11 * k11);
+    const bool over = radius > REAL(0) && size > radius;
+    size = over ? size : REAL(1);
+    const REAL part = over ? radius / size : REAL(1);
+    const REAL h00 = part * k00, h01 = part * k01, h10 = part * k10, h11 = part * k11;
+"""
+"""k00 … k11 to the nearest h of |h| ≤ radius; to itself where the radius is 0, (N10)."""
 
-@cache
-def _parts(scalar):
-    mat, four = wp.types.matrix((2, 2), scalar), wp.types.vector(4, scalar)
-    half = scalar(0.5)
-
-    @wp.func
-    def parts(H: mat):
-        """t, d, c and ω of a gradient: trace, half differences, shear, rotation."""
-        return four(
-            H[0, 0] + H[1, 1],
-            half * (H[0, 0] - H[1, 1]),
-            half * (H[0, 1] + H[1, 0]),
-            half * (H[1, 0] - H[0, 1]),
-        )
-
-    return parts
-
-
-@cache
-def _joined(scalar):
-    mat = wp.types.matrix((2, 2), scalar)
-    half = scalar(0.5)
-
-    @wp.func
-    def joined(by_t: scalar, by_d: scalar, by_c: scalar, by_w: scalar):
-        """The matrix whose product with δH is by_t δt + by_d δd + by_c δc + by_w δω."""
-        return mat(
-            by_t + half * by_d, half * (by_c - by_w), half * (by_c + by_w), by_t - half * by_d
-        )
-
-    return joined
-
-
-@cache
-def _stress(scalar):
-    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
-    numbers = wp.types.vector(6, scalar)
-    half, unit, two = scalar(0.5), scalar(1.0), scalar(2.0)
-    times, parts, joined = _times(scalar), _parts(scalar), _joined(scalar)
-
-    @wp.func
-    def stress(H: mat, m: numbers):
-        """P = Ψ′(H), (N4)."""
-        h = parts(H)
-        t = h[0]
-        w = h[3]
-        q = vec(h[1], h[2])
-        x = unit + half * t
-        z = vec(x, -w)
-        rho = wp.dot(q, q)
-        zz = x * x + w * w
-        e = t + scalar(0.25) * t * t + w * w + rho
-        s = rho * zz
-        K = m[0] + m[1]
-        by_e = K * e + scalar(3.0) * m[2] * e * e + m[3] * s
-        by_s = two * m[1] + m[3] * e
-        g = times(q, z)
-        y = scalar(3.0) * times(vec(m[4], m[5]), times(g, g))
-        yz = times(y, z)
-        yq = times(y, q)
-        A = by_e + by_s * rho
-        B = by_e + m[3] * e * zz + two * m[1] * (zz - unit)
-        return joined(
-            A * x - K * t + half * yq[0],
-            two * q[0] * B + yz[0],
-            two * q[1] * B - yz[1],
-            two * w * A + yq[1],
-        )
-
-    return stress
-
-
-@cache
-def _curved(scalar):
-    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
-    numbers = wp.types.vector(6, scalar)
-    half, unit, two = scalar(0.5), scalar(1.0), scalar(2.0)
-    times, parts, joined = _times(scalar), _parts(scalar), _joined(scalar)
-
-    @wp.func
-    def curved(H: mat, m: numbers, D: mat):
-        """Ψ″(H) D, (N5)."""
-        h = parts(H)
-        v = parts(D)
-        t = h[0]
-        w = h[3]
-        q = vec(h[1], h[2])
-        x = unit + half * t
-        z = vec(x, -w)
-        rho = wp.dot(q, q)
-        zz = x * x + w * w
-        e = t + scalar(0.25) * t * t + w * w + rho
-        s = rho * zz
-        K = m[0] + m[1]
-        by_e = K * e + scalar(3.0) * m[2] * e * e + m[3] * s
-        by_s = two * m[1] + m[3] * e
-        A = by_e + by_s * rho
-        B = by_e + m[3] * e * zz + two * m[1] * (zz - unit)
-        dq = vec(v[1], v[2])
-        dz = vec(half * v[0], -v[3])
-        d_rho = two * wp.dot(q, dq)
-        d_zz = x * v[0] + two * w * v[3]
-        d_e = d_zz + d_rho
-        d_s = d_rho * zz + rho * d_zz
-        d_by_e = (K + scalar(6.0) * m[2] * e) * d_e + m[3] * d_s
-        d_A = d_by_e + m[3] * d_e * rho + by_s * d_rho
-        d_B = d_by_e + m[3] * d_e * zz + by_s * d_zz
-        g = times(q, z)
-        dg = times(dq, z) + times(q, dz)
-        Q = vec(m[4], m[5])
-        y = scalar(3.0) * times(Q, times(g, g))
-        dy = scalar(6.0) * times(Q, times(g, dg))
-        dyz = times(dy, z) + times(y, dz)
-        dyq = times(dy, q) + times(y, dq)
-        return joined(
-            d_A * x + half * A * v[0] - K * v[0] + half * dyq[0],
-            two * (q[0] * d_B + B * dq[0]) + dyz[0],
-            two * (q[1] * d_B + B * dq[1]) - dyz[1],
-            two * (w * d_A + A * v[3]) + dyq[1],
-        )
-
-    return curved
-
-
-@cache
-def _slopes(scalar):
-    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
-    numbers = wp.types.vector(6, scalar)
-    half, unit, two = scalar(0.5), scalar(1.0), scalar(2.0)
-    times, parts = _times(scalar), _parts(scalar)
-
-    @wp.func
-    def slopes(H: mat, D: mat):
-        """Derivatives of Ψ′(H):D to the six numbers; Ψ is linear in them."""
-        h = parts(H)
-        v = parts(D)
-        t = h[0]
-        w = h[3]
-        q = vec(h[1], h[2])
-        x = unit + half * t
-        z = vec(x, -w)
-        rho = wp.dot(q, q)
-        zz = x * x + w * w
-        e = t + scalar(0.25) * t * t + w * w + rho
-        s = rho * zz
-        dq = vec(v[1], v[2])
-        dz = vec(half * v[0], -v[3])
-        d_rho = two * wp.dot(q, dq)
-        d_zz = x * v[0] + two * w * v[3]
-        d_e = d_zz + d_rho
-        d_s = d_rho * zz + rho * d_zz
-        g = times(q, z)
-        cubic = scalar(3.0) * times(times(g, g), times(dq, z) + times(q, dz))
-        bulk = e * d_e - t * v[0]
-        return numbers(
-            bulk,
-            bulk + two * (d_s - d_rho),
-            scalar(3.0) * e * e * d_e,
-            d_e * s + e * d_s,
-            cubic[0],
-            -cubic[1],
-        )
-
-    return slopes
-
-
-@cache
-def _clipped(scalar):
-    mat = wp.types.matrix((2, 2), scalar)
-
-    @wp.func
-    def clipped(H: mat, radius: scalar):
-        """The nearest matrix of |H| ≤ radius; H itself where the radius is 0."""
-        size = wp.sqrt(wp.ddot(H, H))
-        if radius > scalar(0.0) and size > radius:
-            return (radius / size) * H
-        return H
-
-    return clipped
-
-
-@cache
-def _clipped_back(scalar):
-    mat = wp.types.matrix((2, 2), scalar)
-    unit = scalar(1.0)
-
-    @wp.func
-    def clipped_back(H: mat, radius: scalar, D: mat):
-        """The derivative of `clipped` at H, which is symmetric, times D."""
-        size = wp.sqrt(wp.ddot(H, H))
-        if radius > scalar(0.0) and size > radius:
-            n = (unit / size) * H
-            return (radius / size) * (D - wp.ddot(n, D) * n)
-        return D
-
-    return clipped_back
-
-
-@cache
-def law(scalar):
-    """Functions of H in one precision."""
-    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
-    numbers = wp.types.vector(6, scalar)
-    return SimpleNamespace(
-        vec=vec,
-        mat=mat,
-        numbers=numbers,
-        stress=_stress(scalar),
-        curved=_curved(scalar),
-        slopes=_slopes(scalar),
-        clipped=_clipped(scalar),
-        clipped_back=_clipped_back(scalar),
-    )
+CLIP_BACK = """
+    const REAL along = over ? (k00 * r00 + k01 * r01 + k10 * r10 + k11 * r11) / (size * size)
+                            : REAL(0);
+    const REAL c00 = part * (r00 - along * k00), c01 = part * (r01 - along * k01);
+    const REAL c10 = part * (r10 - along * k10), c11 = part * (r11 - along * k11);
+"""
+"""The derivative of CLIP, which is symmetric, times r."""

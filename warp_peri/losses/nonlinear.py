@@ -90,8 +90,7 @@ class NonlinearFeatures:
         field = floats(np.ascontiguousarray(u), sweeps.kernels.vec)
         columns = []
         for numbers in self.numbers:
-            theta, _, P = sweeps.state(field, self.bonds, numbers, 0.0)
-            columns.append(sweeps.force(field, self.bonds, 0.0, theta, P).numpy())
+            columns.append(sweeps.force(field, self.bonds, 0.0, numbers, 0.0).numpy())
         return np.stack(columns, axis=2)
 
 

@@ -44,25 +44,17 @@ class _Force(torch.autograd.Function):
         table, material = tables.detach().numpy(), numbers.detach().numpy()
         bonds = sweeps.bonds(table)
         ctx.given = (field, table, float(bulk), material, radius)
-        ctx.state = sweeps.state(field, bonds, material, radius)
-        Lu = sweeps.force(field, bonds, float(bulk), ctx.state[0], ctx.state[2])
+        Lu = sweeps.force(field, bonds, float(bulk), material, radius)
         force: torch.Tensor = wp.to_torch(Lu, requires_grad=False)
         return force
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        u, *_ = ctx.saved_tensors  # an error where one was changed in place since
-        sweeps = ctx.sweeps
-        g = torch.zeros_like(u)
-        g[:, torch.from_numpy(sweeps.rows.astype(np.int64))] = upstream[0]
+        _ = ctx.saved_tensors  # an error where one was changed in place since
+        g = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.sweeps.kernels.vec)
         wanted = ctx.needs_input_grad[3:]
-        by_u, others = sweeps.adjoint(
-            ctx.given,
-            ctx.state,
-            wp.from_torch(g, dtype=sweeps.kernels.vec),
-            parameters=any(wanted),
-        )
+        by_u, others = ctx.sweeps.adjoint(ctx.given, g, parameters=any(wanted))
         parts: tuple[torch.Tensor | None, ...] = (None, None, None)
         if others is not None:
             by_class, by_bulk, by_numbers = others
@@ -191,10 +183,9 @@ class NonlinearOperator:
         field = _array(u)
         flat = floats(field.reshape(-1, self.sweeps.nodes, 2), self.sweeps.kernels.vec)
         bonds = self.sweeps.bonds(self.tables.numpy())
-        _, H, P = self.sweeps.state(flat, bonds, self.numbers.numpy(), self.radius)
+        H, P = self.sweeps.gradients(flat, bonds, self.numbers.numpy(), self.radius)
         shape = (*field.shape[:-2], len(self.sweeps.full), 2, 2)
-        full = self.sweeps.full
-        return H.numpy()[:, full].reshape(shape), P.numpy()[:, full].reshape(shape)
+        return H.reshape(shape), P.reshape(shape)
 
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes within δ of the interior, shape [...]."""

@@ -32,6 +32,7 @@ class Pieces:
         nodes: all nodes, by their own number.
         images, row_images: the same two, and the images of theirs that a periodic set needs.
         needed: where dilatations are needed.
+        whole: the nodes that need one, by their own number.
     """
 
     forces: wp.array[Any]
@@ -39,6 +40,7 @@ class Pieces:
     images: wp.array[Any]
     row_images: wp.array[Any]
     needed: wp.array[Any]
+    whole: wp.array[Any]
 
 
 class Rows:
@@ -50,31 +52,36 @@ class Rows:
         pieces: of nodes.
         offset: places from a node to the end of each bond of the pattern, shape [B].
         places: of a plane, with room around the rectangle that bonds may lead to, P.
+        home: place of every node, shape [N].
         kernels: the sweeps.
     """
 
-    def __init__(self, pieces: Pieces, offset: np.ndarray, places: int, scalar: Any) -> None:
-        self.pieces, self.offset = pieces, ints(offset)
+    def __init__(
+        self, pieces: Pieces, offset: np.ndarray, places: int, home: np.ndarray, scalar: Any
+    ) -> None:
+        self.pieces, self.offset, self.home = pieces, ints(offset), home
         self.places, self.scalar, self.kernels = places, scalar, rows(scalar)
         self.one = wp.ones(1, dtype=scalar, device=DEVICE)
         self._spare: dict[str, list[tuple[wp.array[Any], wp.array[Any]]]] = {}
 
-    def planes(self, use: str, samples: int) -> tuple[wp.array[Any], wp.array[Any]]:
-        """Planes of a vector field [S, 2 P] and of numbers [S, P], zero off the pieces of a use.
+    def planes(
+        self, use: str, samples: int, numbers: int = 1
+    ) -> tuple[wp.array[Any], wp.array[Any]]:
+        """Planes of a vector field [S, 2 P] and of numbers [S, n P], zero off the pieces of a use.
 
         They are to be given back: a use writes to the same places every time.
         """
         spare = self._spare.get(use, [])
         while True:
             try:
-                vectors, numbers = spare.pop()
+                kept = spare.pop()
             except IndexError:
                 break
-            if len(vectors) == samples:
-                return vectors, numbers
-        shapes = (2 * self.places, self.places)
-        vectors, numbers = (zeros(samples, size, dtype=self.scalar) for size in shapes)
-        return vectors, numbers
+            if len(kept[0]) == samples:
+                return kept
+        sizes = (2 * self.places, numbers * self.places)
+        vectors, plane = (zeros(samples, size, dtype=self.scalar) for size in sizes)
+        return vectors, plane
 
     def give_back(self, use: str, vectors: wp.array[Any], numbers: wp.array[Any]) -> None:
         """Keep planes that are not too large for the next evaluation of as many samples."""
@@ -90,26 +97,32 @@ class Rows:
     ) -> None:
         """Vectors by number into their planes, divided by a number on the device."""
         inputs = (pieces, self.one if divisor is None else divisor, values)
-        self._launch(self.kernels.laid_out, inputs, planes)
+        self.launch(self.kernels.laid_out, inputs, planes)
 
     def take_up(self, plane: wp.array[Any], numbers: wp.array[Any]) -> None:
         """Numbers from their places back to all nodes."""
-        self._launch(self.kernels.taken_up, (self.pieces.nodes, plane), numbers)
+        self.launch(self.kernels.taken_up, (self.pieces.nodes, plane), numbers)
 
     def sweep(
         self, kernel: Any, pieces: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
     ) -> None:
         """One of the sweeps over the bonds of the pieces."""
-        self._launch(kernel, (pieces, self.offset, *inputs), output)
+        self.launch(kernel, (pieces, self.offset, *inputs), output)
 
-    def _launch(self, kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
+    def launch(self, kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
+        """A kernel whose inputs begin with pieces, on all of them and all samples of the output."""
         count, samples = len(inputs[0]), output.shape[0]
         weight = self.kernels.lanes // FASTER
         launch_slices(kernel, count, inputs, (output,), samples=samples, weight=weight)
 
 
 def rows_of(
-    families: Families, x: np.ndarray, box: tuple[float, float] | None, scalar: Any
+    families: Families,
+    x: np.ndarray,
+    box: tuple[float, float] | None,
+    scalar: Any,
+    *,
+    sparse: bool = False,
 ) -> Rows | None:
     """The layout of a lattice; None with broken bonds, and where the rectangle or the pieces of it
     would be mostly empty.
@@ -119,6 +132,7 @@ def rows_of(
         x: its nodes [Å], shape [N, 2].
         box: its periods [Å].
         scalar: type of numbers.
+        sparse: whether to lay it out even if mostly empty.
     """
     classes = families.classes
     axes = np.linalg.lstsq(classes.xi, families.pattern, rcond=None)[0].T
@@ -131,7 +145,7 @@ def rows_of(
     if len(grid) > 1 and grid[0, 1] == grid[1, 1]:  # numbered along the other axis
         grid, steps, period = grid[:, ::-1], steps[:, ::-1], period[::-1]
     size = grid.max(axis=0) + 1
-    if len(families.cut) or size.prod() > SPARE * len(grid):
+    if len(families.cut) or (size.prod() > SPARE * len(grid) and not sparse):
         return None
     reach = int(np.abs(steps).max())
     ring = reach if box is None else 2 * reach
@@ -150,7 +164,7 @@ def rows_of(
     needed[families.whole] = True
     home = places(grid)
     nodes = _pieces(home, numbers, lanes)
-    if SHORT * len(nodes) > len(grid):
+    if SHORT * len(nodes) > len(grid) and not sparse:
         return None
     owner, image = _images(grid, period, ring)
     _, around = _images(grid[needed], period, reach)
@@ -162,8 +176,9 @@ def rows_of(
         images=_pieces(image_places, owner, lanes),
         row_images=_pieces(image_places[interior], row_numbers[owner[interior]], lanes),
         needed=_pieces(places(around), places(around), lanes),
+        whole=_pieces(home[families.whole], families.whole, lanes),
     )
-    return Rows(pieces, steps @ (width, 1), int(height * width + 2 * room), scalar)
+    return Rows(pieces, steps @ (width, 1), int(height * width + 2 * room), home, scalar)
 
 
 def _images(grid: np.ndarray, period: np.ndarray, ring: int) -> tuple[np.ndarray, np.ndarray]:
