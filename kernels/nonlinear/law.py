@@ -94,18 +94,30 @@ SLOPES = (
 """n0 … n5: derivatives of Ψ′(H):D to the six numbers; Ψ is linear in them."""
 
 CLIP = """
-    REAL size = wp::sqrt(k00 * k00 + k01 * k01 + k10 * k10 + k11 * k11);
-    const bool over = radius > REAL(0) && size > radius;
-    size = over ? size : REAL(1);
-    const REAL part = over ? radius / size : REAL(1);
-    const REAL h00 = part * k00, h01 = part * k01, h10 = part * k10, h11 = part * k11;
+    REAL part[LANES], inverse[LANES] = {};
+    for (int l = 0; l < LANES; ++l)
+        part[l] = REAL(1);
+    if (radius > REAL(0))
+        for (int l = 0; l < LANES; ++l) {
+            OF
+            const REAL square = k00 * k00 + k01 * k01 + k10 * k10 + k11 * k11;
+            if (square > radius * radius) {
+                inverse[l] = REAL(1) / square;
+                part[l] = radius / wp::sqrt(square);
+            }
+        }
 """
-"""k00 … k11 to the nearest h of |h| ≤ radius; to itself where the radius is 0, (N10)."""
+"""Before the loop over lanes: |h|/|k| of every lane where k00 … k11, which OF reads, become h00 …
+h11, the nearest of |h| ≤ radius, (N10). Roots would be felt, and where the radius is 0 there are
+none."""
 
-CLIP_BACK = """
-    const REAL along = over ? (k00 * r00 + k01 * r01 + k10 * r10 + k11 * r11) / (size * size)
-                            : REAL(0);
-    const REAL c00 = part * (r00 - along * k00), c01 = part * (r01 - along * k01);
-    const REAL c10 = part * (r10 - along * k10), c11 = part * (r11 - along * k11);
+CLIPPED = """
+    const REAL h00 = part[l] * k00, h01 = part[l] * k01;
+    const REAL h10 = part[l] * k10, h11 = part[l] * k11;
 """
-"""The derivative of CLIP, which is symmetric, times r."""
+CLIP_BACK = """
+    const REAL along = inverse[l] * (k00 * r00 + k01 * r01 + k10 * r10 + k11 * r11);
+    const REAL c00 = part[l] * (r00 - along * k00), c01 = part[l] * (r01 - along * k01);
+    const REAL c10 = part[l] * (r10 - along * k10), c11 = part[l] * (r11 - along * k11);
+"""
+"""The derivative of clipping, which is symmetric, times r."""

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.lps.rows import BYTES
-from warp_peri.kernels.nonlinear.law import CLIP, CLIP_BACK, CURVED, STRESS
+from warp_peri.kernels.nonlinear.law import CLIP, CLIP_BACK, CLIPPED, CURVED, STRESS
 
 PLANES = 9
 """Of a state."""
@@ -59,15 +59,23 @@ GRADIENT = (
             theta[l] += qa * x + qb * y;
         }
     }
+    CLIP
     REAL m00[LANES], m01[LANES], m10[LANES], m11[LANES];
     for (int l = 0; l < LANES; ++l) {
         LAW
     }
     REAL* out = result.data + size_t(s) * result.shape[1] + base;
-    const REAL* all[] = {m00, m01, m10, m11, theta, xx, xy, yx, yy};
-    for (int n = 0; n < 9; ++n)
-        for (int l = 0; l < count; ++l)
-            out[n * places + l] = all[n][l];
+    for (int l = 0; l < count; ++l) {
+        out[l] = m00[l];
+        out[places + l] = m01[l];
+        out[2 * places + l] = m10[l];
+        out[3 * places + l] = m11[l];
+        out[4 * places + l] = theta[l];
+        out[5 * places + l] = xx[l];
+        out[6 * places + l] = xy[l];
+        out[7 * places + l] = yx[l];
+        out[8 * places + l] = yy[l];
+    }
 """
 )
 KEPT = """
@@ -76,18 +84,17 @@ KEPT = """
     m10[l] = r10;
     m11[l] = r11;
 """
-FORWARD = "const REAL k00 = xx[l], k01 = xy[l], k10 = yx[l], k11 = yy[l];" + CLIP + STRESS + KEPT
+OF_FIELD = "const REAL k00 = xx[l], k01 = xy[l], k10 = yx[l], k11 = yy[l];"
+FORWARD = GRADIENT.replace("CLIP", CLIP.replace("OF", OF_FIELD)).replace(
+    "LAW", OF_FIELD + CLIPPED + STRESS + KEPT
+)
 OF_STATE = """
     const REAL k00 = seen[5 * places + l], k01 = seen[6 * places + l];
     const REAL k10 = seen[7 * places + l], k11 = seen[8 * places + l];
 """
-BACKWARD = (
-    OF_STATE
-    + "const REAL d00 = xx[l], d01 = xy[l], d10 = yx[l], d11 = yy[l];"
-    + CLIP
-    + CURVED
-    + CLIP_BACK
-    + KEPT.replace("= r", "= c")
+DIRECTED = "const REAL d00 = xx[l], d01 = xy[l], d10 = yx[l], d11 = yy[l];"
+BACKWARD = GRADIENT.replace("CLIP", CLIP.replace("OF", OF_STATE)).replace(
+    "LAW", OF_STATE + DIRECTED + CLIPPED + CURVED + CLIP_BACK + KEPT.replace("= r", "= c")
 )
 SEEN = "const REAL* seen = state.data + size_t(s) * state.shape[1] + piece.c[0];"
 FORCE = (
@@ -145,8 +152,8 @@ def native(body, scalar):
 @cache
 def rows(scalar):
     """The kernels in one precision."""
-    forward = native(GRADIENT.replace("LAW", FORWARD), scalar)
-    backward = native(SEEN + GRADIENT.replace("LAW", BACKWARD), scalar)
+    forward = native(FORWARD, scalar)
+    backward = native(SEEN + BACKWARD, scalar)
     return SimpleNamespace(
         lanes=lanes_of(scalar),
         pair=wp.types.vector(6, scalar),

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from warp_peri.kernels.nonlinear.law import CLIP, SLOPES
-from warp_peri.kernels.nonlinear.rows import HERE, PAIR, STATE_PAIR, native, rows
+from warp_peri.kernels.nonlinear.law import CLIP, CLIPPED, SLOPES
+from warp_peri.kernels.nonlinear.rows import HERE, OF_STATE, PAIR, STATE_PAIR, native, rows
 
 SUMS = 5
 """Numbers that every pair of bonds gathers for the derivatives to its tables."""
@@ -51,12 +51,12 @@ BY_PAIR = """
 """
 BY_NUMBERS = """
     REAL* material = by_numbers.data + size_t(block) * by_numbers.shape[1];
+    const REAL* seen = state;
+    CLIP
     for (int l = 0; l < count; ++l) {
-        const REAL k00 = state[5 * places + l], k01 = state[6 * places + l];
-        const REAL k10 = state[7 * places + l], k11 = state[8 * places + l];
+        LAW
         const REAL d00 = back[5 * places + l], d01 = back[6 * places + l];
         const REAL d10 = back[7 * places + l], d11 = back[8 * places + l];
-        CLIP
         SLOPES
         material[l] += n0;
         material[LANES + l] += n1;
@@ -74,7 +74,9 @@ BODY = (
     + STATE_PAIR
     + BY_PAIR
     + "}"
-    + BY_NUMBERS.replace("CLIP", CLIP).replace("SLOPES", SLOPES)
+    + BY_NUMBERS.replace("CLIP", CLIP.replace("OF", OF_STATE))
+    .replace("LAW", OF_STATE + CLIPPED)
+    .replace("SLOPES", SLOPES)
 )
 
 
