@@ -86,7 +86,7 @@ class GradientSweeps:
         for part in self._parts(u.shape[0]):
             planes, state = self._state(u[part], bonds, numbers, radius)
             inputs = (laid.pieces.forces, offset, bonds, P_OUT, bulk, planes, state)
-            laid.launch(self.kernels.force, inputs, Lu[part])
+            self._gather(inputs, self.rows, Lu[part])
             laid.give_back("forward", planes, state)
         return Lu
 
@@ -132,7 +132,7 @@ class GradientSweeps:
             inputs: tuple[Any, ...] = (laid.pieces.needed, *law, state, seeds)
             laid.launch(self.kernels.state_adjoint, inputs, back)
             inputs = (laid.pieces.nodes, offset, bonds, P_IN, bulk, seeds, back)
-            laid.launch(self.kernels.force, inputs, u_bar[part])
+            self._gather(inputs, slice(None), u_bar[part])
             if parameters:
                 whole = laid.pieces.whole
                 ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
@@ -175,6 +175,18 @@ class GradientSweeps:
         law = (self._offset, bonds, self.numbers(numbers), radius)
         laid.launch(self.kernels.state, (laid.pieces.needed, *law, planes), state)
         return planes, state
+
+    def _gather(
+        self, inputs: tuple[Any, ...], nodes: np.ndarray | slice, output: wp.array[Any]
+    ) -> None:
+        """The force sweep at some nodes, by their number."""
+        laid = self._laid_out
+        if not laid.by_place:
+            laid.launch(self.kernels.force, inputs, output)
+            return
+        placed = empty(output.shape[0], laid.places, dtype=self.kernels.vec)
+        laid.launch(self.kernels.force, inputs, placed)
+        output.assign(placed.numpy()[:, laid.home[nodes]])
 
     def _parts(self, samples: int) -> Iterator[slice]:
         """Samples that are swept at once."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import warp as wp
 
 from warp_peri.kernels.lps.rows import BYTES, rows
 from warp_peri.launch import DEVICE, ints, launch_slices, zeros
-from warp_peri.points.families import Families
+from warp_peri.points.families import BondClasses, Families
 
 SPARE = 2
 """Largest rectangle, in places a node: beyond that the nodes are better left in their lists."""
@@ -32,7 +32,7 @@ class Pieces:
         nodes: all nodes, by their own number.
         images, row_images: the same two, and the images of theirs that a periodic set needs.
         needed: where dilatations are needed.
-        whole: the nodes that need one, by their own number.
+        whole: the nodes that need one, by place.
     """
 
     forces: wp.array[Any]
@@ -53,6 +53,7 @@ class Rows:
         offset: places from a node to the end of each bond of the pattern, shape [B].
         places: of a plane, with room around the rectangle that bonds may lead to, P.
         home: place of every node, shape [N].
+        by_place: whether `forces` and `nodes` are by place, because by number they would be short.
         kernels: the sweeps.
     """
 
@@ -61,6 +62,7 @@ class Rows:
     ) -> None:
         self.pieces, self.offset, self.home = pieces, ints(offset), home
         self.places, self.scalar, self.kernels = places, scalar, rows(scalar)
+        self.by_place = False
         self.one = wp.ones(1, dtype=scalar, device=DEVICE)
         self._spare: dict[str, list[tuple[wp.array[Any], wp.array[Any]]]] = {}
 
@@ -132,18 +134,9 @@ def rows_of(
         x: its nodes [Å], shape [N, 2].
         box: its periods [Å].
         scalar: type of numbers.
-        sparse: whether to lay it out even if mostly empty.
+        sparse: whether to lay it out even if mostly empty, and in any order of the nodes.
     """
-    classes = families.classes
-    axes = np.linalg.lstsq(classes.xi, families.pattern, rcond=None)[0].T
-    grid = np.rint((x - x[0]) @ axes / classes.spacing).astype(np.int64)
-    grid -= grid.min(axis=0)
-    steps, period = classes.steps, np.zeros(2, np.int64)
-    if box is not None:
-        period = np.rint(np.array(box) / classes.spacing).astype(np.int64)
-        grid %= period
-    if len(grid) > 1 and grid[0, 1] == grid[1, 1]:  # numbered along the other axis
-        grid, steps, period = grid[:, ::-1], steps[:, ::-1], period[::-1]
+    grid, steps, period = _grid(families.classes, families.pattern, x, box)
     size = grid.max(axis=0) + 1
     if len(families.cut) or (size.prod() > SPARE * len(grid) and not sparse):
         return None
@@ -164,7 +157,8 @@ def rows_of(
     needed[families.whole] = True
     home = places(grid)
     nodes = _pieces(home, numbers, lanes)
-    if SHORT * len(nodes) > len(grid) and not sparse:
+    short = SHORT * len(nodes) > len(grid)
+    if short and not sparse:
         return None
     owner, image = _images(grid, period, ring)
     _, around = _images(grid[needed], period, reach)
@@ -176,9 +170,31 @@ def rows_of(
         images=_pieces(image_places, owner, lanes),
         row_images=_pieces(image_places[interior], row_numbers[owner[interior]], lanes),
         needed=_pieces(places(around), places(around), lanes),
-        whole=_pieces(home[families.whole], families.whole, lanes),
+        whole=_pieces(home[families.whole], home[families.whole], lanes),
     )
-    return Rows(pieces, steps @ (width, 1), int(height * width + 2 * room), home, scalar)
+    laid = Rows(pieces, steps @ (width, 1), int(height * width + 2 * room), home, scalar)
+    if short:
+        forces = _pieces(home[families.rows], home[families.rows], lanes)
+        laid.pieces = replace(pieces, forces=forces, nodes=_pieces(home, home, lanes))
+        laid.by_place = True
+    return laid
+
+
+def _grid(
+    classes: BondClasses, pattern: np.ndarray, x: np.ndarray, box: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps of all nodes from the first corner, of all bonds, and of the period (0 for none), the
+    axis along which the nodes are numbered last."""
+    axes = np.linalg.lstsq(classes.xi, pattern, rcond=None)[0].T
+    grid = np.rint((x - x[0]) @ axes / classes.spacing).astype(np.int64)
+    grid -= grid.min(axis=0)
+    steps, period = classes.steps, np.zeros(2, np.int64)
+    if box is not None:
+        period = np.rint(np.array(box) / classes.spacing).astype(np.int64)
+        grid %= period
+    if len(grid) > 1 and grid[0, 1] == grid[1, 1]:  # numbered along the other axis
+        grid, steps, period = grid[:, ::-1], steps[:, ::-1], period[::-1]
+    return grid, steps, period
 
 
 def _images(grid: np.ndarray, period: np.ndarray, ring: int) -> tuple[np.ndarray, np.ndarray]:
