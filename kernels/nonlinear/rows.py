@@ -115,8 +115,12 @@ FORCE = (
         for (int l = 0; l < LANES; ++l) {
             const REAL stretch = a * (vx[l] + wx[l] - x[l]) + b * (vy[l] + wy[l] - y[l]);
             const REAL density = shear * stretch + pressure * (ft[l] - bt[l]);
-            fx[l] += density * a + ka * (f00[l] - b00[l]) + kb * (f01[l] - b01[l]);
-            fy[l] += density * b + ka * (f10[l] - b10[l]) + kb * (f11[l] - b11[l]);
+            fx[l] += density * a;
+            fy[l] += density * b;
+            fx[l] += ka * (f00[l] - b00[l]);
+            fy[l] += ka * (f10[l] - b10[l]);
+            fx[l] += kb * (f01[l] - b01[l]);
+            fy[l] += kb * (f11[l] - b11[l]);
         }
     }
     REAL* out = (REAL*)(vectors.data + size_t(s) * vectors.shape[1] + number);
