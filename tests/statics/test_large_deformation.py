@@ -45,6 +45,19 @@ def test_the_smallest_eigenvalue_is_that_of_the_matrix(manufactured):
     assert problem.smallest_eigenvalue(COEFFICIENTS, u) == pytest.approx(dense, rel=1e-2)
 
 
+@pytest.mark.parametrize("stretch", [0.9, 0.8])
+def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
+    """The eigenvalue nearest to zero is positive here: it is not the one to tell."""
+    points = square(5)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    problem = StaticProblem(op)
+    c = np.array([0.05] * 4 + [1.0, 1.0, 0.0])
+    u = points.x * [stretch - 1, 0.0]
+    values = np.linalg.eigvalsh(problem.pattern.matrix(u, c).toarray())
+    assert values[0] < -100 and values[np.abs(values).argmin()] > 0
+    assert problem.smallest_eigenvalue(c, u) == pytest.approx(values[0], rel=1e-6)
+
+
 def test_continuation_leads_where_one_step_does(manufactured):
     op, u, b = manufactured
     problem = StaticProblem(op)

@@ -23,6 +23,7 @@ from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.positive import positive_factors
+from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.harmonic import laplacian
 
 DIRECT = 12_000
@@ -348,12 +349,19 @@ class StaticProblem:
         return self.op.folded(u) if self.op.dictionary.cornered else 0
 
     def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
-        """Smallest eigenvalue of the tangent between interior nodes at u."""
+        """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²].
+
+        Where it is not factorised: its smallest ratio to the Laplacian's quadratic form, times the
+        Laplacian's smallest eigenvalue. That has the same sign and, where positive, is not larger.
+        """
         if self.pattern is not None:
             K = self.pattern.matrix(u, c)
-            factor = splu(K)
+            factor = positive_factors(K)
+            if factor is None:  # what is nearest to zero need not be the smallest
+                return smallest_eigenvalue(K)
+            inverse = LinearOperator(K.shape, factor.solve, dtype=float)
             values = eigsh(
-                K, 1, sigma=0, OPinv=_inverse(factor), v0=_start(K.shape[0]),
+                K, 1, sigma=0, OPinv=inverse, v0=_start(K.shape[0]),
                 return_eigenvectors=False, tol=1e-3,
             )  # fmt: skip
             return float(values[0])
