@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.sheets import NEAREST, square, waves
+from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.learning.displacement_search import Search, initial_stiffness
 from warp_peri.learning.fibres import (
@@ -15,6 +15,8 @@ from warp_peri.learning.fibres import (
     rose,
     rose_of,
     with_directions,
+    with_corners,
+    with_families,
 )
 from warp_peri.learning.from_displacement import (
     fit_displacement,
@@ -237,3 +239,20 @@ def test_a_material_is_read_out_of_loaded_fields():
     wide = with_directions(Dictionary(3.0, terms=tuple(rose(4))), solid)
     assert [term.angle for term in wide.terms[12:]] == [fibres[0].angle] * 4
     assert with_directions(wide, solid) == wide
+
+
+def test_energies_of_corners_have_the_initial_stiffness_of_the_nodes():
+    dictionary = with_corners(hgo_dictionary())
+    op = HyperelasticOperator(dictionary, square(1))
+    measure = initial_stiffness(op)
+    assert (measure[4:] > 1).all()
+    np.testing.assert_array_equal(measure[7:], measure[4:7])
+    assert op.dictionary == dictionary
+
+
+def test_no_energy_joins_twice():
+    dictionary = with_corners(hgo_dictionary())
+    c = np.full(len(dictionary), 0.1)
+    joined = with_families(hgo_dictionary(), HyperelasticSolid(dictionary, c, 0.1))
+    assert len(joined) == len(hgo_dictionary()) + 1
+    assert with_corners(dictionary) == dictionary

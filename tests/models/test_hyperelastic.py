@@ -75,3 +75,17 @@ def test_what_no_solid_has_is_refused(tmp_path):
     (tmp_path / "other.json").write_text('{"format": "warp_peri.model"}')
     with pytest.raises(InputError, match="expected a file of format"):
         HyperelasticSolid.load(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize("name", ["corner", "ripple"])
+def test_flags_of_a_file_are_true_or_false(name, tmp_path):
+    path = tmp_path / "solid.json"
+    HyperelasticSolid(hgo_dictionary(), np.ones(7), 0.1).save(path)
+    path.write_text(path.read_text().replace(f'"{name}": false', f'"{name}": "no"'))
+    with pytest.raises(InputError, match=f"{name}: expected true or false, got 'no'"):
+        HyperelasticSolid.load(path)
+
+
+def test_ripples_of_fibres_are_no_family():
+    assert Term("fibre_power", 0.3, 2.0, corner=True).is_fibre
+    assert not Term("fibre_power", 0.3, 2.0, ripple=True).is_fibre

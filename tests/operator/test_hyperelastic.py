@@ -224,6 +224,8 @@ def test_what_cannot_be_used_is_refused():
         op.force(np.zeros((3, 2)), np.zeros(7))
     with pytest.raises(InputError, match="c: expected 7 coefficients"):
         op.force(np.zeros_like(points.x), np.zeros(6))
+    with pytest.raises(InputError, match="v: expected the shape of u"):
+        op.product(np.zeros_like(points.x), np.zeros(7), np.zeros((2, *points.x.shape)))
     everywhere = np.ones(len(points.x), bool)
     with pytest.raises(InputError, match="twice the horizon"):
         HyperelasticOperator(hgo_dictionary(), Points(points.x, everywhere, 0.1))

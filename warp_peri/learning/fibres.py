@@ -124,7 +124,8 @@ def with_corners(dictionary: Dictionary) -> Dictionary:
 
 
 def _joined(dictionary: Dictionary, terms: Sequence[Term]) -> Dictionary:
-    new = [term for term in terms if term not in dictionary.terms]
+    """The energies of a dictionary with others that it lacks, each once."""
+    new = [term for term in dict.fromkeys(terms) if term not in dictionary.terms]
     return dictionary.with_terms((*dictionary.terms, *new))
 
 

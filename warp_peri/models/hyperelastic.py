@@ -86,6 +86,9 @@ class Term:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
         if not (np.isfinite(self.angle) and np.isfinite(self.exponent)):
             raise InputError(f"{self.kind}: expected finite angle and exponent")
+        for name in ("ripple", "corner"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{name}: expected true or false, got {getattr(self, name)!r}")
         if self.kind == "fibre_power" and self.exponent < 2:
             raise InputError(f"fibre_power: expected an exponent ≥ 2, got {self.exponent}")
         if self.kind == "fibre_exponential" and self.exponent < 0:
@@ -102,8 +105,8 @@ class Term:
 
     @property
     def is_fibre(self) -> bool:
-        """Whether it is the energy of a family of fibres, and not of their steps."""
-        return self.kind in FIBRES and self.across is None
+        """Whether it is the energy of a family of fibres, and not of their steps or ripples."""
+        return self.kind in FIBRES and self.across is None and not self.ripple
 
     @property
     def label(self) -> str:

@@ -274,6 +274,10 @@ class HyperelasticOperator:
     def product(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
         field, along = self._field(u), self._field(v)
+        if np.shape(v) != np.shape(u):
+            raise InputError(
+                f"v: expected the shape of u, {list(np.shape(u))}, got {list(np.shape(v))}"
+            )
         terms, kernels = self._terms(self._coefficients(c)), tangents(self.scalar)
         E, G = self._states(field, terms)
         H = empty(*field.shape, dtype=self.of.block)
