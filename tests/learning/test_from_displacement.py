@@ -14,8 +14,8 @@ from warp_peri.learning.fibres import (
     read_material,
     rose,
     rose_of,
-    with_directions,
     with_corners,
+    with_directions,
     with_families,
 )
 from warp_peri.learning.from_displacement import (

@@ -34,3 +34,5 @@ def test_what_cannot_be_is_refused():
     G = np.array([[1.0, 0.0], [-1.0, 0.0]])
     with pytest.raises(InputError, match="no x"):
         least_squares_above(np.eye(2), np.zeros(2), G, np.ones(2))
+    with pytest.raises(InputError, match="full column rank"):
+        least_squares_above(np.diag([1.0, 0.0]), np.zeros(2), G, -np.ones(2))

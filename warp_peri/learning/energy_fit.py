@@ -118,8 +118,8 @@ class EnergyFit:
         solid: dictionary and coefficients.
         residual: root mean squared relative residual on the training samples.
         guaranteed: whether no coefficient is below its bound, so that (H9) holds.
-        margin: least ratio of a wave in the strains that were asked to be stable [stress]; none
-            where none were.
+        margin: least ratio (H20) of the sampled waves in the sampled strains [stress]; none where
+            stability was not asked for. It is measured, no bound for other waves and strains.
     """
 
     solid: HyperelasticSolid
@@ -147,12 +147,15 @@ def fit_energy(
             two spacings), against hourglasses [stress]. Without positive it bounds the deviations
             only, and the other coefficients have any sign.
         ridge: relative weight of the coefficients' squared length.
-        stable: least eigenvalue of the tangent over the Laplacian's for every wave in uniform
-            strains, STRAINS of them spread over those of the samples, (H21) [stress].
+        stable: least eigenvalue of the tangent over the Laplacian's in uniform strains, (H21)
+            [stress]. It is asked for on samples: rest and STRAINS strains spread over those of the
+            data, and a grid of waves. No proof for others. Up to 2 % of it may be missing.
 
-    Raises InputError for a margin out of reach, positive with a dictionary that guarantees
-    nothing, or samples as for equations().
+    Raises InputError for a margin out of reach, a ridge or stiffness that is none, positive with a
+    dictionary that guarantees nothing, or samples as for equations().
     """
+    if not 0 <= ridge < np.inf:
+        raise InputError(f"ridge: expected a finite number ≥ 0, got {ridge}")
     if positive and not dictionary.guaranteed:
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
     op = HyperelasticOperator(dictionary, samples)
@@ -176,7 +179,12 @@ def fit_energy(
 
 
 def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:
-    """Least coefficients: `stiffness` for what keeps hourglasses away, zero for the rest."""
+    """Least coefficients: `stiffness` for what keeps hourglasses away, zero for the rest.
+
+    Shape [K] [stress]. Raises InputError for a stiffness that is negative or not finite.
+    """
+    if not 0 <= stiffness < np.inf:
+        raise InputError(f"stiffness: expected a finite number ≥ 0, got {stiffness}")
     lower = np.zeros(len(dictionary))
     first, last = dictionary.first_deviation, dictionary.first_term
     if last > first:
@@ -187,13 +195,11 @@ def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:
 
 
 def deviations_only(dictionary: Dictionary, stiffness: float) -> np.ndarray | None:
-    """Lower bounds for the deviations alone; None where there is none."""
-    first, last = dictionary.first_deviation, dictionary.first_term
-    if stiffness <= 0 or last == first:
-        return None
-    lower = np.full(len(dictionary), -np.inf)
-    lower[first:last] = stiffness
-    return lower
+    """Lower bounds for the deviations alone, shape [K]; None where there is none."""
+    least = lower_bounds(dictionary, stiffness)
+    places = np.arange(len(dictionary))
+    held = (places >= dictionary.first_deviation) & (places < dictionary.first_term) & (least > 0)
+    return np.where(held, least, -np.inf) if held.any() else None
 
 
 def largest_stretch(op: HyperelasticOperator, samples: Samples) -> float:

@@ -1,8 +1,8 @@
 """Least squares among sheets whose waves are stable in the strains of the data, by cutting planes.
 
 That no wave in a uniform strain lowers the energy is a set of linear inequalities on the
-coefficients, one for every strain, wave and direction, (H21). Those that a fit breaks worst join
-it until none is broken.
+coefficients, one for every strain, wave and direction, (H21). Strains and waves are samples. Of
+their inequalities, those that a fit breaks worst join it until none is broken by much.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def stable_coefficients(
     scale: np.ndarray,
     lower: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float]:
-    """The c of least |A c − y| that is stable in all strains, with c ≥ lower.
+    """The c of least |A c − y| that is stable on the sampled strains and waves, with c ≥ lower.
 
     Args:
         A: of full column rank, in coefficients times `scale`, shape [M, K].
@@ -43,13 +43,15 @@ def stable_coefficients(
         lower: bounds, −∞ where there is none, shape [K].
 
     Returns:
-        The coefficients, and the least ratio that they leave.
+        The coefficients, and the least ratio that they leave, at least 1 − SLACK of the margin.
 
-    Raises InputError for a margin that is not positive or that no coefficients reach.
+    Raises InputError for a margin that is not positive and finite, or that no coefficients reach.
     """
-    if not margin > 0:
-        raise InputError(f"stable: expected a margin > 0, got {margin}")
+    if not 0 < margin < np.inf:
+        raise InputError(f"stable: expected a finite margin > 0, got {margin}")
     K = A.shape[1]
+    if not np.linalg.qr(A, mode="r").diagonal().all():
+        raise InputError("stable: expected equations of full rank, or a ridge > 0")
     least = np.full(K, -np.inf) if lower is None else lower
     bounded = np.flatnonzero(np.isfinite(least))
     G, h = np.eye(K)[bounded], (least * scale)[bounded]
@@ -58,10 +60,11 @@ def stable_coefficients(
             c = least_squares_above(A, y, G, h) / scale
         except InputError:
             raise InputError(f"stable: no coefficients reach the margin {margin:g}") from None
+        near = (c - least) * scale < ROUNDING * np.abs(c * scale).max()
+        c = np.where(near, least, c)
         ratios, directions = tangents.lowest(c)
         if ratios.min() >= (1 - SLACK) * margin:
-            near = (c - least) * scale < ROUNDING * np.abs(c * scale).max()
-            return np.where(near, least, c), float(ratios.min())
+            return c, float(ratios.min())
         cuts = [
             tangents.row(n, q, directions[n, q])
             for n, of_waves in enumerate(ratios)

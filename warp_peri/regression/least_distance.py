@@ -17,9 +17,11 @@ def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarr
         G: shape [C, K].
         h: shape [C].
 
-    Raises InputError where no x obeys.
+    Raises InputError where no x obeys, or the rank of A is not full.
     """
     Q, R = np.linalg.qr(A)
+    if not R.diagonal().all():
+        raise InputError("A: expected full column rank")
     b = Q.T @ y
     if not len(h):
         x: np.ndarray = np.linalg.solve(R, b)

@@ -2,7 +2,8 @@
 
 In uniform strain the tangent is one stencil for all nodes, (H20), and linear in the coefficients.
 Its symbol over that of the five-point Laplacian, the same for long waves as the acoustic tensor
-over |k|², says for every wave whether the lattice is stable against it.
+over |k|², says for a wave whether the lattice is stable against it. Waves are read on a grid: what
+is found is a sample, no proof for those between.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ WAVES = 8
 """Wave numbers along each half axis of the zone."""
 STEP = 1e-6
 """Of the differences that make the stencil [spacing]."""
+AT_REST = 1 - 1e-5
+"""Stretch that stands for rest: fibres are just slack there, which is the softer side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +43,17 @@ class UniformTangents:
     def of(cls, dictionary: Dictionary, spacing: float, strains: np.ndarray) -> UniformTangents:
         """Stencils in strains, given as deformation gradients of shape [F, 2, 2].
 
-        Raises InputError for arrays of another shape, or gradients that are not finite.
+        Raises InputError for arrays of another shape or without strains, gradients that are not
+        finite or of no positive determinant, and strains in which an energy is no number.
         """
-        if np.ndim(strains) != 3 or np.shape(strains)[1:] != (2, 2):
-            raise InputError(f"strains: expected shape [F, 2, 2], got {list(np.shape(strains))}")
+        if np.ndim(strains) != 3 or np.shape(strains)[1:] != (2, 2) or not len(strains):
+            raise InputError(
+                f"strains: expected shape [F, 2, 2] with F > 0, got {list(np.shape(strains))}"
+            )
         if not np.isfinite(strains).all():
             raise InputError("strains: expected finite numbers")
+        if not (np.linalg.det(strains) > 0).all():
+            raise InputError("strains: expected determinants > 0")
         reach = int(dictionary.reach)
         inner = max(2 * reach, 5)  # two bonds, or three short ones of which one may be of two steps
         side = np.arange(-inner - 2 * reach, inner + 2 * reach + 1)
@@ -66,6 +74,8 @@ class UniformTangents:
                     ends.append(op.features(moved))
                 columns.append((ends[0] - ends[1]) / (2 * size))
             stencils.append(np.stack(columns, axis=-2))
+            if not np.isfinite(stencils[-1]).all():
+                raise InputError(f"strains: expected energies that are numbers at F = {F.tolist()}")
         k = zone(WAVES)
         laplace = (4 * np.sin(k / 2) ** 2).sum(axis=1) / spacing**2
         return cls(np.array(stencils), np.cos(k @ steps[inside].T) / laplace[:, None])
@@ -103,10 +113,11 @@ def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.nda
     """Strains that the samples hold, as far apart as `count` can be, and rest.
 
     Logarithmic strains of all nodes with a whole family; each is the one furthest from those
-    before it, beginning at rest.
+    before it, beginning at rest. For rest stands a stretch of AT_REST: at the kink of a fibre's
+    energy a tangent by differences is half as stiff as a taut fibre's, and a slack one has none.
 
     Returns:
-        Stretch tensors U, F = R U, shape [count + 1, 2, 2].
+        Stretch tensors U, F = R U, shape [count + 1, 2, 2]; fewer where fewer nodes have a strain.
     """
     E = op.strain(samples.u)[:, op.bonds.whole % 2 == 1].reshape(-1, 3)
     C = np.stack([1 + 2 * E[:, 0], E[:, 2], E[:, 2], 1 + 2 * E[:, 1]], axis=1).reshape(-1, 2, 2)
@@ -116,19 +127,23 @@ def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.nda
     logs = np.einsum("nij,nj,nkj->nik", axes, 0.5 * np.log(squares), axes).reshape(-1, 4)
     far = (logs**2).sum(axis=1)
     chosen = []
-    for _ in range(count):
+    for _ in range(min(count, len(far))):
         chosen.append(int(np.argmax(far)))
         far = np.minimum(far, ((logs - logs[chosen[-1]]) ** 2).sum(axis=1))
     U = np.einsum("nij,nj,nkj->nik", axes[chosen], np.sqrt(squares[chosen]), axes[chosen])
-    return np.concatenate([np.eye(2)[None], U])
+    return np.concatenate([AT_REST * np.eye(2)[None], U])
 
 
 def shortest_margin(solid: HyperelasticSolid, strains: np.ndarray) -> np.ndarray:
-    """Least ratio over all waves in each strain, shape [F]; negative where a wave grows [stress].
+    """Least ratio over the grid of waves in each strain, shape [F] [stress].
+
+    Negative where one of these waves grows; those between are not looked at.
 
     Args:
         solid: of the lattice it was learned on.
         strains: deformation gradients, shape [F, 2, 2].
+
+    Raises InputError as UniformTangents.of.
     """
     tangents = UniformTangents.of(solid.dictionary, solid.spacing, strains)
     least: np.ndarray = tangents.lowest(solid.coefficients)[0].min(axis=1)
