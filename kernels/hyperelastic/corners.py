@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.hyperelastic.energies import energies
-from warp_peri.kernels.hyperelastic.rows import Window
 from warp_peri.kernels.hyperelastic.sweeps import parts, types
 
 CORNER = 6
@@ -21,7 +20,7 @@ ROLES = 12
 
 
 @cache
-def _place(scalar):
+def place_of(scalar):
     Lattice = types(scalar).Lattice
 
     @wp.func
@@ -36,9 +35,9 @@ def _place(scalar):
 
 
 @cache
-def _back(scalar):
+def back_of(scalar):
     Lattice = types(scalar).Lattice
-    place = _place(scalar)
+    place = place_of(scalar)
 
     @wp.func
     def back(lattice: Lattice, role: wp.int32):
@@ -52,9 +51,9 @@ def _back(scalar):
 
 
 @cache
-def _apex(scalar):
+def apex_of(scalar):
     Lattice = types(scalar).Lattice
-    place, back = _place(scalar), _back(scalar)
+    place, back = place_of(scalar), back_of(scalar)
 
     @wp.func
     def apex(lattice: Lattice, role: wp.int32, a: wp.int32):
@@ -74,7 +73,7 @@ def _apex(scalar):
 
 
 @cache
-def _arm(scalar):
+def arm_of(scalar):
     of = types(scalar)
     vec, Lattice = of.vec, of.Lattice
 
@@ -86,7 +85,7 @@ def _arm(scalar):
 
 
 @cache
-def _sign(scalar):
+def sign_of(scalar):
     one = scalar(1.0)
 
     @wp.func
@@ -100,7 +99,7 @@ def _sign(scalar):
 
 
 @cache
-def _strain(scalar):
+def strain_of(scalar):
     vec, three = types(scalar).vec, energies(scalar).vec
     half, one = scalar(0.5), scalar(1.0)
 
@@ -116,7 +115,7 @@ def _strain(scalar):
 
 
 @cache
-def _share(scalar):
+def share_of(scalar):
     zero, one = scalar(0.0), scalar(1.0)
     vec = types(scalar).vec
 
@@ -136,7 +135,7 @@ def _share(scalar):
 def _pull(scalar):
     of = types(scalar)
     vec, three = of.vec, energies(scalar).vec
-    share = _share(scalar)
+    share = share_of(scalar)
     quarter = scalar(0.25)
 
     @wp.func
@@ -150,39 +149,11 @@ def _pull(scalar):
 
 
 @cache
-def _bent(scalar):
-    of = types(scalar)
-    energy, vec = energies(scalar), of.vec
-    three, mat = energy.vec, energy.mat
-    wide = wp.types.matrix((3, 4), scalar)
-    quarter, zero = scalar(0.25), scalar(0.0)
-
-    @wp.func
-    def bent(Y1: vec, Y2: vec, inverse: scalar, sign: scalar, g: three, H: mat):
-        """The second derivative of a quarter of Φ by (Y₁, Y₂)."""
-        t = sign * inverse
-        B = wide(
-            inverse * Y1[0], inverse * Y1[1], zero, zero,
-            zero, zero, inverse * Y2[0], inverse * Y2[1],
-            t * Y2[0], t * Y2[1], t * Y1[0], t * Y1[1],
-        )  # fmt: skip
-        M = wp.transpose(B) * H * B
-        for d in range(2):
-            M[d, d] += inverse * g[0]
-            M[d + 2, d + 2] += inverse * g[1]
-            M[d, d + 2] += t * g[2]
-            M[d + 2, d] += t * g[2]
-        return quarter * M
-
-    return bent
-
-
-@cache
 def _energy(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
-    strain, value = _strain(scalar), energies(scalar).value
+    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
+    strain, value = strain_of(scalar), energies(scalar).value
     thick = parts(scalar).share
     quarter = scalar(0.25)
 
@@ -209,12 +180,30 @@ def _energy(scalar):
 
 
 @cache
+def _held(scalar):
+    of, energy = types(scalar), energies(scalar)
+    Lattice, Terms, three, slope = of.Lattice, of.Terms, energy.vec, energy.slope
+    thick = parts(scalar).share
+
+    @wp.func
+    def held(lattice: Lattice, terms: Terms, n: wp.int32, E: three):
+        """The derivative of a corner's energy by its strain, n its apex."""
+        g = three()
+        for k in range(terms.kind.shape[0]):
+            if terms.seen[k] == CORNER:
+                local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
+                g += thick(lattice, n, n) * terms.c[terms.first_term + k] * local
+        return g
+
+    return held
+
+
+@cache
 def _force(scalar):
     of = types(scalar)
-    vec, Lattice, Terms, three = of.vec, of.Lattice, of.Terms, energies(scalar).vec
-    place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
-    strain, pull, slope = _strain(scalar), _pull(scalar), energies(scalar).slope
-    thick = parts(scalar).share
+    vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
+    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
+    strain, pull, held = strain_of(scalar), _pull(scalar), _held(scalar)
 
     @wp.kernel(enable_backward=False)
     def force_of_corners(
@@ -230,11 +219,7 @@ def _force(scalar):
                 Y1 = arm(lattice, u, s, n, place(lattice, role, 0))
                 Y2 = arm(lattice, u, s, n, place(lattice, role, 1))
                 E = strain(Y1, Y2, inverse, sign(role))
-                g = three()
-                for k in range(terms.kind.shape[0]):
-                    if terms.seen[k] == CORNER:
-                        local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                        g += thick(lattice, n, n) * terms.c[terms.first_term + k] * local
+                g = held(lattice, terms, n, E)
                 total += pull(role, Y1, Y2, inverse, sign(role), g)
         f[s, i] = total
 
@@ -245,8 +230,8 @@ def _force(scalar):
 def _force_of_each(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
-    strain, pull, slope_by = _strain(scalar), _pull(scalar), energies(scalar).slope_by
+    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
+    strain, pull, slope_by = strain_of(scalar), _pull(scalar), energies(scalar).slope_by
     thick = parts(scalar).share
 
     @wp.kernel(enable_backward=False)
@@ -278,118 +263,12 @@ def _force_of_each(scalar):
 
 
 @cache
-def _curved(scalar):
-    of = types(scalar)
-    energy = energies(scalar)
-    vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, arm, sign = _place(scalar), _arm(scalar), _sign(scalar)
-    strain, bent, slope, curve = _strain(scalar), _bent(scalar), energy.slope, energy.curve
-    thick = parts(scalar).share
-    three, mat = energy.vec, energy.mat
-
-    @wp.func
-    def curved(
-        lattice: Lattice,
-        terms: Terms,
-        u: wp.array2d(dtype=vec),
-        s: wp.int32,
-        n: wp.int32,
-        role: wp.int32,
-    ):
-        """The second derivative of a corner's energy by its bonds."""
-        Y1 = arm(lattice, u, s, n, place(lattice, role, 0))
-        Y2 = arm(lattice, u, s, n, place(lattice, role, 1))
-        E = strain(Y1, Y2, lattice.inverse[0], sign(role))
-        g, H = three(), mat()
-        for k in range(terms.kind.shape[0]):
-            if terms.seen[k] == CORNER:
-                c = thick(lattice, n, n) * terms.c[terms.first_term + k]
-                g += c * slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                H += c * curve(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-        return bent(Y1, Y2, lattice.inverse[0], sign(role), g, H)
-
-    return curved
-
-
-@cache
-def _product(scalar):
-    of = types(scalar)
-    vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    four = wp.types.vector(4, scalar)
-    place, apex, share, curved = _place(scalar), _apex(scalar), _share(scalar), _curved(scalar)
-
-    @wp.kernel(enable_backward=False)
-    def product_of_corners(
-        lattice: Lattice,
-        terms: Terms,
-        u: wp.array2d(dtype=vec),
-        v: wp.array2d(dtype=vec),
-        df: wp.array2d(dtype=vec),
-    ):
-        """Adds the corners' part of K v."""
-        s, i = wp.tid()
-        total = df[s, i]
-        for role in range(ROLES):
-            n = apex(lattice, role, i)
-            if n >= 0:
-                y1 = v[s, lattice.neighbour[n, place(lattice, role, 0)]] - v[s, n]
-                y2 = v[s, lattice.neighbour[n, place(lattice, role, 1)]] - v[s, n]
-                T = curved(lattice, terms, u, s, n, role) * four(y1[0], y1[1], y2[0], y2[1])
-                own = share(role)
-                total += own[0] * vec(T[0], T[1]) + own[1] * vec(T[2], T[3])
-        df[s, i] = total
-
-    return product_of_corners
-
-
-@cache
-def _rows(scalar):
-    of = types(scalar)
-    vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    pair = wp.types.matrix((2, 2), scalar)
-    place, back, apex, share = _place(scalar), _back(scalar), _apex(scalar), _share(scalar)
-    curved = _curved(scalar)
-
-    @wp.kernel(enable_backward=False)
-    def rows_of_corners(
-        lattice: Lattice,
-        terms: Terms,
-        rows: wp.array(dtype=wp.int32),
-        window: Window,
-        u: wp.array2d(dtype=vec),
-        K: wp.array2d(dtype=pair),
-    ):
-        """Adds the corners' part of the tangent, as rows_of_tangent leaves it."""
-        r = wp.tid()
-        a = rows[r]
-        for role in range(ROLES):
-            n = apex(lattice, role, a)
-            if n >= 0:
-                M = curved(lattice, terms, u, 0, n, role)
-                own = share(role)
-                column = wp.int32(window.centre)
-                if role >= 4:
-                    column = window.centre + window.shift[back(lattice, role)]
-                for axis in range(2):
-                    d = 2 * axis
-                    local = own[0] * pair(M[0, d], M[0, d + 1], M[1, d], M[1, d + 1])
-                    local += own[1] * pair(M[2, d], M[2, d + 1], M[3, d], M[3, d + 1])
-                    far = column + window.shift[place(lattice, role, axis)]
-                    K[r, far] = K[r, far] + local
-                    K[r, column] = K[r, column] - local
-
-    return rows_of_corners
-
-
-@cache
 def _stress(scalar):
     of = types(scalar)
-    energy = energies(scalar)
-    vec, Lattice, Terms, three = of.vec, of.Lattice, of.Terms, energy.vec
+    vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
     pair = wp.types.matrix((2, 2), scalar)
-    place, apex, arm, sign = _place(scalar), _apex(scalar), _arm(scalar), _sign(scalar)
-    strain, pull, slope = _strain(scalar), _pull(scalar), energy.slope
-    thick = parts(scalar).share
+    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
+    strain, pull, held = strain_of(scalar), _pull(scalar), _held(scalar)
 
     @wp.kernel(enable_backward=False)
     def stress_of_corners(
@@ -404,11 +283,7 @@ def _stress(scalar):
                 p, q = place(lattice, role, 0), place(lattice, role, 1)
                 Y1, Y2 = arm(lattice, u, s, i, p), arm(lattice, u, s, i, q)
                 E = strain(Y1, Y2, inverse, sign(role))
-                g = three()
-                for k in range(terms.kind.shape[0]):
-                    if terms.seen[k] == CORNER:
-                        local = slope(terms.kind[k], terms.angle[k], terms.exponent[k], E)
-                        g += thick(lattice, i, i) * terms.c[terms.first_term + k] * local
+                g = held(lattice, terms, i, E)
                 first = pull(4, Y1, Y2, inverse, sign(role), g)
                 second = pull(8, Y1, Y2, inverse, sign(role), g)
                 total += wp.outer(first, lattice.xi[p]) + wp.outer(second, lattice.xi[q])
@@ -424,7 +299,5 @@ def corners(scalar):
         energy=_energy(scalar),
         force=_force(scalar),
         force_of_each=_force_of_each(scalar),
-        product=_product(scalar),
-        rows=_rows(scalar),
         stress=_stress(scalar),
     )

@@ -9,7 +9,8 @@ import torch
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.models.hyperelastic import FIBRES, Dictionary, Term
-from warp_peri.operator.hyperelastic import BOND_SLOPES, HyperelasticOperator
+from warp_peri.operator.bond_slopes import BOND_SLOPES
+from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.points import Points

@@ -16,6 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.learning.energy_fit import largest_stretch, lower_bounds
 from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid
 from warp_peri.models.thickness import Thickness
+from warp_peri.operator.bond_slopes import bond_slopes
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 from warp_peri.points.samples import Samples
 from warp_peri.stability.positive import positive_factors
@@ -66,7 +67,7 @@ def initial_stiffness(op: HyperelasticOperator) -> np.ndarray:
     for k, unit in enumerate(op.unit[: op.bonds.classes]):
         for q in range(count):
             c = np.eye(len(traces))[k * count + q]
-            curve = op.bond_slopes(np.array([1e-6]), c, np.array([k]))[1][0]
+            curve = bond_slopes(op.dictionary, np.array([1e-6]), c, np.array([k]))[1][0]
             traces[k * count + q] = curve * (unit @ unit)
     return traces
 

@@ -50,7 +50,7 @@ def stable_coefficients(
     if not 0 < margin < np.inf:
         raise InputError(f"stable: expected a finite margin > 0, got {margin}")
     K = A.shape[1]
-    if not np.linalg.qr(A, mode="r").diagonal().all():
+    if not np.diag(np.asarray(np.linalg.qr(A, mode="r"))).all():
         raise InputError("stable: expected equations of full rank, or a ridge > 0")
     least = np.full(K, -np.inf) if lower is None else lower
     bounded = np.flatnonzero(np.isfinite(least))

@@ -13,6 +13,7 @@ import warp as wp
 from torch.autograd.function import once_differentiable
 
 from warp_peri.errors import InputError
+from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
 from warp_peri.kernels.hyperelastic.corners import CORNER, corners
 from warp_peri.kernels.hyperelastic.sweeps import sweeps, types
 from warp_peri.kernels.hyperelastic.tangent import features, tangents
@@ -34,16 +35,6 @@ FAR = 3
 """Spacings from the interior to the last node whose short strain shares an energy with it."""
 SMALLEST_AREA = 0.02
 """Of the nodal strain, det C: below it a solve treats a field as folded."""
-
-BOND_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
-    "square": lambda s: (s, np.ones_like(s)),
-    "cube": lambda s: (s**2, 2 * s),
-    "tension": lambda s: (np.maximum(s, 0), (s > 0) * 1.0),
-    "tension_cube": lambda s: (np.maximum(s, 0) ** 2, 2 * np.maximum(s, 0)),
-    "log": lambda s: (1 - 1 / (1 + 2 * s), 2 / (1 + 2 * s) ** 2),
-    "compression": lambda s: (np.minimum(s, 0), (s < 0) * 1.0),
-}
-"""ψ′ and ψ″, for the sparse tangent; a test holds them to the kernels'."""
 
 
 class HyperelasticOperator:
@@ -289,7 +280,9 @@ class HyperelasticOperator:
         launch(kernels.stress_rate, shape, [lattice, terms, field, along, H, E, dE], [dG])
         launch(kernels.force_rate, shape, [lattice, terms, field, along, E, dE, G, dG], [df])
         if self.dictionary.cornered:
-            launch(corners(self.scalar).product, shape, [lattice, terms, field, along], [df])
+            launch(
+                corner_tangents(self.scalar).product, shape, [lattice, terms, field, along], [df]
+            )
         rates: np.ndarray = df.numpy().reshape(np.shape(u))
         return rates
 
@@ -353,19 +346,6 @@ class HyperelasticOperator:
             F = self._features(field[None], 0, self._all)[0]
             sums += np.einsum("idk,id->k", F, seed)
         return sums
-
-    def bond_slopes(
-        self, s: np.ndarray, c: np.ndarray, k: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Σ c ψ′ and Σ c ψ″ of bonds of strain s and class k, (H2)."""
-        slopes, curves = np.zeros_like(s), np.zeros_like(s)
-        count = len(self.dictionary.bonds)
-        for q, name in enumerate(self.dictionary.bonds):
-            stiffness = c[k * count + q]
-            slope, curve = BOND_SLOPES[name](s)
-            slopes += stiffness * slope
-            curves += stiffness * curve
-        return slopes, curves
 
     def curved_states(self, u: np.ndarray, c: np.ndarray) -> tuple[Any, Any, Any, Any, Any]:
         """Field, energies, strains, stresses and curvatures as the kernels read them."""

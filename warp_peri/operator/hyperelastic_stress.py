@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from warp_peri.operator.bond_slopes import bond_slopes
 from warp_peri.operator.hyperelastic import HyperelasticOperator
 
 
@@ -26,7 +27,7 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
     Y = xi + u[j] - u[i]
     square = (xi**2).sum(axis=1)
     s = ((Y**2).sum(axis=1) / square - 1) / 2
-    tension = op.bond_slopes(s, c, k)[0]
+    tension = bond_slopes(op.dictionary, s, c, k)[0]
     first, last = op.dictionary.first_deviation, op.dictionary.first_term
     whole = (op.bonds.whole[i] >= 2) & (op.bonds.whole[j] >= 2)
     near = np.flatnonzero(whole & (op.deviation[k] >= 0))

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 
-from warp_peri.kernels.hyperelastic.corners import corners
+from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
 from warp_peri.kernels.hyperelastic.rows import Window, tangent_rows
 from warp_peri.launch import ints, launch, zeros
 from warp_peri.operator.hyperelastic import HyperelasticOperator
@@ -83,7 +83,7 @@ class TangentPattern:
         launch(tangent_rows(op.scalar), len(op.interior), inputs, [K])
         if op.dictionary.cornered:
             inputs = [op.lattice, terms, self.rows, self.window, field]
-            launch(corners(op.scalar).rows, len(op.interior), inputs, [K])
+            launch(corner_tangents(op.scalar).rows, len(op.interior), inputs, [K])
         entries: np.ndarray = K.numpy().reshape(-1)[self.taken]
         return entries
 
