@@ -76,7 +76,7 @@ def hourglass() -> Entry:
             "instead would stiffen the sheet. A solve follows stable\nequilibria from rest and says "
             "when it had to leave them (`Equilibrium.followed`) or found none. The same energies of "
             "triangles at the\ncorners of cells (H19) see every wave; `fit_energy(stable=…)` shares a "
-            "material between nodes and corners so that\nno wave grows in the strains of the data."
+            "material between nodes and corners so that\nno sampled wave grows in sampled strains of the data."
         ),
         seen=seen,
         figure=figure,
