@@ -88,7 +88,12 @@ def _product(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
     four = wp.types.vector(4, scalar)
-    place, apex, share, curved = place_of(scalar), apex_of(scalar), share_of(scalar), _curved(scalar)
+    place, apex, share, curved = (
+        place_of(scalar),
+        apex_of(scalar),
+        share_of(scalar),
+        _curved(scalar),
+    )
 
     @wp.kernel(enable_backward=False)
     def product_of_corners(

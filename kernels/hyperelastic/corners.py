@@ -57,12 +57,14 @@ def apex_of(scalar):
 
     @wp.func
     def apex(lattice: Lattice, role: wp.int32, a: wp.int32):
-        """The apex of a node's corner; −1 where a node of the corner is missing."""
+        """The apex of a node's corner; −1 where a node is missing or the corner is left out."""
         p = back(lattice, role)
         n = a
         if p >= 0:
             n = lattice.neighbour[a, p]
         if n < 0:
+            return wp.int32(-1)
+        if lattice.apex[n] == 0:
             return wp.int32(-1)
         for axis in range(2):
             if lattice.neighbour[n, place(lattice, role, axis)] < 0:

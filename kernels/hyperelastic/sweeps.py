@@ -26,6 +26,7 @@ def types(scalar):
     class Lattice:
         neighbour: wp.array2d(dtype=wp.int32)  # −1 where there is none, shape [N, B]
         whole: wp.array(dtype=wp.int32)
+        apex: wp.array(dtype=wp.int32)  # 0 where the corners at a node are left out
         xi: wp.array(dtype=vec)
         inverse: wp.array(dtype=scalar)  # 1/|ξ|²
         weight: wp.array(dtype=six)  # w of both strains

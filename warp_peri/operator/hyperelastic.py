@@ -66,12 +66,13 @@ class HyperelasticOperator:
         self.interior = np.flatnonzero(points.interior)
         self.of = types(dtype)
         self.thickness = self._thick(thickness)
+        self.apexes = np.ones(len(self.points.x), bool)
         self.lattice = self._place()
         self._packed: tuple[np.ndarray, Any] | None = None
         self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
 
     def near_interior(self) -> HyperelasticOperator:
-        """The same forces on the interior, without short strains that it does not move.
+        """The same forces on the interior, without short strains and corners that it does not move.
 
         Far out in the collar a field may be folded, and its energy no number.
         """
@@ -81,6 +82,9 @@ class HyperelasticOperator:
         for _ in range(FAR):
             moved = moved | np.where(near >= 0, moved[near], False).any(axis=1)
         other = copy(self)
+        other.apexes = self.points.interior.copy()
+        axes = bonds.neighbour[:, np.abs(bonds.steps).sum(axis=1) == 1]
+        other.apexes |= ((axes >= 0) & self.points.interior[axes]).any(axis=1)
         other.bonds = replace(bonds, whole=np.where(moved, bonds.whole, bonds.whole % 2))
         other.lattice = other._place()
         return other
@@ -140,6 +144,7 @@ class HyperelasticOperator:
         lattice = self.of.Lattice()
         lattice.neighbour = ints(bonds.neighbour)
         lattice.whole = ints(bonds.whole)
+        lattice.apex = ints(self.apexes.astype(int))
         lattice.xi = floats(xi.astype(real), self.of.vec)
         lattice.inverse = floats((1 / square).astype(real), self.scalar)
         lattice.weight = floats(np.tile(weight, (2, 1)).astype(real), self.of.six)
