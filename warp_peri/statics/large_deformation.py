@@ -48,7 +48,8 @@ class Equilibrium:
         u: displacement on all nodes, shape [N, 2].
         residual: largest residual over the largest force.
         smallest_eigenvalue: of the tangent between interior nodes, over that of the five-point
-            Laplacian on them: positive where the equilibrium is stable [stress].
+            Laplacian on them: positive where the equilibrium is stable [stress]. Beyond DIRECT
+            unknowns it is a lower bound of that, see StaticProblem.smallest_eigenvalue.
         iterations: Newton steps.
         load_steps: 1 where no continuation was needed.
         followed: whether stable equilibria lead to it, from rest along the load or from stiffer
