@@ -58,7 +58,7 @@ def maps(
             values = field[inner, component]
             drawn = ax.scatter(*test.x[inner].T, c=values, s=28, marker="s", cmap="viridis")
             figure.colorbar(drawn, ax=ax, shrink=0.8)
-            ax.set(title=f"$u_{component + 1}$, {title}", aspect="equal")
+            ax.set(title=f"$u_{component + 1}$, {title}", aspect="equal", xlabel="x", ylabel="y")
     return figure
 
 
@@ -68,7 +68,7 @@ def thickness_map(test: Samples, thickness: np.ndarray) -> Figure:
     x, y = test.x.T
     drawn = ax.scatter(x, y, c=thickness, s=22, marker="s", cmap="cividis")
     figure.colorbar(drawn, ax=ax, label="thickness / that at the centre")
-    ax.set(aspect="equal")
+    ax.set(aspect="equal", xlabel="x", ylabel="y", title="in the units of the frames")
     return figure
 
 
