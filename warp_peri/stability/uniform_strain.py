@@ -135,7 +135,7 @@ def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.nda
 
 
 def shortest_margin(solid: HyperelasticSolid, strains: np.ndarray) -> np.ndarray:
-    """Least ratio over the grid of waves in each strain, shape [F] [stress].
+    """Least ratio [stress] over the grid of waves in each strain, shape [F].
 
     Negative where one of these waves grows; those between are not looked at.
 
