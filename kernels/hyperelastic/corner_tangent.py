@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.hyperelastic.corners import (
-    CORNER,
     ROLES,
     apex_of,
     arm_of,
@@ -17,8 +16,8 @@ from warp_peri.kernels.hyperelastic.corners import (
     strain_of,
 )
 from warp_peri.kernels.hyperelastic.energies import energies
+from warp_peri.kernels.hyperelastic.parts import CORNER, parts, types
 from warp_peri.kernels.hyperelastic.rows import Window
-from warp_peri.kernels.hyperelastic.sweeps import parts, types
 
 
 @cache

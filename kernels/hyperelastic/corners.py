@@ -11,10 +11,8 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.hyperelastic.energies import energies
-from warp_peri.kernels.hyperelastic.sweeps import parts, types
+from warp_peri.kernels.hyperelastic.parts import CORNER, parts, types
 
-CORNER = 6
-"""What a term sees (Terms.seen) that acts on corners."""
 ROLES = 12
 """Of a node in corners."""
 

@@ -9,7 +9,7 @@ from functools import cache
 import warp as wp
 
 from warp_peri.kernels.hyperelastic.energies import energies
-from warp_peri.kernels.hyperelastic.sweeps import parts, types
+from warp_peri.kernels.hyperelastic.parts import parts, types
 
 
 @wp.struct

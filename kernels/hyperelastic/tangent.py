@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.hyperelastic.energies import energies
-from warp_peri.kernels.hyperelastic.sweeps import parts, types
+from warp_peri.kernels.hyperelastic.parts import parts, types
 
 
 @cache

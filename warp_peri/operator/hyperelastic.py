@@ -14,8 +14,9 @@ from torch.autograd.function import once_differentiable
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
-from warp_peri.kernels.hyperelastic.corners import CORNER, corners
-from warp_peri.kernels.hyperelastic.sweeps import sweeps, types
+from warp_peri.kernels.hyperelastic.corners import corners
+from warp_peri.kernels.hyperelastic.parts import CORNER, types
+from warp_peri.kernels.hyperelastic.sweeps import sweeps
 from warp_peri.kernels.hyperelastic.tangent import features, tangents
 from warp_peri.launch import empty, floats, ints, launch, zeros
 from warp_peri.models.hyperelastic import (
