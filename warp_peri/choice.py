@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.unit_names import symbols
 from warp_peri.statics.solve import DIRECT
 from warp_peri.transfer.kept import on_lattice
@@ -41,15 +41,10 @@ class Scene:
         pair = isinstance(self.size, (tuple, list, np.ndarray)) and np.ndim(self.size[:1]) == 1
         if not pair or len(self.size) != 2:
             raise InputError(f"scene: expected two extents (x, y) [Å], got size {self.size!r:.60}")
-        if not all(_above_zero(v) for v in (*self.size, self.shortest_wave)):
+        if not all(is_positive(v) for v in (*self.size, self.shortest_wave)):
             raise InputError(
                 f"scene: expected lengths > 0 Å, got size {self.size}, wave {self.shortest_wave}"
             )
-
-
-def _above_zero(value: Any) -> bool:
-    """Whether it is a finite number above zero."""
-    return is_number(value) and math.isfinite(value) and value > 0
 
 
 @dataclass(frozen=True)
@@ -139,7 +134,7 @@ def choose_model(
     Raises InputError for a wave shorter than any that was measured, or a tolerance that is no
     number above zero or that nothing in the table keeps.
     """
-    if not _above_zero(tolerance):
+    if not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
     table = shipped_table() if table is None else table
     if model is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import j0
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arrays import is_number, is_positive
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
@@ -41,7 +41,7 @@ class Smoothing:
     ridge: float = 0.1
 
     def __post_init__(self) -> None:
-        if not (is_number(self.radius) and 0 < self.radius < np.inf):
+        if not is_positive(self.radius):
             raise InputError(f"radius: expected a length > 0 Å, got {self.radius!r}")
         if not (is_number(self.ridge) and 0 <= self.ridge < np.inf):
             raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")

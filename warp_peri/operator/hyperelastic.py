@@ -106,11 +106,14 @@ class HyperelasticOperator:
         other, lattice = copy(self), self.of.Lattice()
         for name in self.of.Lattice.vars:
             setattr(lattice, name, getattr(self.lattice, name))
-        real = np.float64 if self.scalar == wp.float64 else np.float32
-        held = np.zeros(0) if weights is None else weights
-        lattice.thickness = floats(held.astype(real), self.scalar)
+        lattice.thickness = self._of_nodes(weights)
         other.lattice, other.thickness = lattice, weights
         return other
+
+    def _of_nodes(self, weights: np.ndarray | None) -> Any:
+        """Weights as the kernels read them, empty for an even sheet."""
+        real = np.float64 if self.scalar == wp.float64 else np.float32
+        return floats((np.zeros(0) if weights is None else weights).astype(real), self.scalar)
 
     def _thick(self, thickness: np.ndarray | None) -> np.ndarray | None:
         if thickness is None:
@@ -152,8 +155,7 @@ class HyperelasticOperator:
         lattice.unit = floats(self.unit.astype(real), wp.types.vector(3, self.scalar))
         lattice.bond_class = ints(np.tile(np.arange(C), 2))
         lattice.deviation = ints(np.tile(deviation, 2))
-        held = np.zeros(0) if self.thickness is None else self.thickness
-        lattice.thickness = floats(held.astype(real), self.scalar)
+        lattice.thickness = self._of_nodes(self.thickness)
         return lattice
 
     def _terms(self, c: np.ndarray) -> Any:

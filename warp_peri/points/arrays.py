@@ -40,6 +40,11 @@ def is_number(value: Any) -> bool:
     return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
 
 
+def is_positive(value: Any) -> bool:
+    """Whether it is one real number above zero, and finite."""
+    return is_number(value) and 0 < value < np.inf
+
+
 def is_name(name: Any) -> bool:
     """Whether HDF5 takes it as the name of one thing."""
     return isinstance(name, str) and name not in ("", ".") and "/" not in name

@@ -6,10 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import is_name, is_number
+from warp_peri.points.arrays import is_name, is_positive
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units
 
@@ -35,7 +33,7 @@ class Dataset:
     def __post_init__(self) -> None:
         for name in ("thickness", "density"):
             value = getattr(self, name)
-            if not (is_number(value) and np.isfinite(value) and value > 0):
+            if not is_positive(value):
                 raise InputError(f"{name}: expected a number > 0, got {value!r}")
         if not self.sets:
             raise InputError("expected at least one point set, got none")

@@ -89,9 +89,14 @@ def smallest_eigenvalue(symmetric: sp.csc_array) -> float:
 
 
 def _one(matrix: sp.csc_array) -> dict[str, Any]:
-    """One eigenvalue, from a start that is the same every time, and has no symmetry of the body's.
-
-    A start of ones would be orthogonal to half of the modes of a symmetric body.
-    """
-    start = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    """One eigenvalue, from the fixed start."""
+    start = lanczos_start(matrix.shape[0])
     return {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}
+
+
+def lanczos_start(size: int) -> np.ndarray:
+    """A start of Lanczos iterations, shape [size], the same every time so that results repeat.
+
+    It has no symmetry of the body's: ones would be orthogonal to half of a symmetric body's modes.
+    """
+    return np.random.default_rng(0).standard_normal(size)

@@ -23,7 +23,7 @@ from warp_peri.operator.hyperelastic import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.operator.hyperelastic_tangent import TangentPattern
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.positive import positive_factors
-from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.stability.solvability import lanczos_start, smallest_eigenvalue
 from warp_peri.statics.harmonic import laplacian
 
 DIRECT = 12_000
@@ -87,7 +87,7 @@ class StaticProblem:
                 1,
                 sigma=0,
                 OPinv=_inverse(self._laplace),
-                v0=_start(len(op.interior)),
+                v0=lanczos_start(len(op.interior)),
                 return_eigenvectors=False,
                 tol=1e-4,
             )[0]
@@ -362,7 +362,7 @@ class StaticProblem:
                 return smallest_eigenvalue(K)
             inverse = LinearOperator(K.shape, factor.solve, dtype=float)
             values = eigsh(
-                K, 1, sigma=0, OPinv=inverse, v0=_start(K.shape[0]),
+                K, 1, sigma=0, OPinv=inverse, v0=lanczos_start(K.shape[0]),
                 return_eigenvectors=False, tol=1e-3,
             )  # fmt: skip
             return float(values[0])
@@ -380,7 +380,7 @@ class StaticProblem:
             (size, size), lambda p: self._laplace.solve(p.reshape(-1, 2)).ravel(), dtype=float
         )
         values = eigsh(
-            K, 1, M=L, Minv=inverse, which="SA", v0=_start(size), return_eigenvectors=False,
+            K, 1, M=L, Minv=inverse, which="SA", v0=lanczos_start(size), return_eigenvectors=False,
             tol=1e-2, maxiter=2000,
         )  # fmt: skip
         return float(values[0]) * self.softest
@@ -404,8 +404,3 @@ def solve_hyperelastic(
 
 def _inverse(factor: Any) -> LinearOperator:
     return LinearOperator(factor.shape, factor.solve, dtype=float)
-
-
-def _start(size: int) -> np.ndarray:
-    """A fixed start of Lanczos iterations, so that results repeat."""
-    return np.random.default_rng(0).standard_normal(size)

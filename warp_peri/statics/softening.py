@@ -17,7 +17,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.damage import bond_weights
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.body import Body, cracked, crossing_bonds
 from warp_peri.stability.breaking import check_breakable, check_horizon, check_no_fail
 from warp_peri.statics.cracked import check_pieces, symmetric_factors
@@ -88,7 +88,7 @@ class BondLaw:
 
         Raises InputError for a law that never fails, or times not > 0.
         """
-        if not (np.isfinite(self.stretch) and is_number(times) and 0 < times < np.inf):
+        if not (np.isfinite(self.stretch) and is_positive(times)):
             raise InputError(
                 "at_horizon: expected a law with a finite stretch and a number > 0, got "
                 f"{self.stretch} and {times}"
