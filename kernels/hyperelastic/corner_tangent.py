@@ -8,12 +8,11 @@ import warp as wp
 from warp_peri.kernels.hyperelastic.corners import (
     ROLES,
     apex_of,
-    arm_of,
     back_of,
+    corner_of,
     place_of,
     share_of,
     sign_of,
-    strain_of,
 )
 from warp_peri.kernels.hyperelastic.energies import energies
 from warp_peri.kernels.hyperelastic.parts import CORNER, parts, types
@@ -53,8 +52,8 @@ def _curved(scalar):
     of = types(scalar)
     energy = energies(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, arm, sign = place_of(scalar), arm_of(scalar), sign_of(scalar)
-    strain, bent, slope, curve = strain_of(scalar), _bent(scalar), energy.slope, energy.curve
+    corner, sign, bent = corner_of(scalar), sign_of(scalar), _bent(scalar)
+    slope, curve = energy.slope, energy.curve
     thick = parts(scalar).share
     three, mat = energy.vec, energy.mat
 
@@ -68,9 +67,7 @@ def _curved(scalar):
         role: wp.int32,
     ):
         """The second derivative of a corner's energy by its bonds."""
-        Y1 = arm(lattice, u, s, n, place(lattice, role, 0))
-        Y2 = arm(lattice, u, s, n, place(lattice, role, 1))
-        E = strain(Y1, Y2, lattice.inverse[0], sign(role))
+        Y1, Y2, E = corner(lattice, u, s, n, role)
         g, H = three(), mat()
         for k in range(terms.kind.shape[0]):
             if terms.seen[k] == CORNER:

@@ -73,7 +73,7 @@ def apex_of(scalar):
 
 
 @cache
-def arm_of(scalar):
+def _arm(scalar):
     of = types(scalar)
     vec, Lattice = of.vec, of.Lattice
 
@@ -99,7 +99,7 @@ def sign_of(scalar):
 
 
 @cache
-def strain_of(scalar):
+def _strain(scalar):
     vec, three = types(scalar).vec, energies(scalar).vec
     half, one = scalar(0.5), scalar(1.0)
 
@@ -112,6 +112,24 @@ def strain_of(scalar):
         )
 
     return strain
+
+
+@cache
+def corner_of(scalar):
+    of = types(scalar)
+    vec, Lattice = of.vec, of.Lattice
+    place, arm, sign, strain = place_of(scalar), _arm(scalar), sign_of(scalar), _strain(scalar)
+
+    @wp.func
+    def corner(
+        lattice: Lattice, u: wp.array2d(dtype=vec), s: wp.int32, n: wp.int32, role: wp.int32
+    ):
+        """A corner's two bonds as they are now, and its strain; n is its apex."""
+        Y1 = arm(lattice, u, s, n, place(lattice, role, 0))
+        Y2 = arm(lattice, u, s, n, place(lattice, role, 1))
+        return Y1, Y2, strain(Y1, Y2, lattice.inverse[0], sign(role))
+
+    return corner
 
 
 @cache
@@ -152,8 +170,7 @@ def _pull(scalar):
 def _energy(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
-    strain, value = strain_of(scalar), energies(scalar).value
+    apex, corner, value = apex_of(scalar), corner_of(scalar), energies(scalar).value
     thick = parts(scalar).share
     quarter = scalar(0.25)
 
@@ -166,9 +183,7 @@ def _energy(scalar):
         total = U[s, i]
         for role in range(4):
             if apex(lattice, role, i) >= 0:
-                Y1 = arm(lattice, u, s, i, place(lattice, role, 0))
-                Y2 = arm(lattice, u, s, i, place(lattice, role, 1))
-                E = strain(Y1, Y2, lattice.inverse[0], sign(role))
+                _Y1, _Y2, E = corner(lattice, u, s, i, role)
                 for k in range(terms.kind.shape[0]):
                     if terms.seen[k] == CORNER:
                         local = value(terms.kind[k], terms.angle[k], terms.exponent[k], E)
@@ -202,8 +217,8 @@ def _held(scalar):
 def _force(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
-    strain, pull, held = strain_of(scalar), _pull(scalar), _held(scalar)
+    apex, corner, sign = apex_of(scalar), corner_of(scalar), sign_of(scalar)
+    pull, held = _pull(scalar), _held(scalar)
 
     @wp.kernel(enable_backward=False)
     def force_of_corners(
@@ -216,9 +231,7 @@ def _force(scalar):
         for role in range(ROLES):
             n = apex(lattice, role, i)
             if n >= 0:
-                Y1 = arm(lattice, u, s, n, place(lattice, role, 0))
-                Y2 = arm(lattice, u, s, n, place(lattice, role, 1))
-                E = strain(Y1, Y2, inverse, sign(role))
+                Y1, Y2, E = corner(lattice, u, s, n, role)
                 g = held(lattice, terms, n, E)
                 total += pull(role, Y1, Y2, inverse, sign(role), g)
         f[s, i] = total
@@ -230,8 +243,8 @@ def _force(scalar):
 def _force_of_each(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
-    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
-    strain, pull, slope_by = strain_of(scalar), _pull(scalar), energies(scalar).slope_by
+    apex, corner, sign = apex_of(scalar), corner_of(scalar), sign_of(scalar)
+    pull, slope_by = _pull(scalar), energies(scalar).slope_by
     thick = parts(scalar).share
 
     @wp.kernel(enable_backward=False)
@@ -250,9 +263,7 @@ def _force_of_each(scalar):
         for role in range(ROLES):
             n = apex(lattice, role, i)
             if n >= 0:
-                Y1 = arm(lattice, u, s, n, place(lattice, role, 0))
-                Y2 = arm(lattice, u, s, n, place(lattice, role, 1))
-                E = strain(Y1, Y2, inverse, sign(role))
+                Y1, Y2, E = corner(lattice, u, s, n, role)
                 for k in range(terms.kind.shape[0]):
                     if terms.seen[k] == CORNER:
                         g = slope_by(by, terms.kind[k], terms.angle[k], terms.exponent[k], E)
@@ -267,8 +278,9 @@ def _stress(scalar):
     of = types(scalar)
     vec, Lattice, Terms = of.vec, of.Lattice, of.Terms
     pair = wp.types.matrix((2, 2), scalar)
-    place, apex, arm, sign = place_of(scalar), apex_of(scalar), arm_of(scalar), sign_of(scalar)
-    strain, pull, held = strain_of(scalar), _pull(scalar), _held(scalar)
+    place, apex = place_of(scalar), apex_of(scalar)
+    corner, sign = corner_of(scalar), sign_of(scalar)
+    pull, held = _pull(scalar), _held(scalar)
 
     @wp.kernel(enable_backward=False)
     def stress_of_corners(
@@ -281,8 +293,7 @@ def _stress(scalar):
         for role in range(4):
             if apex(lattice, role, i) >= 0:
                 p, q = place(lattice, role, 0), place(lattice, role, 1)
-                Y1, Y2 = arm(lattice, u, s, i, p), arm(lattice, u, s, i, q)
-                E = strain(Y1, Y2, inverse, sign(role))
+                Y1, Y2, E = corner(lattice, u, s, i, role)
                 g = held(lattice, terms, i, E)
                 first = pull(4, Y1, Y2, inverse, sign(role), g)
                 second = pull(8, Y1, Y2, inverse, sign(role), g)
