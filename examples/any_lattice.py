@@ -33,10 +33,10 @@ from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
 from warp_peri import Bernstein, Model, Points, Samples, ThroughLattice, on_lattice
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import locked, whole_file, write_json, write_text
-from warp_peri.transfer import kept
+from warp_peri.files.atomic import locked, whole_file, write_json, write_text
+from warp_peri.transfer import cache as kept
 from warp_peri.transfer.lattice import new_lattice
-from warp_peri.transfer.many import one_kernel
+from warp_peri.transfer.shared_kernel import one_kernel
 from warp_peri.transfer.waves import dispersion, rings, wave_errors
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))

@@ -19,11 +19,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model
-from warp_peri.dynamics.breaking import BreakingBody
-from warp_peri.dynamics.crack_run import CrackRun
+from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage.march import CrackRun
+from warp_peri.damage.motion import BreakingBody
+from warp_peri.damage.solid import BrittleSolid
 from warp_peri.errors import exit_status
-from warp_peri.models.damage import BrittleSolid
-from warp_peri.points.body import lattice_body, rectangle
 
 DAMAGED = 0.35
 """φ from which a node counts as on a crack."""

@@ -25,10 +25,10 @@ from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from warp_peri import Model
+from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.lattice_body import lattice_body, rectangle
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
-from warp_peri.points.body import lattice_body, rectangle
-from warp_peri.statics.cracked import CutSolid
+from warp_peri.files.atomic import write_json
 
 FITTED, DEFAULT, ALL = 24, (12, 16), (8, 12, 16, 32, 36)
 """Cut bonds of the crack that G_c is fitted on, of those predicted, and of all."""

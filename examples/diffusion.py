@@ -19,12 +19,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model, Points
+from warp_peri.damage.lattice_body import lattice_body
+from warp_peri.diffusion.conductor import Conductor
+from warp_peri.diffusion.coupled import Coupled
+from warp_peri.diffusion.operator import DiffusionOperator
+from warp_peri.diffusion.transient import steady
 from warp_peri.errors import exit_status
-from warp_peri.models.diffusion import Conductor
-from warp_peri.operator.diffusion import DiffusionOperator
-from warp_peri.points.body import lattice_body
-from warp_peri.statics.coupled import Coupled
-from warp_peri.statics.diffusion import steady
 
 RATIO = 3.0
 """Horizon over spacing on lattices; 3.5 on scattered points."""

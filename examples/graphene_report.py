@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from examples.prose import fill, table
 from warp_peri import plots
-from warp_peri.files.whole import whole_file, write_text
+from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.run import Run
 from warp_peri.learning.uncertainty import Uncertainty

@@ -27,22 +27,22 @@ import numpy as np
 
 from tools.make_hgo import ELEMENTS, Material, make_hgo
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import plain, write_json
-from warp_peri.learning.energy_fit import fit_energy
-from warp_peri.learning.fibres import (
+from warp_peri.files.atomic import plain, write_json
+from warp_peri.points.samples import Samples
+from warp_peri.tissue.energy_fit import fit_energy
+from warp_peri.tissue.equilibrium import StaticProblem, solve_hyperelastic
+from warp_peri.tissue.febio import in_words, material_terms, save_febio
+from warp_peri.tissue.fibres import (
     read_material,
     rose,
     with_corners,
     with_directions,
     with_families,
 )
-from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
-from warp_peri.models.febio import in_words, material_terms, save_febio
-from warp_peri.models.hyperelastic import ACROSS, QUADRATICS, Dictionary, HyperelasticSolid, Term
-from warp_peri.operator.hyperelastic import HyperelasticOperator
-from warp_peri.points.samples import Samples
-from warp_peri.stability.uniform_strain import shortest_margin
-from warp_peri.statics.large_deformation import StaticProblem, solve_hyperelastic
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.solid import ACROSS, QUADRATICS, Dictionary, HyperelasticSolid, Term
+from warp_peri.tissue.uniform_strain import shortest_margin
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESS = 0.35

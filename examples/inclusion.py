@@ -17,16 +17,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model
-from warp_peri.errors import exit_status
-from warp_peri.operator.damage import bond_weights
-from warp_peri.points.body import lattice_body, rectangle
-from warp_peri.statics.inclusions import (
+from warp_peri.damage.inclusions import (
     MEANS,
     ball_excess,
     bond_modulus,
     mixed_matrix,
     solve_mixed,
 )
+from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage.operator import bond_weights
+from warp_peri.errors import exit_status
 
 RADIUS, RATIO = 0.5, 3.0
 CASES = {

@@ -25,18 +25,18 @@ from examples.leaflet_pictures import draw
 from examples.studies.leaflet_rivals import RIVALS, interpolated_errors, rival_errors
 from tools.make_leaflet import Leaflet, make_leaflet, noisy
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import plain, write_json
-from warp_peri.learning.fibres import families, rose
-from warp_peri.learning.from_displacement import (
+from warp_peri.files.atomic import plain, write_json
+from warp_peri.points.samples import Samples
+from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+from warp_peri.tissue.febio import in_words, save_febio
+from warp_peri.tissue.fibres import families, rose
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.from_displacement import (
     DisplacementFit,
     fit_displacement,
     fit_thickness,
 )
-from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
-from warp_peri.models.febio import in_words, save_febio
-from warp_peri.models.hyperelastic import Dictionary, HyperelasticSolid, Term
-from warp_peri.points.samples import Samples
-from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 UNEVEN = "neo-Hookean, uneven"
 INTERPOLATED = "no material, interpolation"

@@ -12,12 +12,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri.learning.fibres import rose_of
-from warp_peri.models.hyperelastic import HyperelasticSolid
-from warp_peri.operator.hyperelastic import HyperelasticOperator
-from warp_peri.operator.hyperelastic_stress import piola_stress
 from warp_peri.points.samples import Samples
-from warp_peri.statics.large_deformation import StaticProblem
+from warp_peri.tissue.equilibrium import StaticProblem
+from warp_peri.tissue.fibres import rose_of
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.solid import HyperelasticSolid
+from warp_peri.tissue.stress import piola_stress
 
 
 def draw(

@@ -24,7 +24,7 @@ import warp_peri
 from examples.train_graphene import DATA, make_data
 from warp_peri import Bernstein, Conditions, Dataset, Nonlinear, Optimum, Smoothing
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import locked, whole_file, write_json
+from warp_peri.files.atomic import locked, whole_file, write_json
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
 OUT = ROOT / "runs" / "nonlinear"

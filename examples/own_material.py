@@ -25,7 +25,7 @@ from tools.loads import WaveLoad
 from tools.statics import Statics
 from warp_peri.cli.main import main as warp_peri
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import locked, write_json
+from warp_peri.files.atomic import locked, write_json
 from warp_peri.models.lps import load_model
 
 ELEMENTS = ("B", "N")

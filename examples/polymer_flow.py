@@ -26,8 +26,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import plain, write_json, write_text
-from warp_peri.flow import series
+from warp_peri.files.atomic import plain, write_json, write_text
+from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import ChannelRecord, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous

@@ -26,7 +26,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.flow.active import LearningClosure, replayed
 from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells

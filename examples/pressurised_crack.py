@@ -17,10 +17,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model
+from warp_peri.damage.cut_solid import CutSolid, westergaard
+from warp_peri.damage.lattice_body import cracked, lattice_body, rectangle
+from warp_peri.damage.pressurised import crack_load, inject, opening_volume, sneddon_opening
 from warp_peri.errors import exit_status
-from warp_peri.points.body import cracked, lattice_body, rectangle
-from warp_peri.statics.cracked import CutSolid, westergaard
-from warp_peri.statics.pressurised import crack_load, inject, opening_volume, sneddon_opening
 
 HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
 

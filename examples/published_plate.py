@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
 
 from warp_peri import Model
+from warp_peri.damage.lattice_body import lattice_body
+from warp_peri.damage.softening import BondLaw, Pull, SoftBody
 from warp_peri.errors import exit_status
-from warp_peri.points.body import lattice_body
-from warp_peri.statics.softening import BondLaw, Pull, SoftBody
 
 WHOLE = {20: 176.7, 40: 346.7, 60: 523.0, 80: 673.0, 100: 817.0, 150: 1167.0}
 """Force across the middle of the whole plate, L = 50, over t."""

@@ -17,10 +17,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri import Model
+from warp_peri.damage.cut_solid import CutSolid, contour_integral, energy_release, westergaard
+from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.errors import exit_status
-from warp_peri.points.body import lattice_body, rectangle
-from warp_peri.statics.cracked import CutSolid, contour_integral, energy_release, westergaard
-from warp_peri.statics.growth import apparent_toughness
 
 HALF = 0.5
 """Half the crack's length; the square is 2 × 2."""

@@ -12,7 +12,7 @@ sys.path.insert(0, str(ROOT))
 import warp_peri
 from examples import graphene_report as report
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 

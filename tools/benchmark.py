@@ -35,10 +35,10 @@ from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices
 from warp_peri.models.solid import Solid
-from warp_peri.operator.blocks import BLOCKS
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence_inputs
 from warp_peri.operator.lps import lps_force
+from warp_peri.operator.node_blocks import BLOCKS
 from warp_peri.operator.tables import Tabulated
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points

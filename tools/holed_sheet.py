@@ -28,7 +28,7 @@ from tools.loads import atom_force
 from tools.samples import Sample, file_hash, read_record, write_record
 from tools.statics import TOLERANCE, Statics, find_bonds
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import locked
+from warp_peri.files.atomic import locked
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 TENSION = 0.005

@@ -29,7 +29,7 @@ from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, sol
 from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import locked
+from warp_peri.files.atomic import locked
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.points import Points

@@ -27,7 +27,7 @@ from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
 from warp_peri.errors import exit_status
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import locked, whole_file
+from warp_peri.files.atomic import locked, whole_file
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 

@@ -21,7 +21,7 @@ from tools.lammps_session import LammpsError, LammpsSession
 from tools.loads import Load, WaveLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import whole_file
+from warp_peri.files.atomic import whole_file
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""

@@ -19,7 +19,7 @@ import torch
 from tools import numba_rival, rivals
 from warp_peri import Model, load_model, set_threads
 from warp_peri.errors import InputError
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force

@@ -48,10 +48,10 @@ if TYPE_CHECKING:
     from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
     from warp_peri.statics.scattered import ThroughLattice
     from warp_peri.statics.solve import Iteration, solve, solve_periodic
-    from warp_peri.transfer.kept import on_lattice
-    from warp_peri.transfer.many import one_kernel
+    from warp_peri.transfer.cache import on_lattice
     from warp_peri.transfer.operator import LPSOperator
     from warp_peri.transfer.points import model_for
+    from warp_peri.transfer.shared_kernel import one_kernel
 
 __version__ = "0.1.0"
 
@@ -159,8 +159,8 @@ _NAMES = {
     "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
     "statics.scattered": ("ThroughLattice",),
     "statics.solve": ("Iteration", "solve", "solve_periodic"),
-    "transfer.kept": ("on_lattice",),
-    "transfer.many": ("one_kernel",),
+    "transfer.cache": ("on_lattice",),
+    "transfer.shared_kernel": ("one_kernel",),
     "transfer.operator": ("LPSOperator",),
     "transfer.points": ("model_for",),
 }

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import whole_file, write_text
+from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.models.lps import Model
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.matrices import matrices

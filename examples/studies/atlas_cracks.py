@@ -9,12 +9,12 @@ import numpy as np
 
 from examples.studies.atlas_entry import Entry, words
 from warp_peri import Model
-from warp_peri.dynamics.breaking import BreakingBody, step
-from warp_peri.models.damage import BrittleSolid, positive_kernel
-from warp_peri.operator.damage import bond_weights, cut_matrix, stiffness_across
-from warp_peri.points.body import Body, lattice_body, rectangle
-from warp_peri.stability.breaking import check_breakable, negative_eigenvalues
-from warp_peri.statics.growth import apparent_toughness
+from warp_peri.damage.lattice_body import Body, lattice_body, rectangle
+from warp_peri.damage.motion import BreakingBody, step
+from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across
+from warp_peri.damage.slow_growth import apparent_toughness
+from warp_peri.damage.solid import BrittleSolid, positive_kernel
+from warp_peri.damage.stability import check_breakable, negative_eigenvalues
 
 SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 
@@ -115,7 +115,7 @@ def long_steps(steps: int = 200) -> Entry:
     ax.legend(frameon=False)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from warp_peri.dynamics.breaking import check_step
+        from warp_peri.damage.motion import check_step
 
         seen = words(lambda: check_step(solid, 1.1 * solid.longest_step))
     return Entry(

@@ -27,7 +27,7 @@ import warp_peri
 from examples.train_graphene import DATA, make_data
 from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import write_json, write_text
+from warp_peri.files.atomic import write_json, write_text
 from warp_peri.learning.fit import fit
 from warp_peri.learning.margins import DenseMargins
 from warp_peri.learning.result import Fit

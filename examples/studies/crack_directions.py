@@ -29,7 +29,7 @@ from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 
 LARGE, SMALL = 40, 20
 """Half sides of two sheets inside their rims, in hexagons."""

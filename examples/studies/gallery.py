@@ -31,7 +31,7 @@ from matplotlib.figure import Figure as Canvas
 from PIL import Image
 
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import whole_file, write_text
+from warp_peri.files.atomic import whole_file, write_text
 
 LARGEST, WIDTH = 150_000, 1000
 """A picture of more bytes is brought to this width in pixels, in 256 colours of its own."""

@@ -36,7 +36,7 @@ from tqdm import tqdm
 
 from examples.graphene_report import save_figure
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import ReducedLoss, class_weights, reduce
 from warp_peri.models.influence import bernstein_basis

@@ -29,7 +29,7 @@ from tools.hyperelastic_elements import (
 )
 from tools.hyperelastic_energies import Family, Matrix, hgo
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import plain
+from warp_peri.files.atomic import plain
 
 DATA = "data/Example1_HGO/Neumann_indis_sensitive_analysis_balance_range_grf_alpha_2"
 TABLE = "HGO_neumann_indistribution_sensitive_analysis_balance_range_grf_alpha_2.txt"

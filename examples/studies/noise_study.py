@@ -28,7 +28,7 @@ from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from tools.make_thermal import make_thermal
 from tools.reductions import REDUCTIONS
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import locked, write_json, write_text
+from warp_peri.files.atomic import locked, write_json, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import sweep
 from warp_peri.models.lps import load_model

@@ -36,7 +36,7 @@ from tools.make_graphene import (
 from tools.samples import Sample
 from warp_peri import NonlinearModel, NonlinearOperator, Points, Samples
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.lps import lps_force

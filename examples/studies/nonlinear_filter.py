@@ -24,7 +24,7 @@ from examples.nonlinear import OUT
 from examples.train_graphene import make_data
 from warp_peri import Bernstein, Nonlinear, NonlinearOperator, Optimum, Samples, Smoothing
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.learning.nonlinear import NonlinearFit
 
 RIDGES = (0.05, 0.07, 0.1, 0.14, 0.2)

@@ -28,12 +28,12 @@ from scipy.optimize import root
 from examples.studies.pno_training import chosen_setting, relative, train
 from tools.make_hgo import ELEMENTS, HORIZON, NODES, SPACING, make_hgo
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import finite, plain, write_json
-from warp_peri.learning.energy_fit import fit_energy
-from warp_peri.learning.hyperelastic_errors import hyperelastic_errors
-from warp_peri.models.hyperelastic import Dictionary
+from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.tissue.energy_fit import fit_energy
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.solid import Dictionary
 
 REACH = HORIZON
 STRETCH = 5.0

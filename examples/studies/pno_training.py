@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from tqdm import tqdm
 
-from warp_peri.files.whole import whole_file
+from warp_peri.files.atomic import whole_file
 
 EVERY = 60.0
 """Seconds of processor time between two checkpoints."""

@@ -30,8 +30,8 @@ import numpy as np
 from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
 from warp_peri import InputError
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import plain, write_json
-from warp_peri.flow import series
+from warp_peri.files.atomic import plain, write_json
+from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import ChannelRecord, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress

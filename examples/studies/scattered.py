@@ -24,7 +24,7 @@ from examples.train_graphene import DATA, make_data
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.learning.fit import fit
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples

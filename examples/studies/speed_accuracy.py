@@ -38,7 +38,7 @@ from examples.studies.speed_chart import chart, markdown
 from tools import make_graphene as making
 from warp_peri import Model, Optimum, Samples, fit, load_dataset, load_model, on_lattice
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import whole_file, write_json
+from warp_peri.files.atomic import whole_file, write_json
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.points import Points

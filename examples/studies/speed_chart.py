@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from warp_peri.files.whole import whole_file
+from warp_peri.files.atomic import whole_file
 
 
 def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:

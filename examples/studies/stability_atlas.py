@@ -40,7 +40,7 @@ from examples.studies import (
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.whole import finite, plain, write_json, write_text
+from warp_peri.files.atomic import finite, plain, write_json, write_text
 
 STEPS = 100_000
 TEMPLATE = Path(__file__).parent / "atlas" / "page.md"

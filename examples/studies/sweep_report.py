@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 from examples.graphene_report import save_figure
 from examples.prose import fill, rows_of
 from warp_peri import plots
-from warp_peri.files.whole import write_json, write_text
+from warp_peri.files.atomic import write_json, write_text
 from warp_peri.learning.sweep import COST_TOLERANCE, Sweep, Trial
 from warp_peri.models.lps import Model, load_model
 

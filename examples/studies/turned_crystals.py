@@ -34,7 +34,7 @@ from tools.make_strained import solve_strained, strained_file
 from tools.samples import Sample, read_sample
 from warp_peri import Model, NonlinearModel
 from warp_peri.errors import exit_status
-from warp_peri.files.whole import locked, write_json
+from warp_peri.files.atomic import locked, write_json
 
 ANGLES = (0.0, 5.0, 10.0, 17.0, 23.0, 30.0, 45.0)
 """Of the crystal [degrees]. It repeats every 60° and the nodes every 90°, so that all turns

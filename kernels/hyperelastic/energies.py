@@ -1,6 +1,6 @@
 """Strain energies Φ(E) and bond energies ψ(s) with first and second derivatives, (H5) and (H2).
 
-E holds E11, E22 and 2 E12. The numbers of the kinds are those of models/hyperelastic.py.
+E holds E11, E22 and 2 E12. The numbers of the kinds are those of tissue/solid.py.
 """
 
 from functools import cache

@@ -6,7 +6,7 @@ import pytest
 
 from examples import any_lattice
 from warp_peri import Bernstein, fit, load_dataset
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 
 
 def test_parts_are_measured_once(tmp_path):

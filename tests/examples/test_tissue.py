@@ -21,8 +21,8 @@ from examples.studies.pno_training import Setting, train
 from tests.support.sheets import hgo_dictionary, square
 from tools.hyperelastic_energies import plane_stress_hgo
 from tools.make_hgo import SPACING, square_points
-from warp_peri.models.hyperelastic import HyperelasticSolid
 from warp_peri.points.samples import Samples
+from warp_peri.tissue.solid import HyperelasticSolid
 
 ROOT = Path(__file__).parent.parent.parent
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import whole_file, write_json, write_text
+from warp_peri.files.atomic import whole_file, write_json, write_text
 
 
 def test_a_file_appears_under_its_name_with_common_rights(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.problems import fitted_order
 from warp_peri import InputError
-from warp_peri.flow import series
+from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.channel_run import run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells

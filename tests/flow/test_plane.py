@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.problems import fitted_order
 from warp_peri import InputError
-from warp_peri.flow import series
+from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell

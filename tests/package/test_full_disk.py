@@ -17,7 +17,7 @@ from tests.support.mutations import good_data, good_model
 from warp_peri import Samples, Dataset, save_dataset
 from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.points.dataset_file import content_hash, load_dataset
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 
 folder, limit = Path(sys.argv[1]), int(sys.argv[2])
 small = good_data(folder / "g.h5")

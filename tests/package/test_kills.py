@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.jobs import JOBS
-from warp_peri.files.whole import PART
+from warp_peri.files.atomic import PART
 
 ROOT = Path(__file__).parent.parent.parent
 LATER = 10

@@ -10,13 +10,13 @@ import tools.make_graphene as tool
 from examples import train_graphene
 from tests.support.jobs import problem
 from warp_peri import Bernstein, InputError, TwoStage, fit, sweep
-from warp_peri.files.whole import PART, locked, whole_file
+from warp_peri.files.atomic import PART, locked, whole_file
 
 ROOT = Path(__file__).parent.parent.parent
 HOLD = """
 import sys
 from contextlib import ExitStack
-from warp_peri.files.whole import locked
+from warp_peri.files.atomic import locked
 with ExitStack() as stack:
     for path in sys.argv[1:]:
         stack.enter_context(locked(path))

@@ -18,8 +18,8 @@ FLOORS = (
     ("losses",),
     ("regression",),
     ("transfer",),
-    ("statics", "dynamics"),
-    ("learning",),
+    ("statics", "dynamics", "damage", "tissue"),
+    ("learning", "diffusion"),
     ("choice", "plots", "export", "dumps", "shapes", "stress", "flow"),
     ("cli",),
 )

@@ -8,11 +8,11 @@ from examples import inclusion as inclusions
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
 from warp_peri import InputError, Model
-from warp_peri.operator.damage import bond_weights, cut_matrix
-from warp_peri.points.body import cracked, lattice_body, rectangle
-from warp_peri.statics.cracked import CutSolid
-from warp_peri.statics.inclusions import ball_excess, bond_modulus, mixed_matrix, solve_mixed
-from warp_peri.statics.pressurised import crack_load, inject, opening_volume
+from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.inclusions import ball_excess, bond_modulus, mixed_matrix, solve_mixed
+from warp_peri.damage.lattice_body import cracked, lattice_body, rectangle
+from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.damage.pressurised import crack_load, inject, opening_volume
 
 CELLS = np.array([8, 12, 16])
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from warp_peri import Model
-from warp_peri.dynamics.breaking import BreakingBody
-from warp_peri.models.damage import BrittleSolid
-from warp_peri.points.body import lattice_body, rectangle
+from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage.motion import BreakingBody
+from warp_peri.damage.solid import BrittleSolid
 
 
 def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, **criterion):

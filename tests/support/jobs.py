@@ -31,7 +31,7 @@ def sweep(folder):
     from dataclasses import asdict
 
     from warp_peri import sweep as run
-    from warp_peri.files.whole import write_json
+    from warp_peri.files.atomic import write_json
 
     trials = run(
         problem(0), problem(1), folder / "fits", horizons=(2.0, 2.5), degrees=(0, 1, 2), jobs=1

@@ -25,7 +25,7 @@ from warp_peri import (
 from warp_peri.models.lps import model_content
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import families_of
-from warp_peri.transfer import kept
+from warp_peri.transfer import cache as kept
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 ASKED = {"spacing": 0.8, "horizon": 1.6}

@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
-from warp_peri.files.whole import locked
+from warp_peri.files.atomic import locked
 from warp_peri.models.lps import load_model
 
 

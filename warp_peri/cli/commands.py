@@ -18,7 +18,7 @@ from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
-from warp_peri.files.whole import destination, locked, write_json
+from warp_peri.files.atomic import destination, locked, write_json
 from warp_peri.models.lps import Model
 from warp_peri.models.nonlinear import NonlinearModel, load_any
 from warp_peri.points.dataset import Dataset

@@ -13,7 +13,7 @@ from typing import Any
 import tomli_w
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import write_text
+from warp_peri.files.atomic import write_text
 
 NOT_KEPT = ("command", "config", "json", "run")
 

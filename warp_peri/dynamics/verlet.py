@@ -18,7 +18,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.stability.proof import largest_bound
-from warp_peri.transfer.kept import model_at
+from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.points import model_for
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import whole_file, write_text
+from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.flow.channel import ChannelFlow, Particles
 from warp_peri.flow.closure import Stress, check_time_step, key_of
 

@@ -17,7 +17,7 @@ import warp as wp
 
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import whole_file
+from warp_peri.files.atomic import whole_file
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
 

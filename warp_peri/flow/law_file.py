@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.flow.cloud import OUTSIDE
 from warp_peri.flow.gaussian_process import KERNELS, GaussianProcess
 from warp_peri.flow.rate_law import RateLaw

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import whole_file
+from warp_peri.files.atomic import whole_file
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.planar import IDENTITY
 

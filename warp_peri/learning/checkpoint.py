@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
-from warp_peri.files.whole import whole_file
+from warp_peri.files.atomic import whole_file
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError, renamed
 from warp_peri.learning.checks import check_explained, warn_of_bounds
+from warp_peri.learning.full_loss_check import Oracle
 from warp_peri.learning.loss_choice import LossChoice, choose_loss
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.nonlinear import (
@@ -20,7 +21,6 @@ from warp_peri.learning.nonlinear import (
     check_nonlinear,
     with_constants,
 )
-from warp_peri.learning.oracle import Oracle
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.result import Fit, Settings
 from warp_peri.learning.scale import Scale, scaled_data

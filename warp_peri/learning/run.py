@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import fit
 from warp_peri.learning.methods import Kernel

@@ -15,7 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import locked, write_json
+from warp_peri.files.atomic import locked, write_json
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import fit
 from warp_peri.learning.methods import Bernstein

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 import torch
 
-from warp_peri.files.whole import locked
+from warp_peri.files.atomic import locked
 from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.learning.margins import DenseMargins, SymbolMargins
 from warp_peri.learning.methods import TwoStage

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import plain, write_json
+from warp_peri.files.atomic import plain, write_json
 from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
 from warp_peri.models.solid import Solid
 from warp_peri.points.quadrature import DEGREE, SINGULARITY

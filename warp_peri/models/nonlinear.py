@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import write_json
+from warp_peri.files.atomic import write_json
 from warp_peri.models.lps import (
     FORMAT,
     VERSION,

@@ -16,9 +16,9 @@ import warp as wp
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
 from warp_peri.launch import at_once, empty, launch, launch_slices
-from warp_peri.operator.blocks import BLOCKS
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import Evaluation, filled, influence_inputs
+from warp_peri.operator.node_blocks import BLOCKS
 from warp_peri.operator.rows import Rows
 
 

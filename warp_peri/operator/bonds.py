@@ -11,7 +11,7 @@ import warp as wp
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import bonds
 from warp_peri.launch import DEVICE, floats, ints, known_device, zeros
-from warp_peri.operator.blocks import Blocks, blocks_of
+from warp_peri.operator.node_blocks import Blocks, blocks_of
 from warp_peri.operator.rows import Rows, rows_of
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE

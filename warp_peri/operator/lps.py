@@ -17,7 +17,7 @@ from warp_peri.models.solid import Solid
 from warp_peri.operator.adjoint import gradient
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import check_volumes, evaluate
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.tables import Tabulated
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike

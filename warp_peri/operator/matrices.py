@@ -15,7 +15,7 @@ from warp_peri.launch import floats, launch, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import check_volumes, influence, surface_shape
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 

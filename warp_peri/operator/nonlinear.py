@@ -17,7 +17,7 @@ from warp_peri.launch import floats
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.gradient_sweeps import GradientSweeps
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.tangent import TangentMatrices
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import PointsLike

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, renamed
 from warp_peri.models.lps import Model
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.whole import plain, whole_file
+from warp_peri.files.atomic import plain, whole_file
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points

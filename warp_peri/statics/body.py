@@ -30,7 +30,7 @@ from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
 from warp_peri.statics.whole_body import WholeBody
-from warp_peri.transfer.kept import model_at
+from warp_peri.transfer.cache import model_at
 
 OVERLAP = 2.0
 """Overlap of rim and bulk where none is given, in horizons."""

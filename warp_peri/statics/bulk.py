@@ -14,7 +14,7 @@ from warp_peri.operator.stencil import stencil
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.definite import refuse_indefinite
+from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain

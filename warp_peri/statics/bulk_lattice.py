@@ -13,7 +13,7 @@ from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import symbols
 from warp_peri.statics.bulk import check_extent
 from warp_peri.statics.rim import Field
-from warp_peri.transfer.kept import on_lattice
+from warp_peri.transfer.cache import on_lattice
 from warp_peri.transfer.lattice import TOLERANCE
 
 RATIOS = (2.0, 1.5, 1.0, 0.75, 0.5)

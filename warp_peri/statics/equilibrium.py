@@ -25,7 +25,7 @@ from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.statics.definite import refuse_indefinite
+from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, SolveRecord
 from warp_peri.statics.domain import Domain, domain

@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 from warp_peri.errors import InputError
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.lps import NodeOperator
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.samples import PointsLike, nodes_of

@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from warp_peri.launch import floats
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.gradient_sweeps import GradientSweeps
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import nonlinear_force
 from warp_peri.operator.tangent import TangentMatrices
 from warp_peri.points.samples import PointsLike

@@ -13,19 +13,19 @@ from warp_peri.errors import InputError, renamed
 from warp_peri.launch import DEVICE, known_device
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.nominal import on_nominal_lattice
+from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.statics.definite import refuse_indefinite
+from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, SolveRecord
 from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
-from warp_peri.statics.range import warn_beyond
 from warp_peri.statics.scattered import ThroughLattice
-from warp_peri.transfer.kept import model_at
+from warp_peri.statics.strain_range import warn_beyond
+from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.points import model_for
 
 DIRECT_METHODS = ("lu", "gmres")

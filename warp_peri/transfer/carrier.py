@@ -22,7 +22,7 @@ from warp_peri.points.interpolation import (
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, symbols
-from warp_peri.transfer.kept import model_at
+from warp_peri.transfer.cache import model_at
 
 FINER = 2.0
 """Lattice spacings to one spacing of the nodes."""

@@ -6,7 +6,7 @@ from warp_peri.models.lps import Model
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
-from warp_peri.transfer.kept import model_at
+from warp_peri.transfer.cache import model_at
 
 
 def model_for(

@@ -1,0 +1,87 @@
+"""Lattice bodies with free surfaces, and what cracks cut."""
+
+import numpy as np
+import pytest
+
+from tests.support.bodies import plate
+from warp_peri import InputError
+from warp_peri.damage.lattice_body import cracked, crossing_bonds, lattice_body, rectangle
+
+
+def test_bonds_lead_where_their_vectors_say():
+    body = plate()
+    node, bond = np.nonzero(body.neighbour >= 0)
+    far = body.neighbour[node, bond]
+    np.testing.assert_allclose(body.x[far] - body.x[node], body.xi[bond])
+    assert (body.neighbour[far, body.opposite[bond]] == node).all()
+    middle = np.hypot(*body.x.T).argmin()
+    assert (body.neighbour[middle] >= 0).all()
+    assert (body.neighbour[0] >= 0).sum() < len(body.xi) / 2
+
+
+def test_a_straight_crack_cuts_what_crosses_it():
+    body = plate()
+    cut = crossing_bonds(body, [(-4, 0), (3, 0)])
+    for node, bond in np.argwhere(body.neighbour >= 0):
+        start, end = body.x[node], body.x[body.neighbour[node, bond]]
+        place = start[0] + (end[0] - start[0]) * start[1] / ((start[1] - end[1]) or np.inf)
+        across = start[1] * end[1] < 0 and -4 < place < 3
+        assert cut[node, bond] == across
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.1, 2.6])
+def test_cuts_are_symmetric_and_corners_leak_nothing(angle):
+    body = plate()
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    square = 2.37 * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 1)]) @ turn
+    neighbour = cracked(body, [square])
+    broken = neighbour < 0
+    node, bond = np.nonzero(broken & (body.neighbour >= 0))
+    assert broken[body.neighbour[node, bond], body.opposite[bond]].all()
+    inside = (np.abs(body.x @ turn.T) < 2.37).all(axis=1)
+    node, bond = np.nonzero(neighbour >= 0)
+    # the ring is closed but for bonds that meet its first corner, and those that jump over it
+    leaks = inside[node] != inside[neighbour[node, bond]]
+    assert not leaks.any()
+
+
+def test_a_crack_through_nodes_is_moved_with_a_word():
+    body = plate()
+    with pytest.warns(UserWarning, match="5 nodes lie on it; it is moved"):
+        cut = crossing_bonds(body, [(-2, 0.5), (3, 0.5)])
+    beside = crossing_bonds(body, [(-2, 0.499), (3, 0.499)])
+    assert (cut == beside).all()
+
+
+@pytest.mark.parametrize("line", [[(0, 0)], [(0, 0), (0, 0)], [(0, 0, 0), (1, 1, 1)]])
+def test_what_is_no_polyline_is_refused(line):
+    with pytest.raises(InputError, match="crack: expected"):
+        crossing_bonds(plate(), line)
+
+
+def test_what_is_no_lattice_is_refused():
+    x = rectangle(4, 4, 1.0)
+    with pytest.raises(InputError, match="1 nodes are given twice"):
+        lattice_body([*x, x[0]], 1.0, 2.0)
+    with pytest.raises(InputError, match="square lattice of spacing"):
+        lattice_body([*x, (0.2, 0.0)], 1.0, 2.0)
+    with pytest.raises(InputError, match="sides: expected multiples"):
+        rectangle(4.5, 4, 1.0)
+
+
+def test_a_ring_of_cracks_has_no_tip():
+    body = plate(20, 20)
+    corner = np.array([-5.2, -5.1])  # midway on the bond from (-6.5, -5.5) to (-3.5, -4.5)
+    corner = (body.x[:, None] + body.xi / 2).reshape(-1, 2)[
+        np.argmin(np.abs(body.x[:, None] + body.xi / 2 - corner).max(axis=-1))
+    ]
+    ring = np.array([corner, (5.2, corner[1]), (5.2, 5.1), (corner[0], 5.1), corner])
+    neighbour = cracked(body, [ring])
+    inside = ((body.x > ring.min(axis=0)) & (body.x < ring.max(axis=0))).all(axis=1)
+    node, bond = np.nonzero(neighbour >= 0)
+    assert (inside[node] == inside[neighbour[node, bond]]).all()
+
+
+def test_corners_that_are_no_numbers_are_refused():
+    with pytest.raises(InputError, match="crack: expected corners of shape"):
+        cracked(plate(), [[("a", 0), (1, 0)]])

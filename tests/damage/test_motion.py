@@ -1,0 +1,175 @@
+"""Bodies that break in motion: energy, symmetry, flags, and going on with the same bits."""
+
+import numpy as np
+import pytest
+
+from tests.support.bodies import plate, pulled, solid
+from warp_peri import InputError
+from warp_peri.damage.march import CrackRun
+from warp_peri.damage.motion import BreakingBody, check_step, energy_of_toughness, step
+from warp_peri.damage.solid import load_brittle_solid
+
+CRACK = [[(-20, 0), (-4, 0)]]
+KINDS = {
+    "bond-based": {"lam": 1.0, "critical_stretch": 0.012},
+    "state-based": {"lam": 0.4, "critical_stretch": 0.012},
+    "by energy": {"lam": 1.0, "critical_energy": 2e-5},
+}
+
+
+def marched(kind, share, **options):
+    body = pulled(**KINDS[kind])
+    dt = share * body.longest_step
+    run = CrackRun(body, dt, every=1, **options)
+    return body, run, run.march(body.start(cracks=CRACK), round(40 / dt))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_ledger_closes_and_better_with_shorter_steps(kind):
+    body, run, state = marched(kind, 0.4)
+    assert 0.05 < body.damage(state).max()
+    assert run.history.column("dissipated")[-1] > 0
+    assert run.history.missing < 3e-3
+    _, finer, _ = marched(kind, 0.1)
+    assert finer.history.missing < run.history.missing / 4
+
+
+def test_a_symmetric_body_breaks_symmetrically():
+    body, _, state = marched("state-based", 0.5)
+    phi = body.damage(state).reshape(24, 16)
+    np.testing.assert_array_equal(phi, phi[:, ::-1])
+    assert phi[:, :3].max() == 0  # no-fail
+
+
+def test_breaking_follows_the_stretch():
+    body = BreakingBody(solid(critical_stretch=0.01), plate())
+    u = body.body.x * (0.0, 0.02)
+    with pytest.raises(InputError, match="in the displacement at rest"):
+        body.start(u=u)
+    state = body.start(v=body.body.x * (0.0, 0.02 / body.longest_step))
+    step(body, state, body.longest_step)
+    d = body.body.xi * (0.0, 0.02) * body.body.xi
+    beyond = d.sum(axis=1) / body.body.r**2 > 0.01
+    there = body.body.neighbour >= 0
+    np.testing.assert_array_equal(body.neighbour(state) >= 0, there & ~beyond)
+
+
+def test_compression_breaks_only_where_asked():
+    for tension_only in (True, False):
+        law = solid(critical_stretch=0.01)
+        object.__setattr__(law, "tension_only", tension_only)
+        body = BreakingBody(law, plate())
+        state = body.start(v=-body.body.x * (0.0, 0.02 / body.longest_step))
+        step(body, state, body.longest_step)
+        assert (body.damage(state).max() > 0.3) != tension_only
+
+
+def test_cracks_count_as_damage_or_not():
+    body = pulled()
+    assert body.damage(body.start(cracks=CRACK)).max() == 0
+    assert body.damage(body.start(cracks=CRACK, count_cracks=True)).max() > 0.3
+
+
+def test_held_nodes_move_as_told_and_their_work_counts():
+    held = np.abs(plate().x[:, 1]) > 5
+    grip = np.where(held[:, None], np.sign(plate().x) * (0.0, 1e-3), 0.0)
+    body = BreakingBody(
+        solid(0.5, critical_stretch=1.0),
+        plate(),
+        held=held,
+        grip=grip,
+        ramp=lambda t: min(1.0, t / 5.0),
+    )
+    run = CrackRun(body, 0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]})
+    state = run.march(body.start(), 200)
+    ledger = np.array(run.history.ledger)
+    assert run.history.missing < 2e-3
+    np.testing.assert_allclose(body.velocity(state)[held], grip[held])
+    upper = state.force.numpy()[: len(held)][body.body.x[:, 1] > 0].sum(axis=0)
+    np.testing.assert_allclose(run.history.force["middle"][-1], upper, atol=1e-12)
+    assert abs(upper[1]) > 1e-4
+    assert ledger[-1, 4] == 0
+
+
+def test_killed_and_resumed_gives_the_same_bits(tmp_path):
+    straight = marched("state-based", 0.5, regions={"left": plate(24, 16).x[:, 0] < 0})
+    body = pulled(**KINDS["state-based"])
+    options = {
+        "every": 1,
+        "checkpoint": tmp_path / "run.npz",
+        "checkpoint_every": 7,
+        "series": tmp_path / "series",
+        "regions": {"left": body.body.x[:, 0] < 0},
+    }
+    dt = straight[1].dt
+    steps = straight[2].steps
+    first = CrackRun(body, dt, **options)
+    first.march(body.start(cracks=CRACK), steps // 2)
+    assert 0 < body.damage(first.march(body.start(cracks=CRACK), steps // 2)).max()
+    again = CrackRun(body, dt, **options)
+    state = again.march(body.start(cracks=CRACK), steps)
+    for name in ("u", "v", "links", "work"):
+        want, got = getattr(straight[2], name).numpy(), getattr(state, name).numpy()
+        assert want.tobytes() == got.tobytes()
+    assert again.history.ledger == straight[1].history.ledger
+    assert again.history.u == straight[1].history.u
+    records = sorted((tmp_path / "series").glob("record_*.vtu"))
+    assert len(records) == steps
+    assert (tmp_path / "series" / "motion.pvd").read_text().count("DataSet") == steps
+    with pytest.raises(InputError, match="another body, start, load or step"):
+        CrackRun(body, dt / 2, **options).march(body.start(cracks=CRACK), steps)
+    with pytest.raises(InputError, match="another body, start, load or step"):
+        CrackRun(body, dt, **options).march(body.start(), steps)
+    options = {"checkpoint": tmp_path / "other.npz", "every": 1, "checkpoint_every": 1}
+    lines = [{"middle": [(-9, y), (9, y)]} for y in (0, 1)]
+    CrackRun(body, dt, sections=lines[0], **options).march(body.start(), 2)
+    with pytest.raises(InputError, match="another body, start, load or step"):
+        CrackRun(body, dt, sections=lines[1], **options).march(body.start(), 4)
+
+
+def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
+    law, body = solid(0.4, critical_stretch=0.01), plate(12, 12)
+    free = BreakingBody(law, body)
+    run = CrackRun(free, 0.2 * free.longest_step, every=1)
+    run.march(free.start(v=0.05 * body.x * (1, -0.5)), 60)
+    assert run.history.column("dissipated")[-1] > 0
+    assert run.history.missing < 2e-3
+
+
+def test_runs_that_would_record_nothing_are_refused():
+    body = pulled()
+    dt = 0.4 * body.longest_step
+    for options, words in (
+        ({"every": 0}, "every: expected a whole number > 0"),
+        ({"checkpoint_every": -1}, "checkpoint_every: expected"),
+        ({"regions": {"far": body.body.x[:, 0] > 1e3}}, "'far' of shape .* with 0"),
+        ({"regions": {"few": np.ones(3, bool)}}, "'few' of shape"),
+        ({"sections": {"far": [(-9, 99), (9, 99)]}}, "section: expected two ends"),
+        ({"sections": {"bent": [(-9, 0), (0, 0), (9, 8)]}}, "section: expected two ends"),
+    ):
+        with pytest.raises(InputError, match=words):
+            CrackRun(body, dt, **options)
+    with pytest.raises(InputError, match="nothing has been recorded"):
+        print(CrackRun(body, dt).history.missing)
+    with pytest.raises(InputError, match="grip: expected held components"):
+        BreakingBody(solid(toughness=1.0), plate(6, 6), grip=np.ones((36, 2)))
+
+
+def test_steps_beyond_the_bound_are_refused():
+    body = pulled()
+    with pytest.raises(InputError, match="whatever breaks"):
+        check_step(body, 1.01 * body.longest_step)
+    with pytest.warns(UserWarning, match="whatever breaks"):
+        CrackRun(body, 1.01 * body.longest_step, allow_unstable=True)
+    with pytest.raises(InputError, match="step: expected a number > 0"):
+        check_step(body, 0.0)
+
+
+def test_solids_go_through_their_file(tmp_path):
+    law = solid(0.5, toughness=3.0)
+    law.save(tmp_path / "solid.json")
+    again = load_brittle_solid(tmp_path / "solid.json")
+    assert (again.toughness, again.density, again.model.lam) == (3.0, 1.0, 0.5)
+    with pytest.raises(InputError, match="criterion: expected one of"):
+        solid(toughness=1.0, critical_stretch=0.1)
+    assert energy_of_toughness(2.0, plate()) > 0

@@ -1,0 +1,80 @@
+"""Forces over unbroken bonds: against the matrix, the whole operator, and the continuum."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.support.bodies import plate, random_breaking, solid
+from tests.support.problems import ROUNDING, lattice
+from warp_peri import LPSOperator
+from warp_peri.damage.lattice_body import lattice_body
+from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
+from warp_peri.damage.solid import continuum_stretch
+from warp_peri.launch import floats, zeros
+from warp_peri.points.families import bond_classes
+
+DILATATIONAL = 0.32260
+"""4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory.md, C6)."""
+
+
+def swept(operator, u, neighbour):
+    """Force and energy by Warp."""
+    padded = np.zeros((operator.places, 2))
+    padded[: len(u)] = u
+    force, energy = zeros(operator.places, dtype=wp.vec2d), zeros(operator.places)
+    operator.sweep(floats(padded, wp.vec2d), operator.links(neighbour), force, energy)
+    return force.numpy()[: len(u)], energy.numpy()[: len(u)]
+
+
+@pytest.mark.parametrize("lam", [1.0, -0.4, 5.0])
+@pytest.mark.parametrize("sides", [(7, 6), (7, 5)])  # an even and an odd number of nodes
+def test_the_sweep_is_the_matrix(lam, sides):
+    model, body, random = solid(lam).model, plate(*sides), np.random.default_rng(0)
+    neighbour = random_breaking(body, random, 0.3)
+    u = random.standard_normal(body.x.shape)
+    force, energy = swept(CutOperator(model, body), u, neighbour)
+    w = bond_weights(model, body.classes)
+    L = cut_matrix(body, w, neighbour, model.mu, model.lam - model.mu)
+    expected = -(L @ u.ravel()).reshape(-1, 2)
+    np.testing.assert_allclose(force, expected, atol=ROUNDING * np.abs(expected).max())
+    assert energy.sum() == pytest.approx(u.ravel() @ (L @ u.ravel()) / 2)
+    assert abs(L - L.T).max() < ROUNDING * abs(L).max()
+
+
+@pytest.mark.parametrize("lam", [1.0, -0.4])
+def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam):
+    model, points = solid(lam).model, lattice(4, 3.0)
+    u = np.random.default_rng(0).standard_normal(points.x.shape)
+    body = lattice_body(points.x, 1.0, 3.0)
+    force, _ = swept(CutOperator(model, body), u, body.neighbour)
+    with pytest.warns(UserWarning, match="certified"):
+        whole = LPSOperator(model, points, allow_uncertified=True)
+    np.testing.assert_allclose(-force[points.interior], whole(u), atol=1e-11)
+
+
+def test_broken_bodies_feel_no_rigid_motion_and_no_net_force():
+    model, body = solid(2.0).model, plate(8, 7)
+    neighbour = random_breaking(body, np.random.default_rng(2), 0.4)
+    operator = CutOperator(model, body)
+    rigid = np.array([0.3, -0.2]) + body.x @ [[0, 0.1], [-0.1, 0]]
+    assert np.abs(swept(operator, rigid, neighbour)[0]).max() < 1e-12
+    u = np.random.default_rng(3).standard_normal(body.x.shape)
+    force, _ = swept(operator, u, neighbour)
+    size = np.abs(force).max()
+    assert np.abs(force.sum(axis=0)).max() < 1e-11 * size
+    torque = body.x[:, 0] * force[:, 1] - body.x[:, 1] * force[:, 0]
+    assert abs(torque.sum()) < 1e-10 * size
+
+
+@pytest.mark.parametrize("lam", [1.0, -0.4, 3.0])
+def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
+    limit = 6 / np.pi + DILATATIONAL * (lam - 1)
+    errors = []
+    for ratio in (4.0, 8.0, 16.0):
+        model = solid(lam, horizon=ratio).model
+        toughness = unit_toughness(model, bond_classes(1.0, ratio)) / ratio
+        errors.append(abs(toughness / limit - 1))
+    assert errors[2] < 0.03
+    assert errors[2] < 0.5 * errors[0]
+    if lam == 1:  # no dilatation: the formula of the continuum
+        assert continuum_stretch(model, 16 * limit) == pytest.approx(1.0)

@@ -1,0 +1,139 @@
+"""Equilibria at large deformation: found, stable, the same by factors and by gradients."""
+
+import numpy as np
+import pytest
+
+from tests.support.sheets import hgo_dictionary, square, waves
+from warp_peri import InputError
+from warp_peri.tissue.equilibrium import (
+    NoEquilibrium,
+    StaticProblem,
+    solve_hyperelastic,
+)
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+
+COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
+
+
+@pytest.fixture(scope="module")
+def manufactured():
+    """A field and the load that it is in equilibrium with."""
+    points = square(6)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    u = waves(points, 0.25)
+    b = np.zeros_like(u)
+    b[op.interior] = op.force(u, COEFFICIENTS)
+    return op, u, b
+
+
+@pytest.mark.parametrize("direct", [0, 10**6])
+def test_a_known_equilibrium_is_found(manufactured, direct):
+    op, u, b = manufactured
+    problem = StaticProblem(op, direct=direct)
+    answer = problem.solve(COEFFICIENTS, b, u)
+    assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
+    assert answer.followed
+    assert answer.residual < 1e-8
+    assert answer.smallest_eigenvalue > 0
+
+
+def test_the_smallest_eigenvalue_is_that_of_the_matrix(manufactured):
+    op, u, _ = manufactured
+    problem = StaticProblem(op)
+    dense = np.linalg.eigvalsh(problem.pattern.matrix(u, COEFFICIENTS).toarray())[0]
+    assert problem.smallest_eigenvalue(COEFFICIENTS, u) == pytest.approx(dense, rel=1e-2)
+
+
+@pytest.mark.parametrize("stretch", [0.9, 0.8])
+def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
+    """The eigenvalue nearest to zero is positive here: it is not the one to tell."""
+    points = square(5)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    problem = StaticProblem(op)
+    c = np.array([0.05] * 4 + [1.0, 1.0, 0.0])
+    u = points.x * [stretch - 1, 0.0]
+    values = np.linalg.eigvalsh(problem.pattern.matrix(u, c).toarray())
+    assert values[0] < -100
+    assert values[np.abs(values).argmin()] > 0
+    assert problem.smallest_eigenvalue(c, u) == pytest.approx(values[0], rel=1e-6)
+
+
+def test_continuation_leads_where_one_step_does(manufactured):
+    op, u, b = manufactured
+    problem = StaticProblem(op)
+    collar = np.where(op.points.interior[:, None], 0.0, u)
+    followed, done, steps, _ = problem._continue(COEFFICIENTS, b[op.interior], collar)
+    assert done == 1.0
+    assert steps > 1
+    np.testing.assert_allclose(followed, u, atol=1e-6 * np.abs(u).max())
+
+
+def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
+    """Compression to a third: the branch ends; what comes back says that it left it, or nothing."""
+    op, _, _ = manufactured
+    u = -0.66 * op.points.x + 1e-3 * waves(op.points)
+    problem = StaticProblem(op)
+    soft = COEFFICIENTS * ([0.01] * 4 + [1] * 3)
+    answer = problem.find(soft, None, u)
+    assert answer is None or not answer.followed
+    if answer is None:
+        with pytest.raises(NoEquilibrium, match="no stable equilibrium"):
+            problem.solve(soft, None, u)
+    else:
+        assert problem.smallest_eigenvalue(soft, answer.u) > 0
+        with pytest.warns(UserWarning, match="perhaps one of many"):
+            problem.solve(soft, None, u)
+
+
+def test_a_solid_without_stiffness_is_refused(manufactured):
+    op, u, b = manufactured
+    solid = HyperelasticSolid(op.dictionary, -COEFFICIENTS, op.points.spacing)
+    with pytest.raises(NoEquilibrium, match="no stable equilibrium found"):
+        solve_hyperelastic(solid, op.points, b, u)
+    with pytest.raises(InputError, match="b: expected finite numbers"):
+        solve_hyperelastic(solid, op.points, np.full_like(b, np.nan), u)
+
+
+def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
+    points = square(3)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    c = np.array([0.1] * 4 + [0.07, 0.08, 0.2])
+    u = waves(points, 0.1)
+    even = StaticProblem(op).solve(c, None, u)
+    corner = np.flatnonzero((points.x < 1.5 * points.spacing).all(axis=1))
+    u[corner] += 1.5 * points.spacing * np.random.default_rng(2).normal(size=(len(corner), 2))
+    assert not np.isfinite(op.energy(u, c))
+    answer = StaticProblem(op).solve(c, None, u)
+    inner = points.interior
+    np.testing.assert_allclose(answer.u[inner], even.u[inner], atol=1e-10)
+
+
+def test_a_folded_corner_of_the_collar_hides_no_residual():
+    """Nothing that the interior cannot move belongs to the scale of the forces."""
+    points = square(5)
+    terms = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
+    op = HyperelasticOperator(Dictionary(3.0, terms=terms), points)
+    c = np.array([0.07, 0.08])
+    u = waves(points)
+    expected = StaticProblem(op).solve(c, None, u).u[points.interior]
+    u[0] = u[1] + points.x[1] - points.x[0]
+    problem = StaticProblem(op)
+    answer = problem.solve(c, None, u)
+    np.testing.assert_allclose(answer.u[points.interior], expected, atol=1e-12)
+    np.testing.assert_array_equal(problem.op.force(u, c), op.force(u, c))
+
+
+def test_a_corner_that_is_turned_over_is_no_equilibrium():
+    points = square(3)
+    terms = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
+    op = HyperelasticOperator(Dictionary(3.0, terms=terms), points)
+    u = np.zeros_like(points.x)
+    assert op.folded(u) == 0
+    u[op.interior[4]] = [-2.4 * points.spacing, 0.0]  # through its neighbour, to the other side
+    assert op.folded(u) > 0
+    problem = StaticProblem(op)
+    c = np.array([0.07, 0.08])
+    answer = problem.find(c, None, np.zeros_like(u), start=u)
+    assert answer is None or op.folded(answer.u) == 0
+    assert np.abs(problem.solve(c, None, np.zeros_like(u)).u).max() < 1e-12

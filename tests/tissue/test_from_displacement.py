@@ -1,0 +1,258 @@
+"""Learning without loads: the truth up to its scale, sensitivities, and what cannot be known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
+from warp_peri import InputError
+from warp_peri.points.samples import Samples
+from warp_peri.tissue.displacement_search import Search, initial_stiffness
+from warp_peri.tissue.equilibrium import StaticProblem
+from warp_peri.tissue.fibres import (
+    families,
+    grouped,
+    read_material,
+    rose,
+    rose_of,
+    with_corners,
+    with_directions,
+    with_families,
+)
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.from_displacement import (
+    fit_displacement,
+    fit_thickness,
+    scaled_by_force,
+)
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue.thickness import Thickness
+
+TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
+
+
+def sheet(angle=TRUE_ANGLE, exponent=TRUE_EXPONENT):
+    terms = (Term("plane_stress"), Term("fibre_exponential", angle, exponent))
+    return Dictionary(3.0, (), NEAREST, terms)
+
+
+TRUTH = np.array([0.1] * 4 + [0.05, 0.15])
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Unloaded equilibria of the true sheet with bent edges."""
+    points = square(5)
+    problem = StaticProblem(HyperelasticOperator(sheet(), points))
+    stretched = points.x @ np.array([[0.25, 0.05], [0.0, 0.2]])
+    edges = [stretched + waves(points, 0.25, seed) for seed in range(3)]
+    return Samples(points, np.stack([problem.solve(TRUTH, None, u).u for u in edges]))
+
+
+def test_ratios_are_found_and_the_scale_is_one(frames):
+    fit = fit_displacement(frames, sheet(), stiffness=0.0, most_steps=20, tolerance=1e-9)
+    measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
+    assert measure @ fit.solid.coefficients == pytest.approx(1.0)
+    np.testing.assert_allclose(
+        fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
+    )
+    assert fit.errors.max() < 1e-5
+
+
+def test_deviations_stay_between_their_bounds(frames):
+    fit = fit_displacement(frames, sheet(), stiffness=(0.1, 0.12), most_steps=4)
+    deviations = fit.solid.coefficients[:4]
+    assert deviations.min() > 0.1 - 1e-6
+    assert deviations.max() < 0.12 + 1e-6
+
+
+def test_direction_and_exponent_are_found(frames):
+    start = sheet(TRUE_ANGLE + 0.3, 1.0)
+    fit = fit_displacement(frames, start, stiffness=0.0, moving=True, most_steps=30, tolerance=1e-6)
+    fibre = fit.solid.dictionary.terms[1]
+    assert fibre.angle == pytest.approx(TRUE_ANGLE, abs=1e-3)
+    assert fibre.exponent == pytest.approx(TRUE_EXPONENT, abs=2e-2)
+
+
+def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
+    uneven = Thickness.over(frames.x, 2)
+    uneven = replace(uneven, numbers=np.array([0.3, -0.2, 0.1, 0.15, -0.1]))
+    path = Search(frames, sheet(1.0, 1.5), (0.0, np.inf), True, uneven)
+    c = path.scaled(TRUTH)
+    path.begin(c)
+    reduced, gap = path._equations()
+    gradient = 2 * reduced.T @ gap
+    numbers = path.now
+
+    def loss(values):
+        problem, _ = path._moved(values[len(c) :])
+        return path._solve(problem, values[: len(c)])[1].sum()
+
+    for n in range(len(numbers)):
+        step = 1e-4 * max(abs(numbers[n]), 0.1) * np.eye(len(numbers))[n]
+        slope = (loss(numbers + step) - loss(numbers - step)) / (2 * step.max())
+        assert gradient[n] == pytest.approx(slope, rel=1e-3, abs=1e-6 * np.abs(gradient).max())
+
+
+@pytest.fixture(scope="module")
+def uneven_frames():
+    """The same sheet where it is 1.8 times as thick at one side as at the other."""
+    points = square(5)
+    thickness = replace(Thickness.over(points.x, 2), numbers=np.array([0.2, -0.3, 0.0, 0.1, -0.2]))
+    problem = StaticProblem(HyperelasticOperator(sheet(), points))
+    problem = problem.with_thickness(thickness.at(points.x))
+    stretched = points.x @ np.array([[0.25, 0.05], [0.0, 0.2]])
+    edges = [stretched + waves(points, 0.1, seed) for seed in range(3)]
+    return Samples(points, np.stack([problem.solve(TRUTH, None, u).u for u in edges])), thickness
+
+
+def test_thickness_and_material_are_found_together(uneven_frames):
+    frames, thickness = uneven_frames
+    settings = dict(stiffness=0.0, most_steps=20, tolerance=1e-9)
+    even = fit_displacement(frames, sheet(), **settings)
+    fit = fit_displacement(frames, sheet(), thickness=2, **settings)
+    measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
+    assert fit.history[-1] < 1e-5
+    assert even.history[-1] > 0.003
+    np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-3)
+    np.testing.assert_allclose(
+        fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
+    )
+
+
+def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):
+    frames, thickness = uneven_frames
+    solid = HyperelasticSolid(sheet(), 3.0 * TRUTH, frames.spacing)
+    fit = fit_thickness(frames, solid)
+    np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-5)
+    measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
+    np.testing.assert_allclose(fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-12)
+    uneven = hyperelastic_errors(solid, frames, thickness=thickness.at(frames.x))["E_u"]
+    assert uneven < 1e-6
+    assert hyperelastic_errors(solid, frames)["E_u"] > 0.003
+
+
+def test_what_says_nothing_is_refused(frames):
+    points = frames.points
+    affine = Samples(points, np.stack([0.1 * points.x, points.x @ [[0.2, 0.1], [0.0, 0.3]]]))
+    with pytest.raises(InputError, match="a homogeneous body of any material"):
+        fit_displacement(affine, sheet())
+    with pytest.raises(InputError, match="convex and stress-free"):
+        fit_displacement(frames, Dictionary(3.0, ("square",), (), (Term("area"),)))
+    with pytest.raises(InputError, match="with loads use fit_energy"):
+        fit_displacement(Samples(points, frames.u, np.ones_like(frames.u)), sheet())
+
+
+def test_numbers_that_make_no_sense_are_refused(frames):
+    solid = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    for stiffness in (-1.0, np.nan, (0.1, 0.05), (0.1, np.nan), (1.0, 2.0, 3.0), "soft", np.inf):
+        with pytest.raises(InputError, match="stiffness: expected"):
+            fit_displacement(frames, sheet(), stiffness=stiffness)
+    with pytest.raises(InputError, match="start: expected 6 coefficients"):
+        fit_displacement(frames, sheet(), start=np.ones(2))
+    for degree in (2.0, True, 7):
+        with pytest.raises(InputError, match="degree: expected 1 to 6"):
+            fit_displacement(frames, sheet(), thickness=degree)
+    at_rest = Samples(frames.points, np.stack([frames.u[0], 0 * frames.u[0]]))
+    with pytest.raises(InputError, match="frame 1 is at rest"):
+        fit_displacement(at_rest, sheet())
+    with pytest.raises(InputError, match="frame 1 is at rest"):
+        fit_thickness(at_rest, solid)
+    with pytest.raises(InputError, match="frames: expected one or more"):
+        fit_thickness(Samples(frames.points, frames.u[:0]), solid)
+    for options in ({"width": np.nan}, {"width": -1.0}, {"width": 1.0, "axis": 2}):
+        with pytest.raises(InputError, match="axis, width: expected"):
+            scaled_by_force(solid, frames, np.ones(3), **options)
+
+
+def test_a_force_sets_the_scale(frames):
+    true = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    op = HyperelasticOperator(sheet(), frames)
+    pulls = [2.0 * piola_stress(op, u, TRUTH)[op.interior, 1, 1].mean() for u in frames.u]
+    unscaled = HyperelasticSolid(sheet(), 7.0 * TRUTH, frames.spacing)
+    scaled = scaled_by_force(unscaled, frames, np.array(pulls), width=2.0, axis=1)
+    np.testing.assert_allclose(scaled.coefficients, true.coefficients, rtol=1e-12)
+    twice = scaled_by_force(
+        unscaled, frames, np.array(pulls), width=2.0, axis=1, thickness=np.full(len(frames.x), 2.0)
+    )
+    np.testing.assert_allclose(twice.coefficients, true.coefficients / 2, rtol=1e-12)
+    with pytest.raises(InputError, match="sign of the solid's stress"):
+        scaled_by_force(unscaled, frames, -np.array(pulls), width=2.0, axis=1)
+
+
+def test_errors_are_relative_and_counted(frames):
+    solid = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    exact = hyperelastic_errors(solid, frames)
+    assert "E_res" not in exact
+    assert exact["E_u"] < 1e-6
+    assert exact["not_solved"] == exact["left_branch"] == 0
+    shifted = hyperelastic_errors(solid, frames, truth=1.1 * frames.u)
+    assert shifted["E_u"] == pytest.approx(0.1 / 1.1, rel=1e-5)
+
+
+def test_families_come_from_a_rose():
+    dictionary = Dictionary(3.0, (), NEAREST, (Term("neo_hookean"), *rose(8, (2.0, 4.0))))
+    c = np.zeros(len(dictionary))
+    c[dictionary.first_term] = 0.07
+    for n, value in ((3, 0.2), (4, 0.1), (6, 0.3)):
+        c[dictionary.first_term + 1 + 2 * n] = value
+    solid = HyperelasticSolid(dictionary, c, 0.1, stretch=1.3)
+    apart, start = families(solid)
+    assert [round(np.rad2deg(t.angle), 1) for t in apart.terms[1:]] == [67.5, 90.0, 135.0]
+    together, _ = families(solid, within=0.4)
+    assert [round(np.rad2deg(t.angle), 1) for t in together.terms[1:]] == [75.0, 135.0]
+    assert start[dictionary.first_term] == 0.07
+    assert grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
+
+
+def test_steps_of_fibres_are_no_families():
+    step = Term("fibre_power", 0.3, 2.0, across=(1, 1))
+    dictionary = Dictionary(3.0, terms=(Term("neo_hookean"), *rose(4, (2.0,)), step))
+    solid = HyperelasticSolid(dictionary, np.array([0.1, 0.0, 0.2, 0.0, 0.0, 5.0]), 0.1)
+    assert [angle for angle, energy in rose_of(solid).items() if energy] == [np.pi / 4]
+    families_of, start = families(solid)
+    assert families_of.terms[:2] == (Term("neo_hookean"), step)
+    assert [term.angle for term in families_of.terms[2:]] == [np.pi / 4]
+    assert start[:2].tolist() == [0.1, 5.0]
+
+
+def test_a_material_is_read_out_of_loaded_fields():
+    points = square(6)
+    terms = (Term("neo_hookean"), Term("volumetric"), Term("fibre_exponential", 0.5, 1.5))
+    dictionary = Dictionary(3.0, (), NEAREST, terms)
+    truth = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
+    op = HyperelasticOperator(dictionary, points)
+    u = np.stack([waves(points, 0.4, seed) for seed in range(4)])
+    solid = read_material(Samples(points, u, op.everywhere(u, truth)), directions=8)
+    fibres = [t for t in solid.dictionary.terms if t.kind == "fibre_exponential"]
+    assert len(fibres) == 1
+    assert fibres[0].angle == pytest.approx(0.5, abs=1e-3)
+    assert fibres[0].exponent == pytest.approx(1.5, abs=1e-2)
+    steps = np.array([term.across is not None for term in solid.dictionary.terms])
+    of_terms = solid.coefficients[solid.dictionary.first_term :]
+    assert of_terms[steps].max(initial=0.0) < 1e-6  # these data have none
+    np.testing.assert_allclose(of_terms[~steps], truth[4:], rtol=1e-2)
+    np.testing.assert_allclose(solid.coefficients[:4], truth[:4], rtol=1e-2)
+    wide = with_directions(Dictionary(3.0, terms=tuple(rose(4))), solid)
+    assert [term.angle for term in wide.terms[12:]] == [fibres[0].angle] * 4
+    assert with_directions(wide, solid) == wide
+
+
+def test_energies_of_corners_have_the_initial_stiffness_of_the_nodes():
+    dictionary = with_corners(hgo_dictionary())
+    op = HyperelasticOperator(dictionary, square(1))
+    measure = initial_stiffness(op)
+    assert (measure[4:] > 1).all()
+    np.testing.assert_array_equal(measure[7:], measure[4:7])
+    assert op.dictionary == dictionary
+
+
+def test_no_energy_joins_twice():
+    dictionary = with_corners(hgo_dictionary())
+    c = np.full(len(dictionary), 0.1)
+    joined = with_families(hgo_dictionary(), HyperelasticSolid(dictionary, c, 0.1))
+    assert len(joined) == len(hgo_dictionary()) + 1
+    assert with_corners(dictionary) == dictionary

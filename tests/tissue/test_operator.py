@@ -1,0 +1,314 @@
+"""A hyperelastic solid on a lattice: forces are slopes of the energy, tangents slopes of forces."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
+from warp_peri import InputError
+from warp_peri.points.points import Points
+from warp_peri.tissue.bond_slopes import BOND_SLOPES
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.solid import FIBRES, Dictionary, Term
+from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue.tangent import TangentPattern
+
+EDGE = (slice(None, -1), slice(1, None))
+"""The lower and the upper of two nodes beside each other."""
+
+
+def uneven_problem(thickness):
+    points = square(3)
+    op = HyperelasticOperator(everything(), points, thickness=thickness)
+    random = np.random.default_rng(1)
+    u = np.stack([waves(points, 0.3, seed) for seed in (0, 1)])
+    u += 0.02 * SPACING * random.normal(size=u.shape)
+    return op, u, random.normal(size=len(op.dictionary)), SPACING * random.normal(size=u.shape)
+
+
+@pytest.fixture(scope="module", params=["even", "uneven"])
+def problem(request):
+    size = len(square(3).x)
+    random = np.random.default_rng(3)
+    return uneven_problem(
+        None if request.param == "even" else np.exp(0.5 * random.normal(size=size))
+    )
+
+
+@pytest.fixture(scope="module")
+def even_problem():
+    return uneven_problem(None)
+
+
+def test_the_force_is_the_slope_of_the_energy(problem):
+    op, u, c, v = problem
+    step = 1e-5
+    slope = (op.energy(u + step * v, c) - op.energy(u - step * v, c)) / (2 * step)
+    work = SPACING**2 * (op.everywhere(u, c) * v).sum(axis=(1, 2))
+    np.testing.assert_allclose(work, slope, rtol=1e-6)
+
+
+def test_the_product_is_the_slope_of_the_force(problem):
+    op, u, c, v = problem
+    step = 1e-5
+    slope = (op.everywhere(u + step * v, c) - op.everywhere(u - step * v, c)) / (2 * step)
+    np.testing.assert_allclose(op.product(u, c, v), slope, atol=1e-6 * np.abs(slope).max())
+
+
+def test_the_sparse_tangent_is_the_product(problem):
+    op, u, c, v = problem
+    inside = np.where(op.points.interior[:, None], v[0], 0.0)
+    K = TangentPattern.of(op).matrix(u[0], c)
+    expected = op.product(u[0], c, inside)[op.interior].ravel()
+    np.testing.assert_allclose(
+        K @ inside[op.interior].ravel(), expected, atol=1e-11 * np.abs(expected).max()
+    )
+    assert abs(K - K.T).max() < 1e-11 * abs(K).max()
+
+
+def test_the_force_is_linear_in_the_coefficients(problem):
+    op, u, c, _ = problem
+    force = op.force(u, c)
+    np.testing.assert_allclose(op.features(u) @ c, force, atol=1e-12 * np.abs(force).max())
+
+
+def test_the_force_by_the_thickness_of_every_node(problem):
+    op, u, c, _ = problem
+    thickness = np.ones(len(op.points.x)) if op.thickness is None else op.thickness
+    slopes = op.by_thickness(u, c, np.eye(len(thickness)))
+    scale = np.abs(op.force(u, c)).max()
+    for n in range(0, len(thickness), 7):
+        step = 1e-3 * np.eye(len(thickness))[n]
+        ends = [op.with_thickness(thickness + sign * step).force(u, c) for sign in (1, -1)]
+        np.testing.assert_allclose(slopes[..., n], (ends[0] - ends[1]) / 2e-3, atol=1e-10 * scale)
+    np.testing.assert_allclose(slopes @ thickness, op.force(u, c), atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize("by", ["angle", "exponent"])
+def test_the_force_of_a_fibre_by_its_numbers(problem, by):
+    op, u, _, _ = problem
+    slopes = op.features(u, by=by)
+    for number, term in enumerate(op.dictionary.terms):
+        if term.kind not in FIBRES or (by == "exponent" and term.exponent == 0):
+            continue
+        ends = []
+        for shift in (1e-5, -1e-5):
+            terms = list(op.dictionary.terms)
+            terms[number] = dataclasses.replace(term, **{by: getattr(term, by) + shift})
+            moved = op.with_terms(terms)
+            ends.append(moved.features(u)[..., op.dictionary.first_term + number])
+        expected = (ends[0] - ends[1]) / 2e-5
+        slope = slopes[..., op.dictionary.first_term + number]
+        np.testing.assert_allclose(slope, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_torch_gradients_of_the_whole_pass(problem):
+    op, u, c, _ = problem
+
+    def loss(u, c):
+        return (op.force(u, c) ** 2).sum()
+
+    leaves = [torch.tensor(value, requires_grad=True) for value in (u, c)]
+    loss(*leaves).backward()
+    random = np.random.default_rng(2)
+    for n, (leaf, size) in enumerate(zip(leaves, (1e-6, 1e-5))):
+        directions = np.eye(c.size) if n else random.normal(size=(5, *u.shape))
+        for direction in directions:
+            shift = (0.0, size * direction) if n else (size * direction, 0.0)
+            ends = [loss(u + sign * shift[0], c + sign * shift[1]) for sign in (1, -1)]
+            expected = (ends[0] - ends[1]) / (2 * size)
+            scale = float(leaf.grad.norm()) * np.linalg.norm(direction)
+            assert abs(float((leaf.grad.numpy() * direction).sum()) - expected) < 1e-6 * scale
+
+
+def test_bond_slopes_are_those_of_the_kernels():
+    points = square(1)
+    for name, slopes in BOND_SLOPES.items():
+        dictionary = Dictionary(3.0, (name,))
+        op = HyperelasticOperator(dictionary, points)
+        for stretch in (0.8, 1.3):
+            u = (stretch - 1) * points.x * [1, 0]
+            c = np.zeros(len(dictionary))
+            c[1] = 1.0  # the bond (1, 0)
+            s = np.array([(stretch**2 - 1) / 2])
+            v = np.zeros_like(u)
+            v[op.interior] = [1.0, 0.0]
+            K = float(op.product(u, c, v)[op.interior][0, 0])
+            slope, curve = slopes(s)
+            expected = 2 * (curve * stretch**2 + slope)[0] / SPACING**2
+            assert K == pytest.approx(expected, rel=1e-12)
+
+
+def test_no_force_at_rest_and_in_any_rigid_motion(even_problem):
+    op, _, c, _ = even_problem
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    u = op.points.x @ turn.T - op.points.x + [0.3, -0.2]
+    assert np.abs(op.force(u, c)).max() < 1e-10 * np.abs(c).max() / SPACING
+    E = op.strain(u)
+    assert np.abs(E).max() < 1e-12
+
+
+def test_no_force_in_uniform_strain(even_problem):
+    op, _, c, _ = even_problem
+    F = np.array([[1.25, 0.1], [-0.2, 0.9]])
+    u = op.points.x @ (F - np.eye(2)).T
+    assert np.abs(op.force(u, c)).max() < 1e-9 * np.abs(c).max() / SPACING
+    E = op.strain(u)[op.interior]
+    C = F.T @ F
+    np.testing.assert_allclose(E - [(C[0, 0] - 1) / 2, (C[1, 1] - 1) / 2, C[0, 1]], 0, atol=1e-12)
+
+
+def test_a_turn_of_space_turns_the_force(problem):
+    op, u, c, _ = problem
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    turned = (op.points.x + u) @ turn.T - op.points.x
+    force = op.force(u, c)
+    np.testing.assert_allclose(
+        op.force(turned, c), force @ turn.T, atol=1e-11 * np.abs(force).max()
+    )
+
+
+def test_forces_and_torques_balance(problem):
+    op, u, c, _ = problem
+    f = op.everywhere(u, c)
+    scale = np.abs(f).sum()
+    assert np.abs(f.sum(axis=1)).max() < 1e-12 * scale
+    y = op.points.x + u
+    torque = (y[..., 0] * f[..., 1] - y[..., 1] * f[..., 0]).sum(axis=1)
+    assert np.abs(torque).max() < 1e-12 * scale * np.abs(y).max()
+
+
+def test_the_strain_is_of_fourth_order_and_the_force_converges():
+    """The force of a smooth field tends to −div P with the fourth power of the spacing."""
+    errors = []
+    spacings = (0.1, 0.05, 0.025)
+    c = np.array([0.1] * 4 + [0.07, 0.08, 0.2])
+    for spacing in spacings:
+        steps = np.argwhere(np.ones((13, 13), bool)) - 6
+        points = Points(spacing * steps, (steps == 0).all(axis=1), spacing)
+        op = HyperelasticOperator(hgo_dictionary(), points)
+        errors.append(op.force(field(points.x), c)[0])
+    fine = HyperelasticOperator(
+        hgo_dictionary(), Points(0.005 * steps, (steps == 0).all(axis=1), 0.005)
+    )
+    limit = fine.force(field(fine.points.x), c)[0]
+    sizes = np.linalg.norm(np.array(errors) - limit, axis=1)
+    rate = np.polyfit(np.log(spacings), np.log(sizes), 1)[0]
+    assert rate > 3.5
+
+
+def field(x):
+    """A smooth field under tension along the fibres everywhere near the origin."""
+    y = x @ np.array([[0.1, 0.02], [0.03, 0.25]]).T
+    return y + 0.05 * np.sin(2 * x[:, ::-1] + 0.4) + 0.03 * np.cos(1.5 * x + 0.2)
+
+
+@pytest.mark.slow  # compiles everything again
+def test_float32_is_near():
+    import warp as wp
+
+    points = square(2)
+    dictionary, u = hgo_dictionary(), waves(points, 0.2)
+    c = np.array([0.1] * 4 + [0.07, 0.08, 0.2])
+    force = HyperelasticOperator(dictionary, points).force(u, c)
+    near = HyperelasticOperator(dictionary, points, dtype=wp.float32).force(u, c)
+    np.testing.assert_allclose(near, force, atol=1e-4 * np.abs(force).max())
+
+
+def test_what_cannot_be_used_is_refused():
+    points = square(2)
+    op = HyperelasticOperator(hgo_dictionary(), points)
+    with pytest.raises(InputError, match="u: expected shape"):
+        op.force(np.zeros((3, 2)), np.zeros(7))
+    with pytest.raises(InputError, match="c: expected 7 coefficients"):
+        op.force(np.zeros_like(points.x), np.zeros(6))
+    with pytest.raises(InputError, match="v: expected the shape of u"):
+        op.product(np.zeros_like(points.x), np.zeros(7), np.zeros((2, *points.x.shape)))
+    everywhere = np.ones(len(points.x), bool)
+    with pytest.raises(InputError, match="twice the horizon"):
+        HyperelasticOperator(hgo_dictionary(), Points(points.x, everywhere, 0.1))
+    with pytest.raises(InputError, match="scattered"):
+        HyperelasticOperator(hgo_dictionary(), Points(points.x, points.interior, 0.0))
+    with pytest.raises(InputError, match="kind"):
+        Term("ogden")
+    with pytest.raises(InputError, match=f"thickness: expected {len(points.x)} numbers"):
+        op.with_thickness(np.ones(3))
+    with pytest.raises(InputError, match="thickness: expected finite numbers > 0"):
+        HyperelasticOperator(hgo_dictionary(), points, thickness=np.zeros(len(points.x)))
+
+
+def test_a_step_of_the_strain_costs_what_its_bond_says():
+    points = square(3)
+    op = HyperelasticOperator(Dictionary(3.0, terms=(Term("trace", across=(1, 0)),)), points)
+    x, _ = points.x.T
+    along = np.zeros_like(points.x)
+    whole = 0.5 * 0.21**2 * np.ptp(x) ** 2  # energy of the uniform strain itself
+    assert abs(op.energy(along + 0.1 * points.x, np.ones(1))) < 1e-14 * whole
+    along[:, 0] = 0.5 * x**2  # E11 = x + x²/2 and a fourth moment that is the same everywhere
+    E = x + x**2 / 2
+    columns = np.unique(np.rint(x / SPACING).astype(int))
+    inner = E.reshape(len(columns), -1)[1:-1, 1:-1]  # nodes with a whole short family
+    expected = 0.5 * SPACING**2 * (np.diff(inner, axis=0) ** 2).sum()
+    assert op.energy(along, np.ones(1)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_step_of_fibres_costs_what_the_mean_of_its_ends_saves():
+    points = square(3)
+    fibres = (Term("fibre_power", 0.0, 2.0, across=(0, 1)),)
+    op = HyperelasticOperator(Dictionary(3.0, terms=fibres), points)
+    u = waves(points, 0.3)
+    strain = 2 * op.states(u, np.ones(1))[0][:, 3]
+    stretch = strain.reshape(2 * [int(np.sqrt(len(u)))])[1:-1, 1:-1]
+    assert stretch.min() < -0.05
+    assert stretch.max() > 0.05
+
+    def energy(x):
+        return np.maximum(x, 0) ** 2 / 2
+
+    left, right = stretch[:, :-1], stretch[:, 1:]
+    gaps = energy(left) + energy(right) - 2 * energy((left + right) / 2)
+    assert gaps.min() >= -1e-16
+    expected = SPACING**2 * 2 * gaps.sum()
+    assert op.energy(u, np.ones(1)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_stress_is_the_slope_of_the_energy_density(even_problem):
+    op, _, c, _ = even_problem
+    F = np.array([[1.15, 0.1], [-0.05, 0.95]])
+    centre = op.interior[len(op.interior) // 2]
+    P = piola_stress(op, op.points.x @ (F - np.eye(2)).T, c)[centre]
+    wide = HyperelasticOperator(op.dictionary, square(9))
+    x, h = wide.points.x, SPACING
+    inner = np.abs(x - x.mean(axis=0)).max(axis=1) < 0.5 * h
+
+    def density(F):
+        """Energy of a node and half of its bonds."""
+        u = x @ (F - np.eye(2)).T
+        return float(wide.nodal_energy(u, c)[inner][0])
+
+    for a in range(2):
+        for b in range(2):
+            step = np.zeros((2, 2))
+            step[a, b] = 1e-5
+            slope = (density(F + step) - density(F - step)) / 2e-5
+            assert P[a, b] == pytest.approx(slope, rel=1e-6, abs=1e-7 * np.abs(P).max())
+
+
+def test_corners_of_cells_are_linear_triangles():
+    """Energy and force are means over the four ways to leave one node out of every cell."""
+    points = square(3)
+    term = Term("volumetric", corner=True)
+    op = HyperelasticOperator(Dictionary(3.0, terms=(term,)), points)
+    u = waves(points, 0.3)
+    y = (points.x + u).reshape(2 * [int(np.sqrt(len(u)))] + [2]) / SPACING
+    total = 0.0
+    for apex in np.ndindex(2, 2):
+        cell = [np.diff(y, axis=a)[(slice(None),) * (1 - a) + (EDGE[apex[1 - a]],)] for a in (0, 1)]
+        D = (cell[0][..., 0] * cell[1][..., 1] - cell[0][..., 1] * cell[1][..., 0]) ** 2
+        total += SPACING**2 / 4 * (0.5 * (D - 1 - np.log(D))).sum()
+    assert op.energy(u, np.ones(1)) == pytest.approx(total, rel=1e-12)
+    with pytest.raises(InputError, match="neither ripple nor across"):
+        Term("trace", across=(1, 0), corner=True)

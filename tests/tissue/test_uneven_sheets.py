@@ -1,0 +1,57 @@
+"""An uneven sheet of finite elements: what an even material and a thickness make of it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+
+from tests.support.sheets import NEAREST, square, waves
+from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_energies import plane_stress_hgo
+from tools.make_leaflet import Leaflet
+from warp_peri.points.samples import Samples
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.from_displacement import fit_displacement, fit_thickness
+from warp_peri.tissue.solid import Dictionary, Term
+
+MATRIX = Dictionary(3.0, (), NEAREST, (Term("plane_stress"), Term("volumetric")))
+POINTS = square(5)
+
+
+def thickness(x, uneven):
+    """No exponential of a polynomial."""
+    return Leaflet(uneven=uneven).thickness(x - POINTS.x.mean(axis=0))
+
+
+def frames(uneven, seeds):
+    """Frames of a stretched sheet of elements."""
+    mesh = Elements(quadrilaterals(8, 1.6))
+    mesh.dx = mesh.dx * thickness(mesh.quadrature, uneven)
+    fields = []
+    for seed in seeds:
+        edge = mesh.x @ np.array([[-0.05, 0.05], [0.0, 0.25]])
+        edge += waves(SimpleNamespace(x=mesh.x), 0.1, seed)
+        given = edge.ravel()[mesh.edge]
+        u = mesh.solve(plane_stress_hgo(1.0), np.zeros(2 * mesh.nodes), mesh.edge, given, steps=2)
+        fields.append(mesh.sample(u, POINTS.x))
+    return Samples(POINTS, np.stack(fields))
+
+
+def test_a_thickness_is_told_from_the_material():
+    train, test, other = frames(0.4, (0, 1)), frames(0.4, (2,)), frames(-0.4, (3, 4))
+    with pytest.warns(UserWarning, match="is the sheet uneven"):
+        even = fit_displacement(train, MATRIX, most_steps=6)
+    fit = fit_displacement(train, MATRIX, thickness=2, most_steps=6)
+    as_even = hyperelastic_errors(even.solid, test)["E_u"]
+    as_thick = hyperelastic_errors(fit.solid, test, thickness=fit.thickness.at(test.x))["E_u"]
+    assert as_thick < as_even / 4
+    gap = np.log(fit.thickness.at(test.x) / thickness(test.x, 0.4))[test.interior]
+    assert np.ptp(gap) < 0.02
+    assert np.ptp(np.log(thickness(POINTS.x[test.interior], 0.4))) > 0.3
+    first, second = (Samples(POINTS, u[None]) for u in other.u)
+    own = fit_thickness(first, fit.solid)
+    carried = hyperelastic_errors(fit.solid, second)["E_u"]
+    with_own = hyperelastic_errors(fit.solid, second, thickness=own.thickness.at(POINTS.x))["E_u"]
+    assert with_own < carried / 20

@@ -1,0 +1,236 @@
+"""A run of many steps: ledger and histories on the way, fields for ParaView, and going on again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+from tqdm import tqdm
+
+from warp_peri.damage.lattice_body import crossing_bonds
+from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
+from warp_peri.damage.paraview import Series
+from warp_peri.errors import InputError
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.atomic import whole_file
+
+_ARRAYS = ("u", "v", "links", "force", "energy", "work")
+LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
+
+
+@dataclass
+class History:
+    """What was written down on the way.
+
+    Attributes:
+        ledger: time, work, kinetic, elastic, dissipated, one row a record.
+        u, v: mean displacement and velocity of named regions, one row a record.
+        force: force per thickness across named sections, on the side that lies to the left of the
+            line.
+    """
+
+    ledger: list[list[float]] = field(default_factory=list)
+    u: dict[str, list[list[float]]] = field(default_factory=dict)
+    v: dict[str, list[list[float]]] = field(default_factory=dict)
+    force: dict[str, list[list[float]]] = field(default_factory=dict)
+
+    @property
+    def missing(self) -> float:
+        """Largest part of the largest work so far that the ledger does not account for.
+
+        Raises InputError when nothing has been recorded.
+        """
+        if not self.ledger:
+            raise InputError("history: expected a run of some steps, nothing has been recorded")
+        rows = np.array(self.ledger)
+        missing, scale = np.abs(rows[:, 1] - rows[:, 2:].sum(axis=1)), np.abs(rows[:, 1]).max()
+        return float(missing.max() / scale) if scale else 0.0
+
+    def column(self, name: str) -> np.ndarray:
+        """One column of the ledger, by its name, shape [K]; InputError for another name."""
+        if name not in LEDGER:
+            raise InputError(f"column: expected one of {', '.join(LEDGER)}, got {name!r}")
+        return np.reshape(self.ledger, (-1, len(LEDGER)))[:, LEDGER.index(name)]
+
+
+class Section:
+    """The bonds across a straight line, to sum the force that they carry.
+
+    Args:
+        body: the body in motion.
+        line: two ends, shape [2, 2].
+
+    Raises InputError for a line of another shape, and one that no bond crosses.
+    """
+
+    def __init__(self, body: BreakingBody, line: ArrayLike) -> None:
+        cut = crossing_bonds(body.body, line)
+        self.ends = ends = np.asarray(line, dtype=float)
+        if ends.shape != (2, 2) or not cut.any():
+            raise InputError(
+                f"section: expected two ends of a line that bonds cross, got {ends.tolist()}"
+            )
+        node, bond = np.nonzero(cut)
+        along = ends[1] - ends[0]
+        left = (body.body.x[node] - ends[0]) @ (-along[1], along[0]) > 0
+        self._node, self._bond, self._owner = node[left], bond[left], body
+
+    def force(self, state: BreakingState) -> np.ndarray:
+        """Force per thickness on the nodes to the left of the line, shape [2]."""
+        owner, node, bond = self._owner, self._node, self._bond
+        body, model, w = owner.body, owner.operator.model, owner.operator.weights[self._bond]
+        far = owner.neighbour(state)[node, bond]
+        kept = far >= 0
+        u, xi = owner.displacement(state), body.xi[bond]
+        d = (xi * (u[far] - u[node])).sum(axis=1)
+        pull = 16 * model.mu * w * d / body.r[bond] ** 2
+        if model.lam != model.mu:
+            theta = owner.operator.theta.numpy()
+            pull = pull + 2 * (model.lam - model.mu) * w * (theta[node] + theta[far])
+        total: np.ndarray = body.spacing**2 * ((pull * kept)[:, None] * xi).sum(axis=0)
+        return total
+
+
+class CrackRun:
+    """Marches a body, and goes on from its checkpoint with the same bits.
+
+    Args:
+        body: the body.
+        dt: step, at most the body's longest.
+        every: steps from one record to the next.
+        regions: nodes whose mean displacement and velocity are recorded, [N] bool by name.
+        sections: lines across which the force is recorded, [2, 2] by name.
+        checkpoint: file to go on from; written every `checkpoint_every` records.
+        series: folder for ParaView's files, one a record.
+        allow_unstable: warn about a step that is too long instead of raising.
+
+    Raises InputError for a step or counts that are not > 0, for regions without nodes, and for
+    sections without bonds.
+    """
+
+    def __init__(
+        self,
+        body: BreakingBody,
+        dt: float,
+        *,
+        every: int = 20,
+        regions: Mapping[str, ArrayLike] | None = None,
+        sections: Mapping[str, ArrayLike] | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint_every: int = 10,
+        series: str | os.PathLike[str] | None = None,
+        allow_unstable: bool = False,
+    ) -> None:
+        check_step(body, dt, allow_unstable=allow_unstable)
+        for name, count in (("every", every), ("checkpoint_every", checkpoint_every)):
+            if not (isinstance(count, (int, np.integer)) and count > 0):
+                raise InputError(f"{name}: expected a whole number > 0, got {count!r}")
+        self.body, self.dt, self.every = body, float(dt), int(every)
+        self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
+        for name, mask in self.regions.items():
+            if mask.shape != (len(body.body.x),) or mask.dtype != bool or not mask.any():
+                raise InputError(
+                    f"regions: expected some of {len(body.body.x)} nodes as bool, got {name!r} of "
+                    f"shape {list(mask.shape)} with {np.count_nonzero(mask)}"
+                )
+        self.sections = {name: Section(body, line) for name, line in (sections or {}).items()}
+        self.path = None if checkpoint is None else Path(checkpoint)
+        self.checkpoint_every = int(checkpoint_every)
+        self.series = None if series is None else Series(series, body.body)
+        self.history = History()
+        self._began = b""
+
+    def march(self, state: BreakingState, steps: int, *, progress: bool = False) -> BreakingState:
+        """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
+
+        Raises InputError for the checkpoint of another body, start, load or step.
+        """
+        if not self._began:
+            parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
+            self._began = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
+        state = self._resumed(state)
+        with tqdm(total=steps, initial=state.steps, disable=not progress, unit="step") as bar:
+            while state.steps < steps:
+                step(self.body, state, self.dt)
+                bar.update()
+                if state.steps % self.every == 0 or state.steps == steps:
+                    self._record(state)
+                    records = len(self.history.ledger)
+                    if self.path is not None and records % self.checkpoint_every == 0:
+                        self._save(state)
+        return state
+
+    def _record(self, state: BreakingState) -> None:
+        ledger = self.body.ledger(state)
+        self.history.ledger.append([getattr(ledger, name) for name in LEDGER])
+        u, v = self.body.displacement(state), self.body.velocity(state)
+        for name, mask in self.regions.items():
+            self.history.u.setdefault(name, []).append(u[mask].mean(axis=0).tolist())
+            self.history.v.setdefault(name, []).append(v[mask].mean(axis=0).tolist())
+        for name, section in self.sections.items():
+            self.history.force.setdefault(name, []).append(section.force(state).tolist())
+        if self.series is not None:
+            fields = {"displacement": u, "velocity": v, "damage": self.body.damage(state)}
+            self.series.write(state.steps, state.time, fields)
+
+    def _key(self) -> str:
+        """Says what the run depends on; a ramp is known by its values at the first steps."""
+        body = self.body
+        ramp = [1.0 if body.ramp is None else body.ramp(n * self.dt) for n in range(5)]
+        parts = (body.body.x, body.no_fail, body.operator.limits, np.array([self.dt, *ramp]))
+        fields = (body.load.numpy(), body.held.numpy(), body.grip.numpy())
+        solid, model = body.solid, body.solid.model
+        numbers = (model.lam, model.mu, model.alpha, model.D.tolist(), model.horizon, solid.density)
+        lines = [section.ends for section in self.sections.values()]
+        kinds = (solid.by_energy, solid.tension_only, self.every, list(self.sections))
+        text = hashlib.sha256(repr((numbers, kinds, list(self.regions))).encode() + self._began)
+        for part in (*parts, *fields, *self.regions.values(), *lines):
+            text.update(np.ascontiguousarray(part).tobytes())
+        return text.hexdigest()
+
+    def _save(self, state: BreakingState) -> None:
+        assert self.path is not None
+        content = {name: getattr(state, name).numpy() for name in _ARRAYS}
+        content |= {"dissipated": state.dissipated, "whole": state.whole}
+        content |= {"time": np.array(state.time), "steps": np.array(state.steps)}
+        content |= {"key": np.array(self._key()), "ledger": np.array(self.history.ledger)}
+        for kind in ("u", "v", "force"):
+            for name, rows in getattr(self.history, kind).items():
+                content[f"history_{kind}_{name}"] = np.array(rows)
+        if self.series is not None:
+            content["times"] = np.array(list(self.series.times.values()))
+            content["files"] = np.array(list(self.series.times))
+        with whole_file(self.path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **content)
+
+    def _resumed(self, state: BreakingState) -> BreakingState:
+        if self.path is None or not self.path.exists():
+            return state
+        try:
+            content = read_arrays(self.path)
+            key = str(content["key"])
+            if key == self._key():
+                for name in _ARRAYS:
+                    array = getattr(state, name)
+                    wp.copy(array, wp.array(content[name], dtype=array.dtype, device="cpu"))
+                state.dissipated, state.whole = content["dissipated"], content["whole"]
+                state.time, state.steps = float(content["time"]), int(content["steps"])
+                self.history = History(content["ledger"].tolist())
+                for name, rows in content.items():
+                    if name.startswith("history_"):
+                        _, kind, label = name.split("_", 2)
+                        getattr(self.history, kind)[label] = rows.tolist()
+                if self.series is not None and "files" in content:
+                    times = content["times"].tolist()
+                    self.series.times = dict(zip(content["files"].tolist(), times))
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        if key != self._key():
+            raise InputError(f"{self.path}: the checkpoint of another body, start, load or step")
+        return state

@@ -1,0 +1,283 @@
+"""Motion of a body whose bonds break: its state, one step, and the ledger of energies.
+
+Velocity Verlet keeps the force of a bond for the second half-kick of the step in which it breaks
+and drops it after (theory.md, C10); work = kinetic + elastic + dissipated is then kept to second
+order.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from warp_peri.damage.lattice_body import Body, cracked
+from warp_peri.damage.operator import CutOperator, unit_bond_energy, unit_toughness
+from warp_peri.damage.solid import BrittleSolid
+from warp_peri.damage.stability import (
+    breaking_time_step,
+    check_breakable,
+    check_horizon,
+    check_no_fail,
+)
+from warp_peri.errors import InputError
+from warp_peri.kernels.damage import motion as kernels
+from warp_peri.launch import floats, launch_slices, zeros
+
+
+@dataclass(eq=False)
+class BreakingState:
+    """What a motion has come to; arrays are Warp's, of the operator's even number of places.
+
+    Attributes:
+        u, v: displacement and velocity.
+        links: neighbours, its own copy; −1 − j where a bond is broken.
+        force: internal force density over the bonds that are left.
+        energy: elastic energy density over them.
+        work: done on the body so far and what it started with, per node and area [stress].
+        dissipated: energy density of the bonds broken so far [stress].
+        whole: bonds that count as undamaged at the start, shape [N].
+        time: elapsed.
+        steps: taken.
+    """
+
+    u: wp.array[Any]
+    v: wp.array[Any]
+    links: wp.array[Any]
+    force: wp.array[Any]
+    energy: wp.array[Any]
+    work: wp.array[Any]
+    dissipated: np.ndarray
+    whole: np.ndarray
+    time: float = 0.0
+    steps: int = 0
+
+    def copy(self) -> BreakingState:
+        """The same state in memory of its own."""
+        return replace(
+            self,
+            u=wp.clone(self.u),
+            v=wp.clone(self.v),
+            links=wp.clone(self.links),
+            force=wp.clone(self.force),
+            energy=wp.clone(self.energy),
+            work=wp.clone(self.work),
+            dissipated=self.dissipated.copy(),
+            whole=self.whole.copy(),
+        )
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Energies of a body per thickness [stress · area]; work = kinetic + elastic + dissipated."""
+
+    time: float
+    work: float
+    kinetic: float
+    elastic: float
+    dissipated: float
+
+    @property
+    def missing(self) -> float:
+        """Work that is in none of the three."""
+        return self.work - self.kinetic - self.elastic - self.dissipated
+
+
+class BreakingBody:
+    """A brittle solid on a lattice body, with its loads: what `step` marches.
+
+    Args:
+        solid: the solid; its influence function must be positive on the lattice.
+        body: nodes and bonds, of the solid's horizon.
+        no_fail: nodes whose bonds do not break, shape [N] bool.
+        load: body force density b [stress / length], shape [N, 2].
+        held: components of the displacement that are prescribed, shape [N] or [N, 2] bool.
+        grip: velocity of held components, shape [N, 2]; zero by default, and where not held.
+        ramp: share of load and grip at a time; 1 by default.
+
+    Attributes:
+        longest_step: Δt proven stable under any breaking (theory.md, C9).
+        stretch: critical stretch; None where bonds break by energy.
+
+    Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
+    """
+
+    def __init__(
+        self,
+        solid: BrittleSolid,
+        body: Body,
+        *,
+        no_fail: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+        held: ArrayLike | None = None,
+        grip: ArrayLike | None = None,
+        ramp: Callable[[float], float] | None = None,
+    ) -> None:
+        check_breakable(solid.model, body.classes)
+        check_horizon(solid.model, body)
+        self.solid, self.body, self.ramp = solid, body, ramp
+        self.stretch, limits = criterion(solid, body)
+        count = len(body.x)
+        self.no_fail = check_no_fail(no_fail, count)
+        self.operator = CutOperator(
+            solid.model,
+            body,
+            limits=limits,
+            by_energy=solid.by_energy,
+            tension_only=solid.tension_only,
+            no_fail=self.no_fail,
+        )
+        if grip is not None and held is None:
+            raise InputError("grip: expected held components too, whose velocity it is")
+        held = np.zeros((count, 2), bool) if held is None else np.asarray(held)
+        held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
+        self.load, self.held, self.grip = (
+            self._padded(name, field)
+            for name, field in (("load", load), ("held", held), ("grip", grip))
+        )
+        self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
+
+    def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
+        count = len(self.body.x)
+        values = np.zeros((self.operator.places, 2))
+        if field is not None:
+            given = np.asarray(field, dtype=float)
+            if given.shape != (count, 2) or not np.isfinite(given).all():
+                raise InputError(f"{name}: expected finite values of shape [{count}, 2]")
+            values[:count] = given
+        return floats(values, wp.vec2d)
+
+    def start(
+        self,
+        *,
+        u: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        cracks: Sequence[ArrayLike] = (),
+        count_cracks: bool = False,
+    ) -> BreakingState:
+        """A state at time zero.
+
+        Args:
+            u, v: displacement and velocity, shape [N, 2]; zero by default.
+            cracks: polylines that are open from the start, shape [P, 2] each.
+            count_cracks: whether the bonds they cut count as damage.
+
+        Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
+        """
+        fields = self._padded("u", u), self._padded("v", v)
+        neighbour = cracked(self.body, cracks)
+        links = self.operator.links(neighbour)
+        places = self.operator.places
+        force, energy = zeros(places, dtype=wp.vec2d), zeros(places)
+        if u is not None:
+            broken = self.operator.sweep(
+                fields[0], self.operator.links(neighbour), force, energy, breaking=True
+            )
+            if len(broken):
+                raise InputError(
+                    f"criterion: bonds of {len(broken)} nodes are beyond it in the displacement "
+                    "at rest, before anything moves"
+                )
+        self.operator.sweep(fields[0], links, force, energy)
+        whole = (self.body.neighbour >= 0).sum(axis=1) if count_cracks else (neighbour >= 0).sum(1)
+        kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
+        work = floats(kinetic + energy.numpy())
+        return BreakingState(
+            *fields, links, force, energy, work, np.zeros(places), whole.astype(float)
+        )
+
+    def damage(self, state: BreakingState) -> np.ndarray:
+        """φ, the share of bonds that a node has lost, shape [N]."""
+        left = (self.neighbour(state) >= 0).sum(axis=1)
+        phi: np.ndarray = 1 - left / np.maximum(state.whole, 1)
+        return phi
+
+    def neighbour(self, state: BreakingState) -> np.ndarray:
+        """Neighbours with broken bonds as −1 − j, shape [N, B]; shares the state's memory."""
+        table: np.ndarray = state.links.numpy().reshape(-1, self.operator.bonds)
+        return table[: len(self.body.x)]
+
+    def displacement(self, state: BreakingState) -> np.ndarray:
+        """u, shape [N, 2]; shares the state's memory."""
+        field: np.ndarray = state.u.numpy()[: len(self.body.x)]
+        return field
+
+    def velocity(self, state: BreakingState) -> np.ndarray:
+        """v, shape [N, 2]; shares the state's memory."""
+        field: np.ndarray = state.v.numpy()[: len(self.body.x)]
+        return field
+
+    def ledger(self, state: BreakingState) -> Ledger:
+        """Work, kinetic, elastic and dissipated energy of this state."""
+        area = self.body.spacing**2
+        kinetic = self.solid.density / 2 * float(np.vdot(state.v.numpy(), state.v.numpy()))
+        sums = (state.work.numpy().sum(), kinetic, state.energy.numpy().sum())
+        return Ledger(state.time, *(area * float(part) for part in (*sums, state.dissipated.sum())))
+
+
+def criterion(solid: BrittleSolid, body: Body) -> tuple[float | None, np.ndarray]:
+    """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B]."""
+    if solid.critical_energy is not None:
+        return None, solid.critical_energy * body.classes.weight[body.classes.bond_class]
+    stretch = solid.critical_stretch
+    if stretch is None:
+        assert solid.toughness is not None  # one of the three is given
+        stretch = float(np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes)))
+    return stretch, stretch * body.r**2
+
+
+def energy_of_toughness(toughness: float, body: Body) -> float:
+    """The critical energy of a bond over its weight that has a toughness G_c (theory.md, C8)."""
+    return toughness / unit_bond_energy(body.classes)
+
+
+def check_step(body: BreakingBody, dt: float, *, allow_unstable: bool = False) -> None:
+    """Refuse, or warn about, a step beyond what is proven stable under any breaking."""
+    if not (isinstance(dt, (int, float, np.number)) and 0 < dt < np.inf):
+        raise InputError(f"step: expected a number > 0, got {dt!r}")
+    if dt <= body.longest_step:
+        return
+    message = (
+        f"step: expected at most {body.longest_step:.6g}, the longest that is stable whatever "
+        f"breaks, got {dt:.6g}"
+    )
+    if not allow_unstable:
+        raise InputError(message)
+    warnings.warn(message, stacklevel=3)
+
+
+def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
+    """Advance a state by dt, in place, and return it; `state.copy()` keeps one.
+
+    dt is not looked at: `check_step` and `run` refuse one that is too long.
+    """
+    operator, places = body.operator, body.operator.places
+    density = body.solid.density
+    share = 1.0 if body.ramp is None else float(body.ramp(state.time))
+    later = 1.0 if body.ramp is None else float(body.ramp(state.time + dt))
+    launch_slices(
+        kernels.kick_and_drift,
+        places,
+        (dt, density, share, later, state.force, body.load, body.held, body.grip),
+        (state.v, state.work, state.u),
+    )
+    before = state.energy
+    lost = operator.sweep(state.u, state.links, state.force, before, breaking=True)
+    launch_slices(
+        kernels.second_kick,
+        places,
+        (dt, density, later, state.force, body.load, body.held),
+        (state.v, state.work),
+    )
+    if len(lost):
+        full = state.energy.numpy()[lost]
+        operator.again(state.u, state.links, lost, state.force, state.energy)
+        state.dissipated[lost] += full - state.energy.numpy()[lost]
+    state.time += dt
+    state.steps += 1
+    return state

@@ -1,0 +1,274 @@
+"""The operator of a lattice body with broken bonds: matrix, forces and energies (theory.md, C1–C4).
+
+The dilatation is plain: a sum over unbroken bonds with the weighted volume of the whole ball. So
+the energy is a sum of squares of stretches that any breaking leaves positive where K is positive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import warp as wp
+
+from warp_peri.damage.lattice_body import Body
+from warp_peri.errors import InputError
+from warp_peri.kernels.damage import sweeps as kernels
+from warp_peri.kernels.damage.pairs import pairs
+from warp_peri.launch import floats, ints, launch_slices, recorded_slices, threads, zeros
+from warp_peri.models.lps import Model
+from warp_peri.operator.symbol import stiffnesses
+from warp_peri.points.families import BondClasses
+
+PAIR = 2
+"""Nodes that the recorded sweeps take at a time. Two threads pay from 4000 nodes on, see
+docs/cracks.md."""
+
+
+def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
+    """w = K W / m of the bonds of a ball [length⁻²], Σ w r² = 1, shape [B].
+
+    Raises InputError for a model with an influence function of its own for the dilatation.
+    """
+    if not np.array_equal(model.D, model.dilatation):
+        raise InputError(
+            "model: expected one influence function, got another one for the dilatation; with "
+            "broken bonds nothing is known of two"
+        )
+    v, _, _ = stiffnesses(model, classes)
+    weights: np.ndarray = v[classes.bond_class] / model.mu
+    return weights
+
+
+def unit_toughness(model: Model, classes: BondClasses) -> float:
+    """Energy per length of a straight cut between node rows whose bonds all have stretch 1 (C6).
+
+    G_c = this × s₀². The dilatation's part is that of nodes whose cut bonds alone are stretched.
+    """
+    w = bond_weights(model, classes)
+    r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
+    rows = classes.steps[:, 1]
+    h = classes.spacing
+    up = rows > 0
+    deviatoric = 8 * model.mu * h * np.sum((rows * w * r2)[up])
+    crossing = [2 * np.sum((w * r2)[rows > k]) for k in range(int(rows.max()))]
+    dilatational = h * (model.lam - model.mu) * np.sum(np.square(crossing))
+    return float(deviatoric + dilatational)
+
+
+def unit_bond_energy(classes: BondClasses) -> float:
+    """G_c over the critical energy of a bond and weight: bonds across a line, by W (C8)."""
+    rows, weight = classes.steps[:, 1], classes.weight[classes.bond_class]
+    return float(classes.spacing * np.sum((rows * weight)[rows > 0]))
+
+
+def stiffness_across(model: Model, classes: BondClasses) -> tuple[float, float]:
+    """Energy per length at unit stretch that positive and negative bonds across a line carry."""
+    w = bond_weights(model, classes)
+    r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
+    each = 8 * model.mu * classes.spacing * np.maximum(classes.steps[:, 1], 0) * w * r2
+    return float(each[each > 0].sum()), float(each[each < 0].sum())
+
+
+def stretch_matrix(body: Body, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
+    """d = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, 2N], and their places.
+
+    Component a of node i is column 2 i + a; the places are numbers in the flat [N B] table.
+    """
+    place = np.flatnonzero(neighbour.ravel() >= 0)
+    node, bond = np.divmod(place, neighbour.shape[1])
+    far, xi, count = neighbour.ravel()[place], body.xi[bond], len(place)
+    columns = np.column_stack([2 * far, 2 * far + 1, 2 * node, 2 * node + 1]).ravel()
+    values = np.column_stack([xi, -xi]).ravel()
+    rows = np.arange(0, 4 * count + 1, 4)
+    return sp.csr_array((values, columns, rows), shape=(count, 2 * len(neighbour))), place
+
+
+def cut_matrix(
+    body: Body,
+    weights: np.ndarray,
+    neighbour: np.ndarray,
+    mu: float | np.ndarray,
+    excess: float | np.ndarray,
+) -> sp.csr_array:
+    """L of a cut body as a symmetric matrix [stress / length²], shape [2N, 2N] (C4).
+
+    Args:
+        body: the body.
+        weights: w of the ball, shape [B].
+        neighbour: with broken bonds, shape [N, B].
+        mu: shear modulus, one or by bond [N, B], the same in both directions.
+        excess: λ − μ, one or by node [N].
+    """
+    d, place = stretch_matrix(body, neighbour)
+    bond = place % neighbour.shape[1]
+    along = mu if np.ndim(mu) == 0 else np.ravel(mu)[place]
+    stiffness = 8 * along * weights[bond] / body.r[bond] ** 2
+    theta = dilatation_matrix(body, weights, neighbour)
+    total = d.T @ (sp.diags_array(stiffness) @ d)
+    total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, len(neighbour))) @ theta)
+    return sp.csr_array(total)
+
+
+def dilatation_matrix(body: Body, weights: np.ndarray, neighbour: np.ndarray) -> sp.csr_array:
+    """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, 2N]."""
+    d, place = stretch_matrix(body, neighbour)
+    node, bond = np.divmod(place, neighbour.shape[1])
+    shape = (len(neighbour), len(place))
+    gather = sp.csr_array((2 * weights[bond], (node, np.arange(len(place)))), shape=shape)
+    return sp.csr_array(gather @ d)
+
+
+class CutOperator:
+    """Forces and energies of a lattice body over its unbroken bonds, by Warp.
+
+    Args:
+        model: one influence function for both parts.
+        body: the nodes and their bonds.
+        limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
+        by_energy: the criterion is the bond's energy density instead of d = s r².
+        tension_only: bonds in compression do not break.
+        no_fail: nodes whose bonds do not break, shape [N] bool.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        body: Body,
+        *,
+        limits: np.ndarray | None = None,
+        by_energy: bool = False,
+        tension_only: bool = True,
+        no_fail: np.ndarray | None = None,
+    ) -> None:
+        self.model, self.body = model, body
+        self.weights = bond_weights(model, body.classes)
+        self.bonds = len(self.weights)
+        self.nodes = len(body.x)
+        self.places = self.nodes + self.nodes % 2  # the sweep takes two nodes at a time
+        self.bond_based = model.lam == model.mu and not by_energy
+        self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
+        r = body.r
+        self.limits = np.full(self.bonds, np.inf) if limits is None else limits
+        stiffness = 16 * model.mu * self.weights / r**2
+        table = np.column_stack([body.xi, 2 * self.weights, stiffness, self.limits])
+        self._table = floats(np.ascontiguousarray(table).ravel())
+        self._short_table = floats(np.ascontiguousarray(table[:, [0, 1, 3, 4]]).ravel())
+        self._recorded: dict[tuple[int, ...], list[Callable[[], None]]] = {}
+        flags: np.ndarray = np.zeros(self.places, np.uint8)
+        flags[: self.nodes] = False if no_fail is None else no_fail
+        self._no_fail: wp.array[Any] = wp.array(flags, dtype=wp.uint8, device="cpu")
+        self._kernels = kernels.sweeps(bool(tension_only))
+        self._pairs = pairs(bool(tension_only))
+        self._all = ints(np.arange(self.nodes))
+        self.theta = zeros(self.places)
+        self.lost = zeros(self.places, dtype=wp.int32)
+        self._lost = self.lost.numpy()  # shares its memory
+
+    def links(self, neighbour: np.ndarray) -> wp.array[Any]:
+        """A table of neighbours [N, B] as the sweeps take it, a copy of its own."""
+        held = np.full((self.places, self.bonds), -1, dtype=np.int32)
+        held[: self.nodes] = neighbour
+        return wp.array(held.ravel(), dtype=wp.int32, device="cpu")
+
+    def sweep(
+        self,
+        u: wp.array[Any],
+        links: wp.array[Any],
+        force: wp.array[Any],
+        energy: wp.array[Any],
+        *,
+        breaking: bool = False,
+    ) -> np.ndarray:
+        """Fill force and energy densities at u; the nodes that lose bonds by it, by number.
+
+        Force and energy are of all bonds that were there before.
+        """
+        if breaking and self._criterion == kernels.STRETCH:
+            arrays = (u, links, force, energy)
+            key = (threads(), *(array.ptr for array in arrays))
+            if key not in self._recorded:
+                self._recorded = {key: self._record(*arrays)}
+            for launch in self._recorded[key]:
+                launch()
+        else:
+            criterion = self._criterion if breaking else -1
+            self._state_based(_flat(u), links, self._all, self._all, criterion, force, energy)
+        return np.flatnonzero(self._lost) if breaking else np.empty(0, np.int64)
+
+    def _record(
+        self, u: wp.array[Any], links: wp.array[Any], force: wp.array[Any], energy: wp.array[Any]
+    ) -> list[Callable[[], None]]:
+        """The sweeps over these arrays with the stretch criterion, packed."""
+        half, outputs = self.places // 2, (force, energy, self.lost, links)
+        if self.bond_based:
+            inputs = (_flat(u), self.bonds, self._short_table, self._no_fail)
+            return [recorded_slices(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
+        flat, excess = _flat(u), self.model.lam - self.model.mu
+        shapes = (flat, self.bonds, self._table)
+        return [
+            recorded_slices(
+                self._pairs.dilatation, half, (*shapes, links), (self.theta,), weight=PAIR
+            ),
+            recorded_slices(
+                self._pairs.state_based,
+                half,
+                (*shapes, excess, self._no_fail, self.theta),
+                outputs,
+                weight=PAIR,
+            ),
+        ]
+
+    def again(
+        self,
+        u: wp.array[Any],
+        links: wp.array[Any],
+        nodes: np.ndarray,
+        force: wp.array[Any],
+        energy: wp.array[Any],
+    ) -> None:
+        """Force and energy where these nodes have lost bonds, and at their neighbours."""
+        changed = around = ints(nodes)
+        if not self.bond_based:  # θ has changed, and neighbours feel it
+            ends = links.numpy().reshape(-1, self.bonds)[nodes]
+            around = ints(np.union1d(nodes, ends[ends >= 0]))
+        self._state_based(_flat(u), links, changed, around, -1, force, energy)
+
+    def _state_based(
+        self,
+        flat: wp.array[Any],
+        links: wp.array[Any],
+        changed: wp.array[Any],
+        around: wp.array[Any],
+        criterion: int,
+        force: wp.array[Any],
+        energy: wp.array[Any],
+    ) -> None:
+        excess = self.model.lam - self.model.mu
+        if excess != 0:
+            launch_slices(
+                self._kernels.dilatation,
+                len(changed),
+                (changed, flat, self.bonds, self._table, links),
+                (self.theta,),
+            )
+        launch_slices(
+            self._kernels.state_based,
+            len(around),
+            (around, flat, self._table, excess, criterion, self._no_fail, self.theta),
+            (force, energy, self.lost, links),
+        )
+
+
+def _flat(u: wp.array[Any]) -> wp.array[Any]:
+    """Vectors seen as scalars, the same memory."""
+    return wp.array(
+        ptr=u.ptr,
+        dtype=wp.float64,
+        shape=(2 * len(u),),
+        device="cpu",
+        copy=False,
+        capacity=u.capacity,
+    )

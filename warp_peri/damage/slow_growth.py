@@ -1,0 +1,136 @@
+"""Slow growth of cracks: the most stretched bond breaks first, one event after the other.
+
+The body is linear between events, so each state of damage has one load at which the next bond is at
+its limit; what a growing crack spends follows from the largest of them (theory.md, C7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from tqdm import tqdm
+
+from warp_peri.damage.cut_solid import CutSolid, westergaard
+from warp_peri.damage.lattice_body import Body, cracked, lattice_body, rectangle
+from warp_peri.damage.operator import unit_toughness
+from warp_peri.damage.stability import check_breakable, check_no_fail
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+
+TOGETHER = 1e-6
+"""Bonds so close to the most stretched one break with it: mirror images, to rounding."""
+
+
+@dataclass(frozen=True)
+class Growth:
+    """A sequence of events.
+
+    Attributes:
+        load: factor of the given displacement, over the critical stretch, at which each event's
+            bond breaks, shape [K].
+        stretch: largest stretch at unit load before each event, shape [K]; 1/load.
+        energy: elastic energy at unit load before each event [stress · area], shape [K].
+        broken: bonds broken up to each event, both directions, shape [K].
+        neighbour: at the end, shape [N, B].
+    """
+
+    load: np.ndarray
+    energy: np.ndarray
+    broken: np.ndarray
+    neighbour: np.ndarray
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """Largest stretch at unit load before each event."""
+        largest: np.ndarray = 1 / self.load
+        return largest
+
+
+def grow(
+    model: Model,
+    body: Body,
+    held: ArrayLike,
+    u: np.ndarray,
+    events: int,
+    *,
+    cracks: Sequence[ArrayLike] = (),
+    no_fail: np.ndarray | None = None,
+    progress: bool = False,
+) -> Growth:
+    """Break the most stretched bond, and its mirror images, event by event.
+
+    Args:
+        model: positive on the lattice; others are refused.
+        body: the body.
+        held: components of the displacement that are given, shape [N] or [N, 2] bool.
+        u: their values at unit load, shape [N, 2].
+        events: how many, fewer when the body comes apart.
+        cracks: polylines open from the start.
+        no_fail: nodes whose bonds do not break, shape [N] bool.
+        progress: shows a bar.
+
+    Raises InputError for a body that CutSolid refuses, and another `no_fail`.
+    """
+    check_breakable(model, body.classes)
+    neighbour = cracked(body, cracks)
+    xi, r = body.xi, body.r
+    safe = check_no_fail(no_fail, len(body.x))
+    loads: list[float] = []
+    energies, counts = [], []
+    start = int((neighbour >= 0).sum())
+    for _ in tqdm(range(events), disable=not progress, unit="event"):
+        try:
+            solid = CutSolid(model, body, held, neighbour=neighbour)
+        except InputError:
+            if not loads:
+                raise
+            break  # a piece has come off
+        field = solid.solve(u)
+        reach = field[neighbour] - field[:, None]
+        stretch = (xi * reach).sum(axis=-1) / r**2
+        stretch[(neighbour < 0) | safe[:, None] | safe[np.maximum(neighbour, 0)]] = -np.inf
+        largest = float(stretch.max())
+        if not largest > 0:
+            break
+        loads.append(1 / largest)
+        energies.append(solid.energy(field))
+        counts.append(start - int((neighbour >= 0).sum()))
+        chosen = stretch > largest * (1 - TOGETHER)
+        neighbour = np.where(chosen, -1 - neighbour, neighbour)
+    return Growth(np.array(loads), np.array(energies), np.array(counts), neighbour)
+
+
+def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length: int = 3) -> float:
+    """What a growing crack spends over the toughness of (C6) behind its critical stretch.
+
+    A central crack in a plane under tension, `cells` spacings from its middle to the collar and 0.4
+    of that long to each side, grown by `length` spacings; the largest load of each spacing counts,
+    and their mean, with G from the energies. Divide a stretch by the root of this to calibrate it
+    (C7).
+
+    Args:
+        model: positive on the lattice.
+        spacing: h; the ratio of horizon to spacing is what matters.
+        cells: from the middle to the collar.
+        length: spacings of growth that are averaged.
+    """
+    h, reach = spacing, int(np.ceil(model.horizon / spacing))
+    side = 2 * (cells + 2 * reach) * h
+    body = lattice_body(rectangle(side, side, h), h, model.horizon)
+    held = (np.abs(body.x) > cells * h).any(axis=1)
+    half = round(0.4 * cells) * h
+    u = westergaard(body.x, half, 1.0, model.lam, model.mu)
+    up = body.classes.steps[:, 1]
+    each = int(up[up > 0].sum())
+    growth = grow(model, body, held, u, length * each + 1, cracks=[[(-half, 0), (half, 0)]])
+    grown = growth.broken / (4 * each)  # spacings of each tip; an event is 4 directed bonds
+    peaks = []
+    for k in range(int(grown[-1])):
+        cycle = (grown >= k) & (grown < k + 1)
+        ends = np.interp([k, k + 1], grown, growth.energy)
+        released = (ends[0] - ends[1]) / (2 * h)  # at unit load
+        peaks.append(growth.load[cycle].max() ** 2 * released)
+    return float(np.mean(peaks) / unit_toughness(model, body.classes))

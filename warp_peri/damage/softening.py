@@ -1,0 +1,264 @@
+"""Bonds that soften before they break, pulled slowly until the body comes apart (C16, C18).
+
+Strength and toughness belong to the material, the horizon to the numbers: `at_horizon` gives the
+law of bonds at another horizon that has both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from tqdm import tqdm
+
+from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
+from warp_peri.damage.lattice_body import Body, cracked, crossing_bonds
+from warp_peri.damage.operator import bond_weights
+from warp_peri.damage.stability import check_breakable, check_horizon, check_no_fail
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.points.arrays import is_number, is_positive
+
+NEWTON = 40
+TOLERANCE = 1e-8
+SETTLED = 0.01
+"""Change of a bond's share of its pull below which damage counts as at rest."""
+
+
+@dataclass(frozen=True)
+class BondLaw:
+    """How a bond pulls: k d exp(−β s), s = d/r² > 0, and k d in compression (C16).
+
+    Attributes:
+        softness: β ≥ 0; it would pull hardest at s = 1/β.
+        stretch: s₀ at which it begins to fail; inf for never.
+        tail: stretch beyond s₀ over which its pull falls to nothing, linearly; 0 breaks at once.
+
+    Raises InputError unless β ≥ 0, s₀ > 0 and the tail ≥ 0.
+    """
+
+    softness: float
+    stretch: float = np.inf
+    tail: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value, positive in (
+            ("softness: expected a finite number ≥ 0", self.softness, False),
+            ("stretch: expected a number > 0", self.stretch, True),
+            ("tail: expected a finite number ≥ 0", self.tail, False),
+        ):
+            fine = is_number(value) and (value > 0 if positive else 0 <= value < np.inf)
+            if not fine:
+                raise InputError(f"{name}, got {value!r}")
+
+    def pull(self, s: np.ndarray) -> np.ndarray:
+        """Pull over k r² of a bond that has not begun to fail."""
+        return np.asarray(s * np.exp(-self.softness * np.maximum(s, 0)))
+
+    def share(self, worst: np.ndarray) -> np.ndarray:
+        """What is left of that pull after a largest stretch, from 1 to 0."""
+        left = (worst <= self.stretch).astype(float)
+        if self.tail == 0 or left.all():
+            return left
+        fall = 1 - (worst - self.stretch) / self.tail
+        beyond = worst > self.stretch
+        whole = self.pull(np.where(beyond, worst, 1.0))
+        ends = self.pull(np.array(self.stretch)) * np.maximum(fall, 0) / whole
+        return np.where(beyond, np.minimum(ends, 1.0), 1.0)
+
+    def spent(self) -> float:
+        """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18).
+
+        Of a bond that never fails what it takes to pull it to any length: 1/β², or inf.
+        """
+        b, s = self.softness, self.stretch
+        if np.isinf(s):
+            return 1 / b**2 if b else np.inf
+        before = (1 - np.exp(-b * s) * (1 + b * s)) / b**2 if b else s * s / 2
+        return float(before + self.pull(np.array(s)) * self.tail / 2)
+
+    def at_horizon(self, times: float) -> BondLaw:
+        """The law with the same strength and toughness at a horizon so many times as long (C18).
+
+        A bond that stores more than its part of the toughness before it fails has no tail left, and
+        fails earlier: then the strength gives way.
+
+        Raises InputError for a law that never fails, or times not > 0.
+        """
+        if not (np.isfinite(self.stretch) and is_positive(times)):
+            raise InputError(
+                "at_horizon: expected a law with a finite stretch and a number > 0, got "
+                f"{self.stretch} and {times}"
+            )
+        goal = self.spent() / times
+        abrupt = BondLaw(self.softness, self.stretch)
+        if abrupt.spent() <= goal:
+            peak = float(self.pull(np.array(self.stretch)))
+            return BondLaw(self.softness, self.stretch, 2 * (goal - abrupt.spent()) / peak)
+        low = brentq(lambda s: BondLaw(self.softness, s).spent() - goal, 1e-9, self.stretch)
+        return BondLaw(self.softness, float(low))
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A body pulled slowly.
+
+    Attributes:
+        load: factors of the displacement of the held nodes, shape [K].
+        force: per thickness across the section, at each load [stress · length], shape [K].
+        broken: bonds broken by then, shape [K].
+    """
+
+    load: np.ndarray
+    force: np.ndarray
+    broken: np.ndarray
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """Load and force at the largest force."""
+        highest = int(np.argmax(self.force))
+        return float(self.load[highest]), float(self.force[highest])
+
+
+class SoftBody:
+    """A bond-based body whose bonds soften and fail by one law.
+
+    Args:
+        model: λ = μ, positive on the lattice.
+        body: the body.
+        law: of the bonds.
+        held: components of the displacement that are given, shape [N, 2] bool.
+        cracks: polylines open from the start.
+        no_fail: nodes whose bonds do not break, shape [N] bool.
+
+    Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
+    body that nothing holds.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        body: Body,
+        law: BondLaw,
+        held: np.ndarray,
+        *,
+        cracks: list[ArrayLike] | None = None,
+        no_fail: np.ndarray | None = None,
+    ) -> None:
+        if model.lam != model.mu:
+            raise InputError("model: expected λ = μ, bonds without a dilatation")
+        check_breakable(model, body.classes)
+        check_horizon(model, body)
+        count, held = len(body.x), np.asarray(held)
+        safe = check_no_fail(no_fail, count)
+        if held.shape != (count, 2) or held.dtype != bool:
+            raise InputError(
+                f"held: expected shape [{count}, 2] of bool, got {list(held.shape)} of {held.dtype}"
+            )
+        self.body, self.law, self.held = body, law, held
+        table = cracked(body, cracks or [])
+        check_pieces(body, table, held)
+        node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
+        far = table[node, bond]
+        self._node, self._bond = node, bond
+        xi, count = body.xi[bond], len(node)
+        columns = np.column_stack([2 * far, 2 * far + 1, 2 * node, 2 * node + 1]).ravel()
+        values = np.column_stack([xi, -xi]).ravel()
+        rows = np.arange(0, 4 * count + 1, 4)
+        self._d = sp.csr_array((values, columns, rows), shape=(count, 2 * len(table)))
+        self._k = 16 * model.mu * bond_weights(model, body.classes)[bond] / body.r[bond] ** 2
+        self._square = body.r[bond] ** 2
+        self._breakable = ~(safe[node] | safe[far])
+        self._free = ~held.ravel()
+
+    def stretch(self, u: np.ndarray) -> np.ndarray:
+        """s of each bond at u, flat [2N]."""
+        along: np.ndarray = (self._d @ u) / self._square
+        return along
+
+    def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """u at rest from a start that holds the given components, by Newton's method, flat [2N].
+
+        share: what is left of the pull of each bond.
+        """
+        softness = self.law.softness
+        for _ in range(NEWTON):
+            d = self._d @ u
+            s = np.maximum(d / self._square, 0)
+            weak = np.exp(-softness * s)
+            total = self._d.T @ (self._k * share * d * weak)
+            force = total[self._free]
+            if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
+                return u
+            tangent = self._k * share * weak * np.maximum(1 - softness * s, 0.02)
+            matrix = sp.csr_array(self._d.T @ (sp.diags_array(tangent) @ self._d))
+            inner = sp.csc_array(matrix[self._free][:, self._free])
+            u = u.copy()
+            u[self._free] -= symmetric_factors(inner).solve(force)
+        raise InputError("softening: no equilibrium was found; the body may have come apart")
+
+    def across(self, u: np.ndarray, share: np.ndarray, line: ArrayLike) -> float:
+        """Pull per thickness across a line along x, of what is above on what is below."""
+        cut = crossing_bonds(self.body, line)[self._node, self._bond]
+        pull = self._k * share * self._square * self.law.pull(self.stretch(u))
+        xi = self.body.xi[self._bond]
+        return float(self.body.spacing**2 * (pull[cut] * np.abs(xi[cut, 1])).sum())
+
+    def pull(
+        self,
+        u: np.ndarray,
+        loads: ArrayLike,
+        line: ArrayLike,
+        *,
+        stop: float = 0.7,
+        progress: bool = False,
+    ) -> Pull:
+        """Raise the load step by step; at each, let bonds fail until none fails further.
+
+        Args:
+            u: given components at unit load, shape [N, 2]; the others are where the first solve
+                begins.
+            loads: rising factors.
+            line: across which the force is read, [2, 2].
+            stop: ends when the force has fallen to this share of its largest.
+            progress: shows a bar.
+
+        Raises InputError for another shape of u, values that are not finite, loads that do not
+        rise, and a line that no bond crosses.
+        """
+        loads = np.asarray(loads, dtype=float)
+        if not (loads.ndim == 1 and len(loads) and np.isfinite(loads).all()):
+            raise InputError("loads: expected one finite factor or more")
+        if loads[0] < 0 or (np.diff(loads) <= 0).any():
+            raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
+        if np.shape(u) != self.held.shape:
+            raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
+        if not np.isfinite(u).all():
+            raise InputError("u: expected finite values")
+        if not crossing_bonds(self.body, line).any():
+            raise InputError("line: no bond of the body crosses it, so no force can be read there")
+        given = np.where(self.held, u, 0).ravel()
+        share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
+        field, rows, before = np.zeros_like(given), [], 0.0
+        for load in tqdm(loads, disable=not progress, unit="load"):
+            field = field * (load / before) if before else load * np.ravel(u)
+            field = np.where(self.held.ravel(), load * given, field)
+            try:
+                while True:
+                    field = self.rest(field, share)
+                    worst = np.where(self._breakable, np.maximum(worst, self.stretch(field)), 0)
+                    lasting = np.minimum(self.law.share(worst), share)
+                    change, share = np.max(share - lasting), lasting
+                    if change < SETTLED:
+                        break
+            except InputError:
+                rows.append((load, 0.0, int((share == 0).sum())))
+                break
+            before = load
+            rows.append((load, self.across(field, share, line), int((share == 0).sum())))
+            if rows[-1][1] < stop * max(row[1] for row in rows):
+                break
+        return Pull(*np.array(rows).T)

@@ -1,0 +1,109 @@
+"""A brittle solid: a model whose bonds may break, its density and when they do (theory.md, C5–C8).
+
+Any consistent units: SI, or Å, ps and TPa with the density in TPa ps²/Å² (1 kg/m³ = 1e-8 of them).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import write_json
+from warp_peri.models.lps import Model
+
+FORMAT, VERSION = "warp_peri.brittle_solid", 1
+CRITERIA = ("toughness", "critical_stretch", "critical_energy")
+
+
+@dataclass(frozen=True, eq=False)
+class BrittleSolid:
+    """What breaks, and when.
+
+    Attributes:
+        model: moduli and a positive influence function, the same for the dilatation.
+        density: ρ, mass per volume.
+        toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
+        critical_stretch: s₀ itself, instead of G_c.
+        critical_energy: energy density of a bond over its quadrature weight at which it breaks
+            [stress / length²], instead of both (C8).
+        tension_only: bonds in compression do not break.
+
+    Raises InputError unless exactly one of the three criteria is given, and all numbers are > 0.
+    """
+
+    model: Model
+    density: float
+    toughness: float | None = None
+    critical_stretch: float | None = None
+    critical_energy: float | None = None
+    tension_only: bool = True
+
+    def __post_init__(self) -> None:
+        given = [name for name in CRITERIA if getattr(self, name) is not None]
+        if len(given) != 1:
+            names = ", ".join(given) or "none"
+            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
+        for name in ("density", *given):
+            value = getattr(self, name)
+            if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
+                raise InputError(f"{name}: expected a number > 0, got {value!r}")
+
+    @property
+    def by_energy(self) -> bool:
+        """Whether bonds break by their energy instead of their stretch."""
+        return self.critical_energy is not None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the solid as JSON, whole or not at all."""
+        model = self.model
+        write_json(
+            path,
+            {"format": FORMAT, "version": VERSION}
+            | {"lambda": model.lam, "mu": model.mu, "alpha": model.alpha, "D": model.D}
+            | {"horizon": model.horizon, "density": self.density}
+            | {name: getattr(self, name) for name in CRITERIA}
+            | {"tension_only": self.tension_only},
+        )
+
+
+def load_brittle_solid(path: str | os.PathLike[str]) -> BrittleSolid:
+    """Read what `BrittleSolid.save` wrote; InputError naming what is wrong."""
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise InputError(f"{path}: expected {FORMAT} version {VERSION}")
+        model = Model(
+            lam=content["lambda"],
+            mu=content["mu"],
+            alpha=content["alpha"],
+            D=content["D"],
+            horizon=content["horizon"],
+        )
+        criteria = {name: content[name] for name in CRITERIA}
+        return BrittleSolid(
+            model, content["density"], **criteria, tension_only=bool(content["tension_only"])
+        )
+    except InputError:
+        raise
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: not a readable brittle solid ({error})") from None
+
+
+def positive_kernel(model: Model, horizon: float) -> Model:
+    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
+
+    This is how a model whose influence function changes sign goes to fracture.
+    """
+    return Model(model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units)
+
+
+def continuum_stretch(model: Model, toughness: float) -> float:
+    """s₀ of the continuum for a toughness G_c (theory.md, C5): N. Trask and others, 2019."""
+    lam, mu = model.lam, model.mu
+    unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
+    return float(np.sqrt(toughness / unit))

@@ -1,0 +1,106 @@
+"""What breaking bonds does to stability: proven where K is positive, refused where it changes sign.
+
+Theory.md, C1–C3: with w ≥ 0 the energy of a node is at least 2 min(λ+μ, 2μ) Σ w d²/r² whatever
+bonds are broken, and at most 4 max(μ, (λ+μ)/2) of the same sum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from warp_peri.damage.lattice_body import Body
+from warp_peri.damage.operator import bond_weights, stiffness_across
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.points.families import BondClasses
+from warp_peri.stability.inertia import pivots, symmetric_factors
+from warp_peri.stability.proof import largest_bound
+
+
+def check_breakable(model: Model, classes: BondClasses) -> None:
+    """Refuse a model whose bonds must not break (theory.md, C3).
+
+    Raises InputError with what positive and negative bonds across a line carry, for an influence
+    function that changes sign on the lattice, or two of them.
+    """
+    w = bond_weights(model, classes)
+    if (w >= 0).all():
+        return
+    plus, minus = stiffness_across(model, classes)
+    raise InputError(
+        "model: its influence function changes sign on the lattice of spacing "
+        f"{classes.spacing:g}: bonds across a line carry {plus:.4g} s² and {minus:.4g} s², and "
+        "breaking some of them leaves energies below zero; bonds may break in a positive kernel "
+        "(positive_kernel keeps its moduli)"
+    )
+
+
+def check_horizon(model: Model, body: Body) -> None:
+    """Refuse a body whose bonds are not those of the model's ball."""
+    if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
+        raise InputError(
+            f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
+        )
+
+
+def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
+    """Nodes whose bonds do not break, shape [N] bool; InputError for numbers or another shape."""
+    safe = np.zeros(count, bool) if no_fail is None else np.asarray(no_fail)
+    if safe.shape != (count,) or safe.dtype != bool:
+        raise InputError(
+            f"no_fail: expected shape [{count}] of bool, got {list(safe.shape)} of {safe.dtype}"
+        )
+    return safe
+
+
+def energy_bounds(model: Model) -> tuple[float, float]:
+    """Least and largest energy of a node over Σ w d²/r² of its unbroken bonds [stress] (C2)."""
+    ends = 4 * model.mu, 2 * (model.lam + model.mu)
+    return min(ends), max(ends)
+
+
+def largest_stiffness(model: Model, classes: BondClasses) -> float:
+    """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
+
+    max(μ, (λ+μ)/2) max_k Λmax Γ(k), [stress / length²]; the model must be breakable.
+    """
+    check_breakable(model, classes)
+    w = bond_weights(model, classes)
+    v = np.bincount(classes.bond_class, w) / classes.count
+    gamma = largest_bound(classes, v, v, 0.0)
+    return energy_bounds(model)[1] / 4 * gamma
+
+
+def breaking_time_step(model: Model, classes: BondClasses, density: float) -> float:
+    """Time step below which velocity Verlet is stable under any breaking (C9)."""
+    return float(2 * np.sqrt(density / largest_stiffness(model, classes)))
+
+
+def negative_eigenvalues(matrix: sp.sparray) -> int:
+    """How many eigenvalues of the symmetric part of a sparse matrix are below zero.
+
+    By the signs of LDLᵗ (Sylvester's law of inertia), the factors without exchange of rows.
+
+    Raises InputError for a singular matrix, as of a body that moves freely.
+    """
+    symmetric = sp.csc_matrix((matrix + matrix.T) / 2)
+    try:
+        factors = symmetric_factors(symmetric)
+    except RuntimeError as error:
+        raise InputError(f"operator: it is singular ({error})") from None
+    signed = pivots(factors)
+    if signed is None:
+        raise InputError("operator: a pivot is zero; its eigenvalues cannot be counted by signs")
+    return int(np.count_nonzero(signed < 0))
+
+
+def check_cut(matrix: sp.sparray) -> None:
+    """Refuse a cut operator with eigenvalues below zero, naming how many there are."""
+    count = negative_eigenvalues(matrix)
+    if count:
+        raise InputError(
+            f"crack: the operator with these bonds cut has {count} negative eigenvalues; a model "
+            "that changes sign does not carry this crack (positive_kernel keeps its moduli)"
+        )

@@ -1,0 +1,1 @@
+"""Conduction and diffusion along bonds, alone and with mechanics (theory.md, D)."""

@@ -1,0 +1,1 @@
+"""Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory.md, H)."""

@@ -1,0 +1,406 @@
+"""Hyperelastic solids at rest: the stable equilibrium, its residual and how stable it is.
+
+The total potential U − Σ b·u h² is minimised by Newton's method: a tangent that is not positive
+definite is shifted until it is, and a step is shortened until the potential falls and no part of
+the body folds. What is returned has a small residual and a positive tangent, or an error is raised.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from warp_peri.errors import InputError
+from warp_peri.points.samples import PointsLike
+from warp_peri.stability.solvability import lanczos_start, smallest_eigenvalue
+from warp_peri.tissue.factors import positive_factors
+from warp_peri.tissue.laplacian import laplacian
+from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
+from warp_peri.tissue.solid import HyperelasticSolid, Term
+from warp_peri.tissue.tangent import TangentPattern
+
+DIRECT = 12_000
+"""Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
+SMALLEST_STEP = 1 / 64
+"""Of the load, in continuation."""
+STIFFER = 6.0
+"""Times that deviations are stiffened where a plain solve fails; then they soften again."""
+SOFTENING = (1.5, 1.01)
+"""Largest and smallest ratio of two stiffnesses on that way."""
+
+
+class NoEquilibrium(RuntimeError):
+    """No stable equilibrium was found; the message says how far the load was followed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A stable equilibrium.
+
+    Attributes:
+        u: displacement on all nodes, shape [N, 2].
+        residual: largest residual over the largest force.
+        smallest_eigenvalue: of the tangent between interior nodes, over that of the five-point
+            Laplacian on them: positive where the equilibrium is stable [stress]. Beyond DIRECT
+            unknowns it is a lower bound of that, see StaticProblem.smallest_eigenvalue.
+        iterations: Newton steps.
+        load_steps: 1 where no continuation was needed.
+        followed: whether stable equilibria lead to it, from rest along the load or from stiffer
+            deviations, as far as the steps tell; false for another minimum, found by going down.
+    """
+
+    u: np.ndarray
+    residual: float
+    smallest_eigenvalue: float
+    iterations: int
+    load_steps: int
+    followed: bool
+
+
+class StaticProblem:
+    """Equilibria of one dictionary on one lattice, for many coefficients, loads and collars.
+
+    Args:
+        op: the operator.
+        tolerance: of the residual, relative to the largest force.
+        direct: unknowns up to which the tangent is factorised.
+    """
+
+    def __init__(
+        self, op: HyperelasticOperator, *, tolerance: float = 1e-8, direct: int = DIRECT
+    ) -> None:
+        self.op, self.tolerance = op.near_interior(), tolerance
+        self.direct = 2 * len(op.interior) <= direct
+        self.pattern = TangentPattern.of(self.op) if self.direct else None
+        self._laplacian, self._to_collar = laplacian(op)
+        self._laplace = splu(self._laplacian.tocsc())
+        self.softest = float(
+            eigsh(
+                self._laplacian,
+                1,
+                sigma=0,
+                OPinv=_inverse(self._laplace),
+                v0=lanczos_start(len(op.interior)),
+                return_eigenvectors=False,
+                tol=1e-4,
+            )[0]
+        )
+
+    def lift(self, u: np.ndarray) -> np.ndarray:
+        """u with its interior replaced by the harmonic extension of the collar."""
+        lifted = u.copy()
+        lifted[self.op.interior] = self._laplace.solve(-(self._to_collar @ u))
+        return lifted
+
+    def solve(
+        self,
+        c: np.ndarray,
+        b: np.ndarray | None,
+        u: np.ndarray,
+        *,
+        start: np.ndarray | None = None,
+    ) -> Equilibrium:
+        """The stable equilibrium under a load with displacement given on the collar.
+
+        Args:
+            c: coefficients, shape [K].
+            b: body force on all nodes [stress / length], shape [N, 2]; none for no load.
+            u: displacement, shape [N, 2]; read on the collar only.
+            start: where to begin; at the harmonic extension of the collar where none is given.
+
+        Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for
+        arrays of other shapes or with values that are not finite on the collar.
+        """
+        equilibrium = self.find(c, b, u, start=start)
+        if equilibrium is None:
+            raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
+        if not equilibrium.followed:
+            warnings.warn(
+                "the branch of stable equilibria that begins at rest ended before all of load and "
+                "collar; what is returned is another minimum, perhaps one of many",
+                stacklevel=2,
+            )
+        smallest = self.smallest_eigenvalue(c, equilibrium.u)
+        if not smallest > 0:
+            raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")
+        return replace(equilibrium, smallest_eigenvalue=smallest / self.softest)
+
+    def find(
+        self,
+        c: np.ndarray,
+        b: np.ndarray | None,
+        u: np.ndarray,
+        *,
+        start: np.ndarray | None = None,
+    ) -> Equilibrium | None:
+        """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
+
+        The tangent was positive definite in the last step all the same.
+        """
+        nodes = self.op.points.x.shape
+        load = np.zeros(nodes) if b is None else np.asarray(b, float)
+        collar = np.where(self.op.points.interior[:, None], 0.0, np.asarray(u, float))
+        for name, value in (("b", load), ("u", collar)):
+            if value.shape != nodes or not np.isfinite(value).all():
+                raise InputError(f"{name}: expected finite numbers of shape {list(nodes)}")
+        load = load[self.op.interior]
+        first = (
+            self.lift(collar)
+            if start is None
+            else np.where(self.op.points.interior[:, None], start, collar)
+        )
+        steps, followed = 1, True
+        field, count = self._newton(c, load, first)
+        softened = None
+        if field is None:
+            softened, factor, used = self._soften(c, load, collar, first)
+            field = softened if factor == 1.0 else None
+            count += used
+        if field is None:
+            branch, done, steps, used = self._continue(c, load, collar)
+            count, followed = count + used, done == 1.0
+            field = branch if followed else None
+            guesses = [branch * (1.0 / done if done else 1.0), first]
+            for guess in guesses if softened is None else [softened, *guesses]:
+                if field is None:
+                    guess = np.where(self.op.points.interior[:, None], guess, collar)
+                    field, used = self._newton(c, load, guess, shifts=True)
+                    count += used
+        if field is None:
+            return None
+        f = self.op.everywhere(field, c)
+        left = load - f[self.op.interior]
+        residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
+        return Equilibrium(field, residual, np.nan, count, steps, followed)
+
+    def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
+        """The same lattice with other strain energies; what is built once is shared."""
+        other = copy(self)
+        other.op = self.op.with_terms(terms)
+        if self.pattern is not None:
+            other.pattern = replace(self.pattern, op=other.op)
+        return other
+
+    def with_thickness(self, thickness: np.ndarray | None) -> StaticProblem:
+        """The same lattice with another thickness of every node, shape [N]."""
+        other = copy(self)
+        other.op = self.op.with_thickness(thickness)
+        if self.pattern is not None:
+            other.pattern = replace(self.pattern, op=other.op)
+        return other
+
+    def _soften(
+        self, c: np.ndarray, load: np.ndarray, collar: np.ndarray, first: np.ndarray
+    ) -> tuple[np.ndarray | None, float, int]:
+        """Solve with stiffer deviations and follow the answer while they soften.
+
+        The last answer, how stiff its deviations were, Newton steps.
+        """
+        deviations = slice(self.op.dictionary.first_deviation, self.op.dictionary.first_term)
+        stiff, factor, ratio = c.copy(), STIFFER, SOFTENING[0]
+        if not np.any(c[deviations] > 0):
+            return None, factor, 0
+        stiff[deviations] *= factor
+        last, count = self._newton(stiff, load, first)
+        if last is None:
+            branch, done, _, used = self._continue(stiff, load, collar)
+            last, count = branch if done == 1.0 else None, count + used
+        while last is not None and factor > 1.0 and ratio > SOFTENING[1]:
+            target = max(1.0, factor / ratio)
+            stiff[deviations] = target * c[deviations]
+            field, used = self._newton(stiff, load, last)
+            count += used
+            if field is None:
+                ratio = ratio**0.5
+            else:
+                last, factor = field, target
+        return last, factor, count
+
+    def _continue(
+        self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
+    ) -> tuple[np.ndarray, float, int, int]:
+        """Follow load and collar from rest: the last field, how far, load and Newton steps."""
+        done, step, steps, count = 0.0, 0.25, 0, 0
+        now = before = np.zeros_like(collar)
+        last = 0.0
+        while done < 1 and step >= SMALLEST_STEP:
+            target = min(1.0, done + step)
+            if done > last:
+                guess = now + (target - done) / (done - last) * (now - before)
+            else:
+                guess = self.lift(target * collar)
+            field, used = self._newton(c, target * load, guess)
+            count += used
+            if field is None:
+                step /= 2
+            else:
+                before, last, now, done, steps = now, done, field, target, steps + 1
+        return now, done, steps, count
+
+    def _newton(
+        self, c: np.ndarray, load: np.ndarray, u: np.ndarray, *, shifts: bool = False
+    ) -> tuple[np.ndarray | None, int]:
+        """Minimise the potential from u; None where that does not end in an equilibrium.
+
+        Without shifts it also ends where the tangent is not positive definite: the branch of
+        stable equilibria that u lies near has been left.
+        """
+        if self.op.smallest_area(u) <= SMALLEST_AREA:
+            return None, 0
+        for count in range(60 if shifts else 15):
+            f = self.op.everywhere(u, c)
+            residual = load - f[self.op.interior]
+            scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
+            if not np.isfinite(f).all():  # a bond or the short strain is folded
+                return None, count
+            step, shift = self._direction(c, u, residual, shifts)
+            if shift > 0 and not shifts:
+                return None, count
+            if np.abs(residual).max() <= self.tolerance * scale and shift == 0.0:
+                return (None if self._folded(u) else u), count
+            moved = self._search(c, load, u, step, residual, scale)
+            if moved is None:
+                return None, count
+            u = moved
+        return None, count
+
+    def _direction(
+        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray, shifts: bool
+    ) -> tuple[np.ndarray, float]:
+        """A direction of descent, and the shift that makes the tangent positive definite."""
+        if self.pattern is None:
+            return self._krylov(c, u, residual)
+        K = self.pattern.matrix(u, c)
+        shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
+        for _ in range(12):
+            factor = positive_factors(K + shift * sp.eye(K.shape[0]) if shift else K)
+            if factor is not None:
+                step: np.ndarray = factor.solve(residual.ravel()).reshape(residual.shape)
+                return step, shift
+            shift = size if shift == 0 else 4 * shift
+            if not shifts:
+                break
+        return residual / size, size
+
+    def _krylov(
+        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """The same by conjugate gradients that stop at negative curvature (Steihaug)."""
+        inner = self.op.interior
+        x, r = np.zeros_like(residual), residual.copy()
+        z = self._laplace.solve(r)
+        p, rz, first = z.copy(), float((r * z).sum()), np.linalg.norm(r)
+        if first == 0:
+            return x, 0.0
+        v = np.zeros_like(u)
+        for _ in range(500):
+            v[inner] = p
+            Kp = self.op.product(u, c, v)[inner]
+            curvature = float((p * Kp).sum())
+            if curvature <= 0:
+                return (x if x.any() else z), 1.0
+            step = rz / curvature
+            x += step * p
+            r -= step * Kp
+            if np.linalg.norm(r) < 1e-4 * first:
+                break
+            z = self._laplace.solve(r)
+            rz, before = float((r * z).sum()), rz
+            p = z + rz / before * p
+        return x, 0.0
+
+    def _search(
+        self,
+        c: np.ndarray,
+        load: np.ndarray,
+        u: np.ndarray,
+        step: np.ndarray,
+        residual: np.ndarray,
+        scale: float,
+    ) -> np.ndarray | None:
+        """u after the longest step that lowers the potential, or the residual near the end."""
+        inner = self.op.interior
+        area = self.op.bonds.spacing**2
+        before = float(self.op.energy(u, c)) - area * float((load * u[inner]).sum())
+        slope = -area * float((residual * step).sum())
+        size, folded = np.linalg.norm(residual), self._folded(u)
+        part = 1.0
+        while part > 1e-4:
+            moved = u.copy()
+            moved[inner] += part * step
+            if self.op.smallest_area(moved) > SMALLEST_AREA and self._folded(moved) <= folded:
+                after = float(self.op.energy(moved, c)) - area * float((load * moved[inner]).sum())
+                if np.isfinite(after) and after <= before + 1e-4 * part * slope:
+                    return moved
+                left = load - self.op.everywhere(moved, c)[inner]
+                if np.linalg.norm(left) < 0.5 * size or np.abs(left).max() < self.tolerance * scale:
+                    return moved
+            part /= 2
+        return None
+
+    def _folded(self, u: np.ndarray) -> int:
+        """Corners that are turned over, which their energies, functions of C, do not see."""
+        return self.op.folded(u) if self.op.dictionary.cornered else 0
+
+    def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
+        """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²].
+
+        Where it is not factorised: its smallest ratio to the Laplacian's quadratic form, times the
+        Laplacian's smallest eigenvalue. That has the same sign and, where positive, is not larger.
+        """
+        if self.pattern is not None:
+            K = self.pattern.matrix(u, c)
+            factor = positive_factors(K)
+            if factor is None:  # what is nearest to zero need not be the smallest
+                return smallest_eigenvalue(K)
+            inverse = LinearOperator(K.shape, factor.solve, dtype=float)
+            values = eigsh(
+                K, 1, sigma=0, OPinv=inverse, v0=lanczos_start(K.shape[0]),
+                return_eigenvectors=False, tol=1e-3,
+            )  # fmt: skip
+            return float(values[0])
+        inner, v = self.op.interior, np.zeros_like(u)
+
+        def product(p: np.ndarray) -> np.ndarray:
+            v[inner] = p.reshape(-1, 2)
+            Kp: np.ndarray = self.op.product(u, c, v)[inner].ravel()
+            return Kp
+
+        size = 2 * len(inner)
+        K = LinearOperator((size, size), product, dtype=float)
+        L = sp.kron(self._laplacian, sp.eye(2)).tocsr()
+        inverse = LinearOperator(
+            (size, size), lambda p: self._laplace.solve(p.reshape(-1, 2)).ravel(), dtype=float
+        )
+        values = eigsh(
+            K, 1, M=L, Minv=inverse, which="SA", v0=lanczos_start(size), return_eigenvectors=False,
+            tol=1e-2, maxiter=2000,
+        )  # fmt: skip
+        return float(values[0]) * self.softest
+
+
+def solve_hyperelastic(
+    solid: HyperelasticSolid,
+    points: PointsLike,
+    b: np.ndarray | None,
+    u: np.ndarray,
+    *,
+    thickness: np.ndarray | None = None,
+) -> Equilibrium:
+    """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments.
+
+    A thickness of every node, shape [N], makes the sheet uneven, (H18).
+    """
+    op = HyperelasticOperator(solid.dictionary, points, thickness=thickness)
+    return StaticProblem(op).solve(solid.coefficients, b, u)
+
+
+def _inverse(factor: Any) -> LinearOperator:
+    return LinearOperator(factor.shape, factor.solve, dtype=float)

@@ -1,0 +1,126 @@
+"""A hyperelastic solid as a material that FEBio reads, where one fits."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import write_text
+from warp_peri.tissue.solid import HyperelasticSolid, Term
+
+COMPRESSIBLE = {"neo_hookean", "volumetric"}
+INCOMPRESSIBLE = {"plane_stress"}
+
+
+def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = "sheet") -> str:
+    """The material as an XML element of FEBio's Material section.
+
+    With neo_hookean and volumetric energies it is a mixture of "HGO unconstrained" without fibres
+    and "fiber-exp-pow" for each family, which is the learned energy exactly in plane strain. With
+    plane_stress it is an incompressible mixture ("Mooney-Rivlin", c2 = 0, and
+    "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
+    bulk modulus, which is set to a thousand times the shear modulus. Deviations, ripples and steps,
+    which belong to the lattice, are left out.
+
+    Args:
+        solid: whose only other energies are fibre exponentials.
+        scale: stress that one unit of its coefficients stands for.
+        name: of the material.
+
+    Raises InputError for a solid with bonds or with energies that FEBio has no name for.
+    """
+    dictionary = solid.dictionary
+    c = scale * solid.coefficients
+    bonds = c[: dictionary.first_deviation]
+    if np.any(bonds):
+        raise InputError("solid: expected no bond energies, which FEBio does not know")
+    active = [(term, scale * value) for term, value in material_terms(solid)]
+    matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
+    if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
+        raise InputError(
+            f"solid: expected neo_hookean and volumetric, or plane_stress, and fibre exponentials; "
+            f"got {', '.join(sorted({term.kind for term, _ in active}))}"
+        )
+    root = _ground(matrix, name)
+    kind = "fiber-exp-pow-uncoupled" if "plane_stress" in matrix else "fiber-exp-pow"
+    for term, value in active:
+        if term.kind == "fibre_exponential":
+            fibre = ElementTree.SubElement(root, "solid", type=kind)
+            for key, number in (("ksi", value), ("alpha", term.exponent), ("beta", 2.0)):
+                _number(fibre, key, number)
+            axis = ElementTree.SubElement(fibre, "fiber", type="angles")
+            _number(axis, "theta", np.rad2deg(term.angle))
+            _number(axis, "phi", 90.0)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _ground(matrix: dict[str, float], name: str) -> ElementTree.Element:
+    """The mixture with its matrix."""
+    if "plane_stress" in matrix:
+        root = ElementTree.Element("material", id="1", name=name, type="uncoupled solid mixture")
+        _number(root, "k", 2000 * matrix["plane_stress"])
+        ground = ElementTree.SubElement(root, "solid", type="Mooney-Rivlin")
+        numbers = {"c1": matrix["plane_stress"], "c2": 0.0}
+    else:
+        root = ElementTree.Element("material", id="1", name=name, type="solid mixture")
+        ground = ElementTree.SubElement(root, "solid", type="HGO unconstrained")
+        numbers = {
+            "c": 2 * matrix.get("neo_hookean", 0.0),
+            "k1": 0.0,
+            "k2": 1.0,
+            "gamma": 0.0,
+            "kappa": 0.0,
+            "k": 2 * matrix.get("volumetric", 0.0),
+        }
+    for key, value in numbers.items():
+        _number(ground, key, value)
+    return root
+
+
+def save_febio(
+    solid: HyperelasticSolid, path: str | os.PathLike[str], *, scale: float = 1.0
+) -> None:
+    """Write that element to a file, whole or not at all."""
+    write_text(path, febio_material(solid, scale=scale) + "\n")
+
+
+def material_terms(solid: HyperelasticSolid) -> list[tuple[Term, float]]:
+    """Energies of uniform strain with their coefficients; nodes and corners are one material."""
+    sums: dict[Term, float] = {}
+    for term, value in zip(
+        solid.dictionary.terms, solid.coefficients[solid.dictionary.first_term :]
+    ):
+        if value and not term.ripple and term.across is None:
+            own = replace(term, corner=False)
+            sums[own] = sums.get(own, 0.0) + float(value)
+    return list(sums.items())
+
+
+def in_words(solid: HyperelasticSolid) -> list[str]:
+    """What the coefficients say, one line for each number."""
+    lines = []
+    values = dict.fromkeys(COMPRESSIBLE | INCOMPRESSIBLE, 0.0)
+    for term, value in material_terms(solid):
+        if term.kind in values:
+            values[term.kind] = float(value)
+        elif value > 0 and term.kind == "fibre_exponential":
+            angle = np.rad2deg(np.mod(term.angle, np.pi))
+            lines.append(f"fibres at {angle:.1f}°: k1 = {value:.4g}, k2 = {term.exponent:.3g}")
+    if values["plane_stress"]:
+        lines.insert(0, f"incompressible matrix: shear modulus {2 * values['plane_stress']:.4g}")
+    if values["neo_hookean"]:
+        shear, bulk = 2 * values["neo_hookean"], values["volumetric"]
+        lines.insert(0, f"matrix: shear modulus {shear:.4g}, volumetric coefficient {bulk:.4g}")
+        ratio = 3 * bulk / shear  # (1 + ν)/(1 − 2ν) of the published energy
+        nu = (ratio - 1) / (2 * ratio + 1)
+        lines.insert(1, f"as the published energy: E = {2 * shear * (1 + nu):.4g}, ν = {nu:.3g}")
+    return lines
+
+
+def _number(parent: ElementTree.Element, key: str, value: float) -> None:
+    ElementTree.SubElement(parent, key).text = repr(float(value))
