@@ -177,7 +177,7 @@ def main(argv: list[str] | None = None) -> int:
     warnings.simplefilter("ignore")
     start = time.perf_counter()
     samples = held_samples(args.cache, tension=args.tension, progress=not args.json)
-    model = warp_peri.load_model(args.model)
+    model = warp_peri.load(args.model)
     zigzag, armchair = (edge_constants(armchair=turned) for turned in (False, True))
     round_edge = (zigzag["stiffness"] + armchair["stiffness"]) / 2
     whole = mesh_outline(box(2 * INSIDE, 2 * INSIDE), size=8.0)

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from tests.support.problems import KERNELS, ell, fitted_order, kernel, lattice, noise, periodic
-from warp_peri import InputError, LPSOperator, critical_time_step, velocity_verlet
+from tests.support.solving import velocity_verlet
+from warp_peri import InputError
 from warp_peri.dynamics.verlet import INERTIA, Inert, step
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
+from warp_peri.proofs import critical_time_step
 from warp_peri.stability import proof
 from warp_peri.stability.proof import largest_bound
+from warp_peri.transfer.operator import LPSOperator
 
 DENSITY = 2147.0
 STABLE = ("1/r", "steep", "positive", "two functions")

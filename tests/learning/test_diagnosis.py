@@ -7,8 +7,9 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.waves import fluctuation
-from warp_peri import InputError, LPSOperator, diagnose
+from warp_peri import InputError, diagnose
 from warp_peri.learning.diagnosis import _Grid
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)

@@ -8,16 +8,10 @@ import pytest
 
 from tests.support.nonlinear import CONSTANTS, FORMS, solid
 from tests.support.problems import lattice, smooth
-from warp_peri import (
-    Bernstein,
-    InputError,
-    Nonlinear,
-    Optimum,
-    Samples,
-    TwoStage,
-    evaluate,
-    fit,
-)
+from warp_peri import Bernstein, InputError, Samples, evaluate
+from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.methods import Optimum, TwoStage
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.nonlinear import NonlinearOperator
 
@@ -59,7 +53,7 @@ def learned(request):
 
 def test_what_made_the_data_is_found_again(learned):
     known, _, result, _ = learned
-    model = result.model
+    model = result.material
     assert result.E_res_train < 1.1 * NOISE
     assert np.allclose([model.t3, model.tq2, model.q3], CONSTANTS, rtol=0.02)
     assert np.allclose(model.numbers[:2], known.numbers[:2], rtol=1e-3)
@@ -75,7 +69,7 @@ def test_what_made_the_data_is_found_again(learned):
 
 def test_data_beyond_the_proven_strain_name_the_option_that_proves_more(learned):
     known, _, result, said = learned
-    beyond = result.largest_gradient > result.model.proven_strain(1.0)
+    beyond = result.largest_gradient > result.material.proven_strain(1.0)
     assert result.largest_gradient > 0.02
     assert beyond == (known.form == "filtered")  # whose gradient is that of fields not smoothed
     options = [message for message in said if "Conditions(zeta=…)" in message]

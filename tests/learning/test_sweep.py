@@ -6,8 +6,9 @@ import sys
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import InputError, sweep
+from warp_peri import InputError
 from warp_peri.learning.sweep import Trial, choose
+from warp_peri.methods import sweep
 
 sweeps = sys.modules["warp_peri.learning.sweep"]  # the package holds the function of that name
 

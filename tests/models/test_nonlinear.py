@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.support.nonlinear import FORMS, solid
-from warp_peri import InputError, Model, load_model
+from warp_peri import InputError, Model
+from warp_peri.models.lps import load_model
 from warp_peri.models.nonlinear import NonlinearModel, load_any, load_nonlinear
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.operator.symbol import stiffnesses

@@ -10,7 +10,7 @@ import torch
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri import InputError, LPSOperator, Points, set_threads
+from warp_peri import InputError, Points, set_threads
 from warp_peri.launch import threads
 from warp_peri.operator.nonlinear import (
     GradientSweeps,
@@ -18,6 +18,7 @@ from warp_peri.operator.nonlinear import (
     class_tables,
     nonlinear_force,
 )
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 DIFFERENCES = 1e-8

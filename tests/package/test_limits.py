@@ -7,20 +7,14 @@ import pytest
 
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
-from warp_peri import (
-    Bernstein,
-    InputError,
-    LPSOperator,
-    Model,
-    Points,
-    certify,
-    fit,
-    load_model,
-    solve,
-)
+from tests.support.solving import solve
+from warp_peri import Bernstein, InputError, Model, Points, certify
+from warp_peri.learning.fit import learn as fit
 from warp_peri.models.influence import bernstein_basis
+from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.strain import largest_strain
+from warp_peri.transfer.operator import LPSOperator
 
 
 def cancelled(horizon=2.0):
@@ -74,7 +68,7 @@ def test_strain_of_known_fields():
 
 def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
     points = manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 2.5), 4)
-    model = fit(points, horizon=2.5, kernel=Bernstein(2)).model
+    model = fit(points, horizon=2.5, kernel=Bernstein(2)).material
     assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
     model.save(tmp_path / "m.json")
     assert load_model(tmp_path / "m.json").trained_strain == model.trained_strain

@@ -9,21 +9,13 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, noise
-from warp_peri import (
-    Bernstein,
-    Dataset,
-    InputError,
-    Model,
-    Scene,
-    choose_model,
-    evaluate,
-    fit,
-    save_dataset,
-    solve,
-)
-from warp_peri.choice import shipped_table
+from tests.support.solving import solve
+from warp_peri import Bernstein, Dataset, InputError, Model, choose_model, evaluate
+from warp_peri.choice import Scene, shipped_table
 from warp_peri.cli.main import main
 from warp_peri.errors import exit_status
+from warp_peri.learning.fit import learn as fit
+from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.families import families_of
 from warp_peri.sources.dumps import dump_frames
 
@@ -43,11 +35,11 @@ def result(samples):
 
 def test_a_data_set_with_one_obvious_set_is_taken(samples, result):
     data = Dataset({"train": samples, "val": samples}, 3.35, 2200.0)
-    assert fit(data, HORIZON, Bernstein(2)).model.mu == result.model.mu
-    numbers = evaluate(result.model, Dataset({"val": samples}, 3.35, 2200.0))
-    assert numbers == evaluate(result.model, samples)
+    assert fit(data, HORIZON, Bernstein(2)).material.mu == result.material.mu
+    numbers = evaluate(result.material, Dataset({"val": samples}, 3.35, 2200.0))
+    assert numbers == evaluate(result.material, samples)
     with pytest.raises(InputError, match=r"a data set with train, val; name one, as data\['train'"):
-        evaluate(result.model, data)
+        evaluate(result.material, data)
 
 
 def test_a_fit_is_shown_in_a_few_lines(result):
@@ -123,7 +115,7 @@ def command(*words):
 
 
 def test_warp_says_nothing_of_a_driver_that_is_not_there(result, tmp_path):
-    result.model.save(tmp_path / "model.json")
+    result.material.save(tmp_path / "model.json")
     process = command("certify", str(tmp_path / "model.json"), "--json")
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0

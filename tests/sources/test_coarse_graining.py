@@ -5,7 +5,8 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import ROUNDING
-from warp_peri import InputError, coarse_grain, smoothing_matrix
+from warp_peri import InputError
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 
 RANDOM = np.random.default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes

@@ -8,10 +8,10 @@ from scipy.sparse.linalg import splu
 
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
-from warp_peri import uniqueness
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.symbol import stiffnesses, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
+from warp_peri.proofs import uniqueness
 from warp_peri.stability.uniqueness import curvature_bound, largest_parts, proven_kappa
 
 HORIZON = 3.0
@@ -116,7 +116,7 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
         random = np.random.default_rng(seed)
         mask = random.uniform(size=(5, 5)) < 0.7
         mask[2, 2] = True
-        iteration = Iteration(model, proof.strain, lattice(mask, HORIZON), seed)
+        iteration = dict(model, proof.strain, lattice(mask, HORIZON), seed)
         starts = [iteration.start(size, random) for size in (0.1, 1.0, 30.0)]
         for _ in range(3):
             after = [iteration(start) for start in starts]

@@ -8,9 +8,12 @@ import pytest
 
 from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, noise, smooth
-from warp_peri import InputError, NonlinearRecord, solve, solve_nonlinear, uniqueness
+from tests.support.solving import solve, solve_nonlinear
+from warp_peri import InputError
 from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.proofs import uniqueness
 from warp_peri.statics import nonlinear as statics
+from warp_peri.statics.nonlinear import NonlinearRecord
 
 HORIZON = 3.0
 

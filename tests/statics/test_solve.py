@@ -7,9 +7,11 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
-from warp_peri import InputError, LPSOperator, Model, solve, solve_periodic
+from tests.support.solving import solve, solve_periodic
+from warp_peri import InputError, Model
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
+from warp_peri.transfer.operator import LPSOperator
 
 SOLVABLE = ("1/r", "steep", "positive", "growing", "sign-changing")
 HORIZON = 3.0  # at which all of them are

@@ -10,22 +10,17 @@ import pytest
 import torch
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import (
-    InputError,
-    LPSOperator,
-    critical_time_step,
-    equilibrium,
-    evaluate,
-    load_model,
-    model_for,
-    on_lattice,
-    solve,
-    solve_periodic,
-)
-from warp_peri.models.lps import model_content
+from tests.support.solving import solve, solve_periodic
+from warp_peri import InputError, evaluate
+from warp_peri.models.lps import load_model, model_content
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import families_of
+from warp_peri.proofs import critical_time_step
+from warp_peri.statics.equilibrium import equilibrium
 from warp_peri.transfer import cache as kept
+from warp_peri.transfer.operator import LPSOperator
+from warp_peri.transfer.points import model_for
+from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 ASKED = {"spacing": 0.8, "horizon": 1.6}

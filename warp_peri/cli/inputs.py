@@ -56,7 +56,7 @@ def node_lattice(spacing: float, reach: float, interior: float, *, round_body: b
     return Points(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
 
 
-def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFunction:
+def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.shapes.InfluenceFunction:
     """The influence function of a name, or of a table in a .csv file for a lattice."""
     if not name.endswith(".csv"):
         return warp_peri.shapes.named(name, horizon)

@@ -33,6 +33,7 @@ class CutSolid:
 
     Attributes:
         matrix: L of (C4), symmetric, shape [2N, 2N].
+        left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
     with negative eigenvalues, and for a body of another horizon.
@@ -63,6 +64,7 @@ class CutSolid:
             check_cut(inner)
         self._inner = sp.csc_array(inner)
         self._factors = symmetric_factors(self._inner)
+        self.left = np.inf
 
     def solve(self, u: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
         """u at rest, shape [N, 2].
@@ -85,8 +87,10 @@ class CutSolid:
         right = (load - self.matrix @ solved)[self.free]
         x = self._factors.solve(right)
         size = np.linalg.norm(right)
-        if np.linalg.norm(self._inner @ x - right) > RESIDUAL * size:
+        left = float(np.linalg.norm(self._inner @ x - right))
+        if left > RESIDUAL * size:
             raise InputError("operator: the solve lost its digits; parts of the body hang loose")
+        self.left = left / size if size else 0.0
         solved[self.free] = x
         return solved.reshape(-1, 2)
 

@@ -52,6 +52,13 @@ class History:
         missing, scale = np.abs(rows[:, 1] - rows[:, 2:].sum(axis=1)), np.abs(rows[:, 1]).max()
         return float(missing.max() / scale) if scale else 0.0
 
+    def by_name(self) -> dict[str, np.ndarray]:
+        """Every history as an array: the ledger's columns, `u region`, `v region`, `force section`."""
+        named = {name: self.column(name) for name in LEDGER[1:]}
+        for kind in ("u", "v", "force"):
+            named |= {f"{kind} {name}": np.array(r) for name, r in getattr(self, kind).items()}
+        return named
+
     def column(self, name: str) -> np.ndarray:
         """One column of the ledger, by its name, shape [K]; InputError for another name."""
         if name not in LEDGER:

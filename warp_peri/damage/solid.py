@@ -54,6 +54,11 @@ class BrittleSolid:
                 raise InputError(f"{name}: expected a number > 0, got {value!r}")
 
     @property
+    def linear(self) -> Model:
+        """The solid before anything breaks."""
+        return self.model
+
+    @property
     def by_energy(self) -> bool:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None

@@ -68,7 +68,7 @@ class NonlinearFit:
     """A learned nonlinear model and how it was learned.
 
     Attributes:
-        model: the model, with its guarantee.
+        material: the model, with its guarantee.
         linear: the fit of the linear solid that it began with.
         passes: optima that were computed, each with the λ and μ of the one before.
         E_res_train: mean relative residual on the training samples.
@@ -76,7 +76,7 @@ class NonlinearFit:
         seconds: of everything after the linear fit.
     """
 
-    model: NonlinearModel
+    material: NonlinearModel
     linear: Fit
     passes: int
     E_res_train: float
@@ -135,7 +135,7 @@ def with_constants(
     begin = time.perf_counter()
     task = _Task(linear, sets, method, nonlinear)
     model, passes = task.settle()
-    model = _certified(model, sets, linear.model.versions)
+    model = _certified(model, sets, linear.material.versions)
     error, largest = task.check(model)
     _warn_of_strain(model, largest, sets[0].spacing, linear.settings.conditions[0].zeta)
     seconds = time.perf_counter() - begin
@@ -183,7 +183,7 @@ class _Task:
     def __init__(
         self, linear: Fit, sets: Sequence[Samples], method: Optimum, nonlinear: Nonlinear
     ) -> None:
-        self.sets, self.method, self.horizon = sets, method, linear.model.horizon
+        self.sets, self.method, self.horizon = sets, method, linear.material.horizon
         self.smoothing, self.axis = nonlinear.smoothing, nonlinear.axis
         self.settings, self.start = linear.settings, linear.history[-1].parameters
         self.classes = linear.settings.conditions[0].classes

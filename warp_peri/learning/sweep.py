@@ -17,7 +17,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.learning.evaluate import evaluate
-from warp_peri.learning.fit import fit
+from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein
 from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.models.lps import load_model
@@ -205,7 +205,7 @@ def _trial(
     tries again. Input that cannot be used ends the sweep.
     """
     try:
-        learned = fit(
+        learned = learn(
             train,
             horizon,
             Bernstein(degree),
@@ -215,7 +215,7 @@ def _trial(
         )
     except RuntimeError as error:
         return f"δ = {horizon:g} Å, M = {degree}: {error}"
-    model = learned.model
+    model = learned.material
     tables = [evaluate(model, points, allow_uncertified=True) for points in (train, val)]
     E_u_test = None if test is None else evaluate(model, test, allow_uncertified=True)["E_u"]
     model_file = file.with_suffix(".model.json")

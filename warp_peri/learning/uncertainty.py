@@ -96,7 +96,7 @@ def fit_uncertainty(
     Raises InputError for data that the fit cannot have learned from, data in other units, or for a
     loss "output" on loads that are not single waves.
     """
-    model, settings = found.model, found.settings
+    model, settings = found.material, found.settings
     sets, fields = _sets_and_noise(points, noise, len(settings.conditions))
     for samples in (*sets, *fields):
         check_same(model.units, samples.points.units)

@@ -8,7 +8,7 @@ import os
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,10 @@ from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_ba
 from warp_peri.models.solid import Solid
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
+
+if TYPE_CHECKING:  # the operator stands above its numbers
+    from warp_peri.points.samples import PointsLike
+    from warp_peri.statics.lps import PlacedLPS
 
 FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
@@ -91,6 +95,7 @@ class Model:
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
     file: Path | None = None
+    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", check_units(self.units))
@@ -140,6 +145,11 @@ class Model:
     def solid(self) -> Solid:
         """λ, μ, α, D and D of the dilatation as one value."""
         return Solid(self.lam, self.mu, self.alpha, self.D, self.dilatation)
+
+    @property
+    def linear(self) -> Model:
+        """Itself: the linear solid at zero strain, which nonlinear laws have too."""
+        return self
 
     @property
     def bond_based(self) -> bool:
@@ -237,9 +247,41 @@ class Model:
             file=None,
         )
 
+    def on(self, points: PointsLike, **options: Any) -> PlacedLPS:
+        """The model on points: transferred there, certified, its bonds built when first needed.
+
+        Args:
+            points: a lattice or scattered points.
+            options: transfer=False refuses what the model itself holds no certificate for;
+                allow_uncertified=True takes its own numbers, with a warning; device,
+                quadrature_degree.
+
+        Raises InputError as LPSOperator does.
+        """
+        from warp_peri.statics.lps import PlacedLPS
+
+        return PlacedLPS(self, points, **options)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the model holds."""
+        return model_content(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Constants, lattices and errors, as plain values."""
+        names = ("mu", "E", "nu", "alpha", "degree", "horizon")
+        lists = ("units", "trained_on", "certified_on")
+        return {
+            "format": "model",
+            "lambda": self.lam,
+            **{name: getattr(self, name) for name in names},
+            **{name: list(getattr(self, name)) for name in lists},
+            "errors": self.errors,
+            "versions": self.versions,
+        }
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
-        write_json(path, model_content(self))
+        write_json(path, self.content())
 
 
 def model_content(model: Model) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from warp_peri.points.unit_names import Units, factors
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
+    from warp_peri.points.samples import PointsLike
+    from warp_peri.statics.nonlinear import PlacedThirdOrder
 
 KIND = "nonlinear"
 OWN = 1e-4
@@ -65,6 +67,7 @@ class NonlinearModel:
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     gradient: tuple[float, ...] | None = None
+    dimension: ClassVar[int] = 2
 
     @property
     def units(self) -> Units:
@@ -172,8 +175,23 @@ class NonlinearModel:
             },
         )
 
+    def on(self, points: PointsLike, **options: Any) -> PlacedThirdOrder:
+        """The model on a lattice, its linear part transferred; as PlacedThirdOrder."""
+        from warp_peri.statics.nonlinear import PlacedThirdOrder
+
+        return PlacedThirdOrder(self, points, **options)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
+        write_json(path, self.content())
+
+    def summary(self) -> dict[str, Any]:
+        """Constants, guarantee and errors, and those of the linear part, as plain values."""
+        own = {name: getattr(self, name) for name in (*CUBIC, "proven", "errors")}
+        return self.linear.summary() | {"format": f"model, nonlinear, {self.form} form"} | own
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the model holds."""
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "kind": KIND}
         content["linear"] = model_content(self.linear)
         content |= {name: getattr(self, name) for name in (*CUBIC, "axis", *_RECORDS)}
@@ -181,7 +199,7 @@ class NonlinearModel:
         if self.gradient is not None:
             content["gradient"] = list(self.gradient)
         content["sha256"] = content_hash(content)
-        write_json(path, content)
+        return content
 
 
 def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:

@@ -61,6 +61,19 @@ class Points:
                 )
             object.__setattr__(self, "outside", outside)
 
+    @classmethod
+    def sheet(cls, sides: tuple[int, int], spacing: float, *, units: Units = USUAL) -> Points:
+        """A periodic lattice along the axes, all of its nodes interior.
+
+        Args:
+            sides: nodes along each axis; node (i, j) is number i · sides[1] + j.
+            spacing: h [length].
+            units: of length and stress.
+        """
+        grid = np.indices(sides).reshape(len(sides), -1).T
+        box = (sides[0] * spacing, sides[1] * spacing)
+        return cls(spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units)
+
     @property
     def is_plain_lattice(self) -> bool:
         """Whether it is a lattice that neither repeats nor has broken bonds."""

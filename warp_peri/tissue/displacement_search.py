@@ -36,14 +36,14 @@ class DisplacementFit:
     """A solid known up to its scale.
 
     Attributes:
-        solid: with an initial stiffness (H14) of one.
+        material: with an initial stiffness (H14) of one.
         errors: relative error of the solved displacement of every training frame.
         history: root mean square of those errors after every step.
         frames_left_out: frames whose equilibrium was not found at the start.
         thickness: of the sheet, where it was an unknown.
     """
 
-    solid: HyperelasticSolid
+    material: HyperelasticSolid
     errors: np.ndarray
     history: list[float]
     frames_left_out: list[int]

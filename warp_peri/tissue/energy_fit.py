@@ -115,14 +115,14 @@ class EnergyFit:
     """A fitted solid.
 
     Attributes:
-        solid: dictionary and coefficients.
+        material: dictionary and coefficients.
         residual: root mean squared relative residual on the training samples.
         guaranteed: whether no coefficient is below its bound, so that (H9) holds.
         margin: least ratio (H20) of the sampled waves in the sampled strains [stress]; none where
             stability was not asked for. It is measured, no bound for other waves and strains.
     """
 
-    solid: HyperelasticSolid
+    material: HyperelasticSolid
     residual: float
     guaranteed: bool
     margin: float | None = None
