@@ -94,8 +94,6 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     assert np.abs(above.u).max() > 1e20 * np.abs(u).max()
     with pytest.raises(InputError, match=f"step: expected at most {critical:.6g} ps"):
         velocity_verlet(model, points, u, rest, step=1.01 * critical, **options)
-    with pytest.raises(InputError, match="allow_unstable is now a loop over"):
-        velocity_verlet(model, points, u, rest, step=critical, allow_unstable=True, **options)
 
 
 def test_the_step_holds_on_parts_of_the_lattice():

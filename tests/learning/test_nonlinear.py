@@ -9,7 +9,7 @@ import pytest
 from tests.support.nonlinear import CONSTANTS, FORMS, solid
 from tests.support.problems import lattice, smooth
 from warp_peri import Bernstein, InputError, Samples, evaluate
-from warp_peri.learning.fit import learn as fit
+from tests.support.learning import fit
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.methods import Optimum, TwoStage
 from warp_peri.models.nonlinear import NonlinearModel

@@ -46,7 +46,7 @@ def plain(data):
 def test_stiffness_of_any_size(data, plain, stress):
     result = learned(at_scale(data, stress=stress))
     for name in ("lam", "mu"):
-        expected = getattr(plain.model, name)
+        expected = getattr(plain.material, name)
         assert getattr(result.material, name) / stress == pytest.approx(expected, rel=1e-5)
         for stage in result.history:
             assert getattr(stage.parameters, name) / stress == pytest.approx(expected, rel=1e-5)
@@ -63,7 +63,7 @@ def test_lengths_in_any_unit(data, plain, length):
     result = learned(there, length)
     assert result.material.horizon == HORIZON * length
     assert result.material.certified_on == (length,)
-    assert result.material.mu == pytest.approx(plain.model.mu, rel=1e-5)
+    assert result.material.mu == pytest.approx(plain.material.mu, rel=1e-5)
     solved = solve(result.material, there, there.b, there.u)
     assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
 
@@ -78,7 +78,7 @@ def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, un
     result = learned(there, 0.1)
     length, stress = symbols(units)
     assert result.material.units == units
-    assert result.material.mu == pytest.approx(1000 * plain.model.mu, rel=1e-5)
+    assert result.material.mu == pytest.approx(1000 * plain.material.mu, rel=1e-5)
     assert f"spacing 0.1 {length}, with" in result.certificate.statement
     assert f" {stress}" in repr(result)
     assert "TPa" not in repr(result)
@@ -86,8 +86,8 @@ def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, un
     assert solve(result.material, there, there.b, there.u).shape == there.u.shape
     for use in (
         lambda: solve(result.material, data, data.b, data.u),
-        lambda: evaluate(plain.model, there),
-        lambda: LPSOperator(plain.model, there),
+        lambda: evaluate(plain.material, there),
+        lambda: LPSOperator(plain.material, there),
     ):
         with pytest.raises(InputError, match=r"units: the model is in .*in_units\(.* converts"):
             use()
@@ -113,7 +113,7 @@ def test_moduli_to_be_held_are_those_of_the_data(data):
 def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp_path):
     stiffness = stiffness_of([data], HORIZON)
     assert 0.3 < stiffness < 3
-    plain.model.save(tmp_path / "model.json")
+    plain.material.save(tmp_path / "model.json")
     kept = load_model(tmp_path / "model.json").provenance["zeta"]
     assert kept == pytest.approx(
         {"zeta": RELATIVE_ZETA * stiffness, "stiffness of the data": stiffness}

@@ -76,7 +76,7 @@ def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     assert loss == pytest.approx(reference, rel=1e-5)
     classes = bond_classes(1.0, HORIZON)
     for stiffness, other in zip(
-        stiffnesses(learned.material, classes), stiffnesses(expected.model, classes)
+        stiffnesses(learned.material, classes), stiffnesses(expected.material, classes)
     ):
         np.testing.assert_allclose(stiffness, other, atol=1e-3)
 

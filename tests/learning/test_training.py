@@ -143,7 +143,7 @@ def test_the_same_seed_gives_the_same_bits():
         for seed in (1, 1, 2)
     )
     for name in ("lam", "mu", "alpha", "D"):
-        assert np.array_equal(getattr(first.model, name), getattr(second.model, name))
+        assert np.array_equal(getattr(first.material, name), getattr(second.material, name))
     assert first.history[0].loss == second.history[0].loss
     assert first.history[0].loss != other.history[0].loss
     whole = [
@@ -152,7 +152,7 @@ def test_the_same_seed_gives_the_same_bits():
             horizon=2.5,
             kernel=Bernstein(3),
             method=Constrained(replace(QUICK, seed=1), Optimum(jobs=jobs)),
-        ).model
+        ).material
         for jobs in (1, 2)
     ]
     assert np.array_equal(whole[0].D, whole[1].D)
@@ -174,7 +174,7 @@ def test_two_lattices_are_learned_together():
 
 def test_held_moduli_are_held():
     points, _ = data("positive", 3.0)
-    held = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))).model
+    held = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))).material
     assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
     expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
     assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
@@ -252,14 +252,6 @@ def test_settings_that_mean_nothing_are_refused(make, words):
         make()
 
 
-OLD = "degree influence two_functions zeta moduli jobs parametrisation constraints checkpoint"
-
-
-@pytest.mark.parametrize("name", [*OLD.split(), "lattice_spacing", "seed"])
-def test_an_old_option_names_the_new_one(name):
-    points, _ = data("positive", 2.0)
-    with pytest.raises(InputError, match=f"fit: {name} is now (kernel|method|conditions)"):
-        fit(points, horizon=2.0, **{name: 1})
 
 
 def test_noise_for_scattered_points_is_refused():

@@ -114,7 +114,7 @@ def test_an_active_condition_stays_where_it_is():
     noise = fluctuation(data, 12, SIZE, seed=2)
     margin = float(
         ZoneSearch(LatticeConditions(CLASSES, Conditions("direct", 1e-9)))
-        .worst(*stiffnesses(fitted(data, start).model, CLASSES))[0]
+        .worst(*stiffnesses(fitted(data, start).material, CLASSES))[0]
         .min()
     )
 

@@ -46,7 +46,7 @@ def test_iterative_solves_recover_a_manufactured_solution(name, method):
     records = []
     collar = np.where(points.interior[:, None], np.nan, points.u)
     load = np.where(points.interior[:, None], points.b, np.nan)
-    iteration = dict(1e-11, records=records)
+    iteration = dict(tolerance=1e-11, records=records)
     solved = solve(model, points, load, collar, method=method, iteration=iteration)
     np.testing.assert_allclose(solved, points.u, rtol=0, atol=2e-8)
     left = (LPSOperator(model, points)(solved) - points.b[:, points.interior]).reshape(2, -1)
@@ -152,7 +152,7 @@ def test_a_tolerance_out_of_reach_is_an_error():
             noise(points),
             noise(points),
             method="cg",
-            iteration=dict(1e-17),
+            iteration=dict(tolerance=1e-17),
         )
 
 

@@ -81,7 +81,7 @@ def test_own_numbers_and_refusal_stay(operator):
     u, b = waves(operator.points.x)
     with pytest.raises(InputError, match="certified on 1 Å, not on scattered points"):
         solve(HOME, operator.points, b, u, transfer=False)
-    with pytest.raises(InputError, match="method: expected auto or lu on scattered points"):
+    with pytest.raises(InputError, match="solver: expected Direct.. on scattered points"):
         solve(HOME, operator.points, b, u, method="gmres")
 
 

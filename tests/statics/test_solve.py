@@ -118,10 +118,17 @@ def test_arrays_that_do_not_fit_are_refused(b, u, words):
         solve(kernel("1/r", HORIZON), lattice(2, HORIZON), b, u)
 
 
-@pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((8, 8)), np.full((8, 8, 2), np.nan)])
+@pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((64, 3)), np.full((64, 2), np.nan)])
 def test_sheets_that_do_not_fit_are_refused(b):
-    with pytest.raises(InputError, match=r"b: expected finite values of shape \[..., n1, n2, 2\]"):
-        solve_periodic(kernel("1/r", HORIZON), b, spacing=1.0)
+    with pytest.raises(InputError, match="b, u_collar: expected"):
+        solved(kernel("1/r", HORIZON), Periodic(Points.sheet((8, 8), 1.0), b))
+
+
+@pytest.mark.parametrize("change", [{"box": None}, {"box": (9.0, 8.0)}])
+def test_a_sheet_must_fill_its_box(change):
+    points = dataclasses.replace(Points.sheet((8, 8), 1.0), **change)
+    with pytest.raises(InputError, match="points: expected"):
+        solved(kernel("1/r", HORIZON), Periodic(points, np.zeros((64, 2))))
 
 
 def test_a_collar_that_is_too_thin_is_refused():

@@ -92,7 +92,7 @@ def fit(samples: Sets, law: LPS, **options: Any) -> Fit: ...
 def fit(samples: Sets, law: ThirdOrder, **options: Any) -> NonlinearFit: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
-def fit(samples: Any, law: Any, *were: Any, **options: Any) -> Any:
+def fit(samples: Any, law: Any = None, *were: Any, **options: Any) -> Any:
     """Learn a law from samples.
 
     Args:
@@ -107,8 +107,11 @@ def fit(samples: Any, law: Any, *were: Any, **options: Any) -> Any:
 
     Raises InputError for input that cannot be used, RuntimeError where a search fails.
     """
+    for name in ("horizon", "kernel", "method", "conditions", "loss", "normalise"):
+        if name in options:
+            raise InputError(f"fit: {name} is now part of the law, as LPS(horizon, kernel, …)")
     if were or is_number(law):
-        raise InputError("fit: what follows the samples is now a law, as LPS(horizon, kernel)")
+        raise InputError("fit: what follows the samples is now a law, as LPS(horizon, kernel, …)")
     return offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")(
         samples, **options
     )
