@@ -19,6 +19,7 @@ from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.strain import largest_strain, lattice_strain
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import PRECONDITIONERS, SolveRecord
@@ -115,7 +116,7 @@ def solve(
         options = method, quadrature_degree
         answer = _direct(nodes, load, u, model, *options, allowed=allow_uncertified)
     u[:, nodes.interior] = answer[:, nodes.interior]
-    warn_beyond(model, nodes, u)
+    warn_beyond(model, lambda: largest_strain(nodes, u))
     return u.reshape(np.shape(u_collar))
 
 
@@ -168,7 +169,6 @@ def _through_lattice(
         )
     flat = u.reshape(-1, len(points.x), 2)
     answer = ThroughLattice(model, points).solve(load.reshape(flat.shape), flat)
-    warn_beyond(model, nodes_of(points), answer)
     return answer.reshape(u.shape)
 
 
@@ -271,4 +271,6 @@ def solve_periodic(
     if not size.min() > SINGULAR * size.max():
         raise InputError("the symbol is singular at a wave vector of this sheet")
     wave = np.linalg.solve(D, transform[..., None])[..., 0]
-    return np.fft.ifftn(wave, axes=(-3, -2)).real
+    u: np.ndarray = np.fft.ifftn(wave, axes=(-3, -2)).real
+    warn_beyond(model, lambda: lattice_strain(u, spacing))
+    return u
