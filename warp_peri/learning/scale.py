@@ -1,14 +1,13 @@
 """The units that a fit works in, and the stiffness that data show (theory.md, U1–U2).
 
 Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
-tolerances of a search are numbers. They are numbers of units that follow the data in coarse steps:
-powers of 64 and of 16, so that going there and back costs no digit.
+tolerances of a search are numbers. They are numbers of Å and TPa, or of units that follow the data
+from there in coarse steps: powers of 64 and of 16, so that going there and back costs no digit.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,7 +22,7 @@ from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
 from warp_peri.points.units import in_units_of, scaled
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -31,8 +30,8 @@ from warp_peri.stability.conditions import Conditions, LatticeConditions
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
-USUAL_HORIZON, USUAL_STIFFNESS = 16.0, 0.62
-"""A horizon and a stiffness that the search's own numbers suit: those of graphene in Å and TPa."""
+USUAL_STIFFNESS = 0.62
+"""A stiffness [TPa] that the search's own numbers suit: that of graphene."""
 PROBED_HORIZON = 2.0
 """Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
 UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
@@ -44,7 +43,7 @@ class Scale:
     """Units of a fit.
 
     Attributes:
-        length, stress: of the fit, in the units of the data; powers of two.
+        length, stress: of the fit, in the units of the data.
         stiffness: that the data show, in their unit of stress.
         units: names of the units of the data.
     """
@@ -115,13 +114,10 @@ def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale
     Raises InputError as stiffness_of does.
     """
     stiffness = stiffness_of(sets, horizon)
-    length = _step(horizon / USUAL_HORIZON, 6) if lengths and horizon > 0 else 1.0
-    return Scale(length, _step(stiffness / USUAL_STIFFNESS, 4), stiffness, sets[0].points.units)
-
-
-def _step(ratio: float, bits: int) -> float:
-    """The nearest power of 2 to the bits: data of usual sizes stay as they are."""
-    return math.ldexp(1.0, bits * round(math.log2(ratio) / bits))
+    units = sets[0].points.units
+    length = search_length(units, horizon) if lengths and horizon > 0 else 1.0
+    stress = search_unit(units[1], stiffness, USUAL_STIFFNESS, 4)
+    return Scale(length, stress, stiffness, units)
 
 
 def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:

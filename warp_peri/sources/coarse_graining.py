@@ -54,10 +54,10 @@ def smoothing_matrix(
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
     _check_smoothing(nodes, radius, shape, box, spacing, density=density)
-    if box is not None and spacing is None and not density:
-        if (np.ptp(nodes, axis=0) > np.multiply(box, 1 - 1e-6)).any():
-            spacing = _spacing_of(nodes)
-            _check_smoothing(nodes, radius, shape, box, spacing, density=density)
+    beyond = box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, 1 - 1e-6)).any()
+    if beyond and spacing is None and not density:
+        spacing = _spacing_of(nodes)
+        _check_smoothing(nodes, radius, shape, box, spacing, density=density)
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
         return sp.csr_array((len(nodes), len(atoms)))
