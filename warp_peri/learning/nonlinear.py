@@ -46,21 +46,19 @@ class Nonlinear:
 
     Attributes:
         smoothing: of the data, for the filtered form; None learns the energy form.
-        axis: angle of the crystal's zigzag direction from the x axis of the points [rad].
 
-    Raises InputError for what is no smoothing, or an angle that is not finite.
+    The direction of the crystal is stated by the samples' points (Points.axis).
+
+    Raises InputError for what is no smoothing.
     """
 
     smoothing: Smoothing | None = None
-    axis: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.smoothing is None or isinstance(self.smoothing, Smoothing)):
             raise InputError(
                 f"smoothing: expected Smoothing(…) or None, got {self.smoothing!r:.60}"
             )
-        if not (isinstance(self.axis, (int, float, np.number)) and np.isfinite(self.axis)):
-            raise InputError(f"axis: expected an angle [rad], got {self.axis!r:.60}")
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def with_constants(
         linear: fit of the linear solid to the residual.
         sets: its training samples.
         method: its search.
-        nonlinear: form and axis.
+        nonlinear: form.
 
     A UserWarning names what may prove more where the data reach beyond the proven strain.
 
@@ -184,7 +182,7 @@ class _Task:
         self, linear: Fit, sets: Sequence[Samples], method: Optimum, nonlinear: Nonlinear
     ) -> None:
         self.sets, self.method, self.horizon = sets, method, linear.model.horizon
-        self.smoothing, self.axis = nonlinear.smoothing, nonlinear.axis
+        self.smoothing = nonlinear.smoothing
         self.settings, self.start = linear.settings, linear.history[-1].parameters
         self.classes = linear.settings.conditions[0].classes
         self.weights = sample_weights(sets, normalise=linear.settings.normalise)
@@ -240,7 +238,7 @@ class _Task:
 
     def _reduced(self) -> GradientLoss:
         weights = self.model.weights(self.classes)
-        return reduce_nonlinear(self.sets, self.horizon, self.weights, weights, axis=self.axis)
+        return reduce_nonlinear(self.sets, self.horizon, self.weights, weights)
 
     def _products(self, model: NonlinearModel) -> np.ndarray:
         return products(model.linear, self.classes)
@@ -250,4 +248,4 @@ class _Task:
     ) -> NonlinearModel:
         units = self.sets[0].points.units
         linear = dataclasses.replace(as_model(parameters, self.horizon), units=units)
-        return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing, axis=self.axis)
+        return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing)

@@ -234,11 +234,9 @@ class Model:
             certified_on=tuple(spacing * length for spacing in self.certified_on),
             largest_wave_number=None if shortest is None else shortest / length,
             certificate={
-                f"{spacing * length:g}": _figures_in(
-                    self.certificate[f"{spacing:g}"], length, stress
-                )
-                for spacing in dict.fromkeys((*self.certified_on, *self.trained_on))
-                if f"{spacing:g}" in self.certificate
+                f"{h * length:g}": _figures_in(self.certificate[f"{h:g}"], length, stress)
+                for h in dict.fromkeys((*self.certified_on, *self.trained_on))
+                if f"{h:g}" in self.certificate
             },
             provenance={**self.provenance, "units_before": list(self.units)},
             units=check_units(units),
