@@ -16,9 +16,10 @@ from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.response import products
 from warp_peri.learning.result import Fit
+from warp_peri.learning.scale import Scale, scale_of
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
-from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.models.nonlinear import CUBIC, NonlinearModel
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
@@ -131,10 +132,21 @@ def with_constants(
     from the full one.
     """
     begin = time.perf_counter()
-    task = _Task(linear, sets, method, nonlinear)
-    model, passes = task.settle()
+    scale = scale_of(sets, linear.model.horizon, lengths=True)
+    task = _Task(linear, sets, method, nonlinear, scale)
+    inner, passes = task.settle()
+    model = dataclasses.replace(
+        inner,
+        linear=scale.outer_model(inner.linear, linear.model),
+        smoothing=nonlinear.smoothing,
+        **{name: getattr(inner, name) * scale.stress for name in CUBIC},
+    )
     model = _certified(model, sets, linear.model.versions)
-    error, largest = task.check(model)
+    proven = tuple(h / scale.length for h in model.linear.certified_on)
+    inner = dataclasses.replace(
+        inner, linear=dataclasses.replace(inner.linear, certified_on=proven)
+    )
+    error, largest = task.check(inner)
     _warn_of_strain(model, largest, sets[0].spacing, linear.settings.conditions[0].zeta)
     seconds = time.perf_counter() - begin
     return NonlinearFit(model, linear, passes, error, largest, seconds)
@@ -176,16 +188,31 @@ def _warn_of_strain(model: NonlinearModel, largest: float, spacing: float, zeta:
 
 
 class _Task:
-    """The linear fit to begin with, its samples, and what they are to be fitted with."""
+    """The linear fit to begin with, its samples, and what they are to be fitted with.
+
+    All of it in the units of a scale, which what is found is in too.
+    """
 
     def __init__(
-        self, linear: Fit, sets: Sequence[Samples], method: Optimum, nonlinear: Nonlinear
+        self,
+        linear: Fit,
+        sets: Sequence[Samples],
+        method: Optimum,
+        nonlinear: Nonlinear,
+        scale: Scale,
     ) -> None:
-        self.sets, self.method, self.horizon = sets, method, linear.model.horizon
-        self.smoothing = nonlinear.smoothing
-        self.settings, self.start = linear.settings, linear.history[-1].parameters
-        self.classes = linear.settings.conditions[0].classes
-        self.weights = sample_weights(sets, normalise=linear.settings.normalise)
+        self.sets = [scale.samples(samples) for samples in sets]
+        self.horizon = linear.model.horizon / scale.length
+        given = nonlinear.smoothing
+        radius = given and given.radius / scale.length
+        self.smoothing = given and dataclasses.replace(given, radius=radius)
+        self.method = dataclasses.replace(method, moduli=scale.moduli(method.moduli))
+        self.settings = scale.inner_settings(linear.settings)
+        start = linear.history[-1].parameters
+        lam, mu = start.lam / scale.stress, start.mu / scale.stress
+        self.start = dataclasses.replace(start, lam=lam, mu=mu)
+        self.classes = self.settings.conditions[0].classes
+        self.weights = sample_weights(self.sets, normalise=self.settings.normalise)
         self.model = self._solid(self.start)
         self.loss = self._reduced()
 

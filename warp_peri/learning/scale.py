@@ -16,7 +16,9 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
+from warp_peri.learning.result import Settings
 from warp_peri.learning.training_data import TrainingData, training_data
+from warp_peri.models.lps import Model
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
@@ -81,10 +83,14 @@ class Scale:
         return dataclasses.replace(given, lattice_spacing=inner)
 
     def _optimum(self, given: Optimum) -> Optimum:
-        if given.moduli is None or isinstance(given.moduli, str):
-            return given
-        lam, mu = given.moduli
-        return dataclasses.replace(given, moduli=(lam / self.stress, mu / self.stress))
+        return dataclasses.replace(given, moduli=self.moduli(given.moduli))
+
+    def moduli(self, held: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
+        """Moduli to be held, in these units."""
+        if held is None or isinstance(held, str):
+            return held
+        lam, mu = held
+        return lam / self.stress, mu / self.stress
 
     def lattice_conditions(self, data: TrainingData, horizon: float) -> list[LatticeConditions]:
         """The conditions of training data in these units, in those of the data."""
@@ -95,6 +101,30 @@ class Scale:
             )
             for lattice in data.conditions
         ]
+
+    def inner_model(self, model: Model) -> Model:
+        """λ, μ, kernels and horizon of a model in these units."""
+        moduli = {"lam": model.lam / self.stress, "mu": model.mu / self.stress}
+        horizon = model.horizon / self.length
+        return dataclasses.replace(model, **moduli, horizon=horizon, units=USUAL)
+
+    def outer_model(self, inner: Model, like: Model) -> Model:
+        """A model of these units in those of the data, with the horizon of another."""
+        moduli = {"lam": inner.lam * self.stress, "mu": inner.mu * self.stress}
+        return dataclasses.replace(inner, **moduli, horizon=like.horizon, units=like.units)
+
+    def inner_settings(self, given: Settings) -> Settings:
+        """What a fit kept, in these units."""
+        kept = [
+            LatticeConditions(
+                bond_classes(
+                    lattice.classes.spacing / self.length, lattice.classes.horizon / self.length
+                ),
+                dataclasses.replace(lattice.asked, zeta=lattice.zeta / self.stress),
+            )
+            for lattice in given.conditions
+        ]
+        return dataclasses.replace(given, conditions=kept, moduli=self.moduli(given.moduli))
 
     def parameters(self, parameters: Parameters) -> Parameters:
         """What was found in these units, in those of the data."""
