@@ -19,7 +19,7 @@ from warp_peri.learning.result import Fit
 from warp_peri.learning.scale import Scale, scale_of
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
-from warp_peri.models.nonlinear import CUBIC, NonlinearModel
+from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
@@ -139,7 +139,9 @@ def with_constants(
         inner,
         linear=scale.outer_model(inner.linear, linear.model),
         smoothing=nonlinear.smoothing,
-        **{name: getattr(inner, name) * scale.stress for name in CUBIC},
+        t3=inner.t3 * scale.stress,
+        tq2=inner.tq2 * scale.stress,
+        q3=inner.q3 * scale.stress,
     )
     model = _certified(model, sets, linear.model.versions)
     proven = tuple(h / scale.length for h in model.linear.certified_on)
@@ -203,9 +205,10 @@ class _Task:
     ) -> None:
         self.sets = [scale.samples(samples) for samples in sets]
         self.horizon = linear.model.horizon / scale.length
-        given = nonlinear.smoothing
-        radius = given and given.radius / scale.length
-        self.smoothing = given and dataclasses.replace(given, radius=radius)
+        self.smoothing = nonlinear.smoothing
+        if self.smoothing is not None:
+            radius = self.smoothing.radius / scale.length
+            self.smoothing = dataclasses.replace(self.smoothing, radius=radius)
         self.method = dataclasses.replace(method, moduli=scale.moduli(method.moduli))
         self.settings = scale.inner_settings(linear.settings)
         start = linear.history[-1].parameters

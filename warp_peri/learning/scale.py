@@ -104,14 +104,14 @@ class Scale:
 
     def inner_model(self, model: Model) -> Model:
         """λ, μ, kernels and horizon of a model in these units."""
-        moduli = {"lam": model.lam / self.stress, "mu": model.mu / self.stress}
+        lam, mu = model.lam / self.stress, model.mu / self.stress
         horizon = model.horizon / self.length
-        return dataclasses.replace(model, **moduli, horizon=horizon, units=USUAL)
+        return dataclasses.replace(model, lam=lam, mu=mu, horizon=horizon, units=USUAL)
 
     def outer_model(self, inner: Model, like: Model) -> Model:
         """A model of these units in those of the data, with the horizon of another."""
-        moduli = {"lam": inner.lam * self.stress, "mu": inner.mu * self.stress}
-        return dataclasses.replace(inner, **moduli, horizon=like.horizon, units=like.units)
+        lam, mu, horizon = inner.lam * self.stress, inner.mu * self.stress, like.horizon
+        return dataclasses.replace(inner, lam=lam, mu=mu, horizon=horizon, units=like.units)
 
     def inner_settings(self, given: Settings) -> Settings:
         """What a fit kept, in these units."""
