@@ -92,13 +92,18 @@ def turned_crystal(model: NonlinearModel, cache: Path, role: str) -> dict[str, f
             force @ by.T,
             spacing=5.0,
         )
-        solid = model
+        stated = at_angle(nodes, CRYSTAL if name == "turned" else 0.0)
         if name == "turned":
-            solid = dataclasses.replace(model, axis=model.axis + np.deg2rad(CRYSTAL))
-            out["axis_forgotten"] = warp_peri.evaluate(model, nodes)["E_u"]
-        out[name] = warp_peri.evaluate(solid, nodes)["E_u"]
+            out["axis_forgotten"] = warp_peri.evaluate(model, at_angle(nodes, 0.0))["E_u"]
+        out[name] = warp_peri.evaluate(model, stated)["E_u"]
         out[f"{name}_linear"] = warp_peri.evaluate(model.linear, nodes)["E_u"]
     return out
+
+
+def at_angle(samples: Samples, degrees: float) -> Samples:
+    """The samples, of a crystal at an angle to the nodes."""
+    points = dataclasses.replace(samples.points, axis=degrees)
+    return dataclasses.replace(samples, points=points)
 
 
 def images(

@@ -125,9 +125,9 @@ def errors(
             np.stack([sample.force for sample in samples]) @ turn,
             spacing=5.0,
         )
+        points = dataclasses.replace(nodes.points, axis=degrees)
+        nodes = dataclasses.replace(nodes, points=points)
         for name, model in models.items():
-            if isinstance(model, NonlinearModel):
-                model = dataclasses.replace(model, axis=model.axis + np.deg2rad(degrees))
             table[name][f"{degrees:g}"] = warp_peri.evaluate(model, nodes)["E_u_samples"]
     return table
 

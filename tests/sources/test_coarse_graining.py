@@ -24,7 +24,7 @@ def nodes(low, high):
 def test_is_the_brute_force_sum(shape, box, spacing):
     where = nodes(-2, 6) + 0.1  # beyond the box on both sides
     weights = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
-    expected = reference.smoothing(ATOMS, where, 4.0, shape, box, spacing)
+    expected = reference.smoothing(ATOMS, where, 4.0, shape, box, H if box else spacing)
     np.testing.assert_allclose(weights.toarray(), expected, rtol=0, atol=ROUNDING)
 
 
@@ -34,7 +34,7 @@ def test_every_atom_is_shared_out_completely(shape):
     np.testing.assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
     few = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape)
     np.testing.assert_allclose(few.sum(axis=0), 1, rtol=ROUNDING)
-    periodic = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape, box=BOX)
+    periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, shape=shape, box=BOX)
     np.testing.assert_allclose(periodic.sum(axis=0), 1, rtol=ROUNDING)
 
 
@@ -46,6 +46,26 @@ def test_periodic_images_of_a_commensurate_box_carry_equal_values():
     for a, b in ((4, 0), (0, 4), (4, 4)):
         np.testing.assert_allclose(grid[a : a + 4, b : b + 4], grid[:4, :4], atol=ROUNDING)
     np.testing.assert_allclose(grid[:4, :4].sum((0, 1)), 1, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("low", [0, -3], ids=["one period", "beyond the box"])
+def test_force_is_kept_in_each_period_without_a_spacing(low):
+    """Nodes beyond the box are images of others: no atom is shared out among both."""
+    box, where = (4 * H, 4 * H), nodes(low, 4 - low)
+    omega = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box)
+    inside = ((where > -1e-9) & (where < 4 * H - 1e-9)).all(axis=1)
+    np.testing.assert_allclose(omega[inside].sum(axis=0), 1, rtol=ROUNDING)
+    exact = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box, spacing=H)
+    np.testing.assert_allclose(omega.toarray(), exact.toarray(), rtol=0, atol=ROUNDING)
+
+
+def test_nodes_beyond_a_box_that_are_on_no_lattice_are_refused():
+    loose = nodes(-3, 7) + np.random.default_rng(0).normal(size=(100, 2))
+    with pytest.raises(InputError, match="nodes: some are periodic images of others"):
+        smoothing_matrix(ATOMS, loose, radius=4.0, box=BOX)
+    few = smoothing_matrix(ATOMS, loose[45:55] % 5.0, radius=8.0, box=BOX)
+    np.testing.assert_allclose(few.sum(axis=0)[few.sum(axis=0) > 0], 1, rtol=ROUNDING)
+    smoothing_matrix(ATOMS, loose, radius=4.0, box=BOX, density=True)
 
 
 def test_an_atom_on_a_node_and_one_at_the_radius():

@@ -20,7 +20,7 @@ SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 def certified(form):
     """A model and its guarantee."""
-    model = solid(form, axis=0.2)
+    model = solid(form)
     model = replace(model, linear=replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
     proof = uniqueness(model, spacing=1.0)
     return replace(model, proven={"1": proof.figures()}), proof

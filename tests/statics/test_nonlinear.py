@@ -20,7 +20,7 @@ HORIZON = 3.0
 
 def proven(form):
     """A model with its guarantee."""
-    model = solid(form, axis=0.0)
+    model = solid(form)
     linear = replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0])
     model = replace(model, linear=linear)
     return replace(model, proven={"1": uniqueness(model, spacing=1.0).figures()})

@@ -229,10 +229,22 @@ def run_certify(given: argparse.Namespace) -> Result:
     return proven
 
 
+def _data_for(given: argparse.Namespace, model: Any) -> Dataset:
+    """The data in the units of a model, with the axis of its crystal where one was typed."""
+    data = load_dataset(given.data, units=model.units)
+    if given.axis is None:
+        return data
+    turned = {}
+    for name, samples in data.sets.items():
+        points = dataclasses.replace(samples.points, axis=given.axis)
+        turned[name] = dataclasses.replace(samples, points=points)
+    return dataclasses.replace(data, sets=turned)
+
+
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
     model = load(given.model)
-    data = load_dataset(given.data, units=model.units)
+    data = _data_for(given, model)
     given.unit = "{1}/{0}".format(*symbols(model.units))  # of E_res_abs, where it is printed
     tables: dict[str, dict[str, Any]] = {}
     for name in given.sets or data:
@@ -256,7 +268,7 @@ def run_solve(given: argparse.Namespace) -> Result:
     if given.body is not None or given.data is None:
         return run_solve_body(given)
     model = load(given.model)
-    data = load_dataset(given.data, units=model.units)
+    data = _data_for(given, model)
     points = data[given.set]
     asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
     problem = warp_peri.Dirichlet(points, points.loads, points.u)
@@ -309,7 +321,7 @@ def run_export(given: argparse.Namespace) -> Result:
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = load_dataset(given.data, units=model.units)[given.set]
+        points = _data_for(given, model)[given.set]
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
         if given.what == "operator":
             model = model.on(points, **asked).model

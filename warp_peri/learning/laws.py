@@ -66,12 +66,12 @@ class ThirdOrder:
             lattices of one spacing. Moduli held isotropic, two influence functions and normalised
             samples are the better choice.
         smoothing: of the data, for the filtered form; None learns the energy form.
-        axis: angle of the crystal's zigzag direction from the x axis of the points [rad].
+
+    The direction of the crystal is stated by the samples' points (Points.axis).
     """
 
     linear: LPS
     smoothing: Smoothing | None = None
-    axis: float = 0.0
 
     def learn(
         self,
@@ -81,7 +81,7 @@ class ThirdOrder:
         progress: bool | None = None,
     ) -> NonlinearFit:
         """The fit; arguments and errors as for learning.fit.learn."""
-        three = Nonlinear(self.smoothing, self.axis)
+        three = Nonlinear(self.smoothing)
         options = vars(self.linear) | {"noise": noise, "progress": progress}
         return learn_third_order(samples, three, **options)
 

@@ -17,6 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
 from warp_peri.models.solid import Solid
+from warp_peri.points.arrays import is_number
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
 
@@ -224,9 +225,9 @@ class Model:
     def in_units(self, units: Units) -> Model:
         """The same material with its numbers in other units.
 
-        K keeps its coefficients, whose common scale has no effect. Figures of the certificate and
-        records of errors and provenance stay in the units that they were made in, which the
-        provenance then names.
+        K keeps its coefficients, whose common scale has no effect. The figures of the certificate
+        go along, for a transfer asks for as much as is proven; its statement and records of errors
+        and provenance stay in the units that they were made in, which the provenance then names.
 
         Raises InputError for units that are not known, or that no factor leads to.
         """
@@ -242,6 +243,11 @@ class Model:
             trained_on=tuple(spacing * length for spacing in self.trained_on),
             certified_on=tuple(spacing * length for spacing in self.certified_on),
             largest_wave_number=None if shortest is None else shortest / length,
+            certificate={
+                f"{h * length:g}": _figures_in(self.certificate[f"{h:g}"], length, stress)
+                for h in dict.fromkeys((*self.certified_on, *self.trained_on))
+                if f"{h:g}" in self.certificate
+            },
             provenance={**self.provenance, "units_before": list(self.units)},
             units=check_units(units),
             file=None,
@@ -282,6 +288,18 @@ class Model:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
         write_json(path, self.content())
+
+
+def _figures_in(figures: Any, length: float, stress: float) -> Any:
+    """Figures of a certificate in other units; anything else as it is."""
+    if not isinstance(figures, dict):
+        return figures
+    times = {"spacing": length} | dict.fromkeys(("symbol_min", "symbol_bound"), stress)
+    times |= dict.fromkeys(("gamma_min", "gamma_minus_2phi_min", "gamma_max"), length**-2)
+    return {
+        name: value * times[name] if name in times and is_number(value) else value
+        for name, value in figures.items()
+    }
 
 
 def model_content(model: Model) -> dict[str, Any]:

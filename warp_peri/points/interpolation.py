@@ -121,7 +121,7 @@ def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = FOR_DATA
     parts = np.split(carried, len(fields), axis=1)
     u, *b = (part.reshape(len(y), -1, 2).transpose(1, 0, 2) for part in parts)
     return Samples(
-        Points(y, interior, spacing, units=samples.points.units),
+        Points(y, interior, spacing, units=samples.points.units, axis=samples.axis),
         u,
         b[0] if b else None,
         samples.arrays,

@@ -39,7 +39,9 @@ def smoothing_matrix(
             an atom, and all of them are summed into the atom's column.
         spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
             over in the denominator; None sums over the given nodes, so that atoms outside their
-            reach or at the edge of the node set are shared out among fewer nodes.
+            reach or at the edge of the node set are shared out among fewer nodes. Of nodes that
+            reach beyond a box some are images of others, among which no atom may be shared: None
+            takes their spacing then.
         density: divide τ by its integral instead, ∫ω dx = 1 (2.1): for scattered nodes, which
             stand for no fixed area; coarse_grain then takes node_area = 1. Not with a spacing.
 
@@ -47,11 +49,15 @@ def smoothing_matrix(
         Sparse ω, shape [N, A], dimensionless; [Å⁻²] with `density`.
 
     Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
-    without two periods, nodes that are not on a lattice of the given spacing, or arrays of another
-    shape.
+    without two periods, nodes that are not on a lattice of the given spacing, or reach beyond a box
+    and are on no lattice along the axes, or arrays of another shape.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
     _check_smoothing(nodes, radius, shape, box, spacing, density=density)
+    beyond = box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, 1 - 1e-6)).any()
+    if beyond and spacing is None and not density:
+        spacing = _spacing_of(nodes)
+        _check_smoothing(nodes, radius, shape, box, spacing, density=density)
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
         return sp.csr_array((len(nodes), len(atoms)))
@@ -98,9 +104,27 @@ def _check_smoothing(
                 f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
                 f"got {radius}; some atoms would belong to no node"
             )
-        offset = nodes - nodes[0]
-        if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
+        if not _on_lattice(nodes, spacing):
             raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
+
+
+def _spacing_of(nodes: np.ndarray) -> float:
+    """The spacing [Å] of nodes on a square lattice along the axes; InputError for others."""
+    nearest = float(cKDTree(nodes).query(nodes, k=2)[0][:, 1].min())
+    extent = float(np.ptp(nodes, axis=0).max())
+    spacing = extent / max(1.0, np.rint(extent / nearest)) if nearest > 0 else 0.0
+    if not (spacing > 0 and _on_lattice(nodes, spacing)):
+        raise InputError(
+            "nodes: some are periodic images of others, among which no force may be shared; "
+            "expected nodes within one period, on a square lattice along the axes, or density"
+        )
+    return spacing
+
+
+def _on_lattice(nodes: np.ndarray, spacing: float) -> bool:
+    """Whether nodes lie on a square lattice of a spacing, along the axes."""
+    offset = nodes - nodes[0]
+    return bool(np.abs(offset - spacing * np.rint(offset / spacing)).max() <= 1e-6 * spacing)
 
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:

@@ -22,6 +22,7 @@ from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
+from warp_peri.points.strain import edge_strain, largest_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.body_loads import check_part, loads_on
@@ -29,6 +30,7 @@ from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
+from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.statics.whole_body import WholeBody
 from warp_peri.transfer.cache import model_at
 
@@ -189,6 +191,8 @@ def solve_body(
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
+    Warns of strains far beyond the data that the model was trained on.
+
     Raises InputError for unknown parts, other shapes, loads that are not finite, a body free to
     move, a mesh in another unit, a hole below the overlap, or what is not positive definite.
     """
@@ -214,7 +218,9 @@ def solve_body(
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
         alone = u.reshape(-1, 2), None, np.zeros((0, 2))
-        return BodySolution(*told, *alone, overlap, record, problem)
+        solution = BodySolution(*told, *alone, overlap, record, problem)
+        warn_beyond(model, lambda: _largest_strain(solution))
+        return solution
     _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
     points, triangle = lattice
     bulk = Bulk(model, points)
@@ -225,7 +231,19 @@ def solve_body(
     b_bulk = loads.density(points.x[bulk.inside])
     u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
     fields = u_rim, points, bulk.field(inner, two.to_bulk @ u_rim)
-    return BodySolution(*told, *fields, overlap, record, two)
+    solution = BodySolution(*told, *fields, overlap, record, two)
+    warn_beyond(model, lambda: _largest_strain(solution))
+    return solution
+
+
+def _largest_strain(found: BodySolution) -> float:
+    """Largest strain along an edge of the rim's triangles, or between nodes of the bulk."""
+    rim = found.rim
+    triangles = np.searchsorted(rim.corners, rim.mesh.triangles[rim.cells >= 0])
+    of_rim = edge_strain(rim.mesh.x[rim.corners], triangles, found.u_rim[rim.corner_nodes])
+    if found.points is None:
+        return of_rim
+    return max(of_rim, largest_strain(found.points, found.u_bulk))
 
 
 def _on_lattice(

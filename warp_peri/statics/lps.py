@@ -21,6 +21,7 @@ from warp_peri.points.families import bond_classes, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
+from warp_peri.points.strain import largest_strain, lattice_strain
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import SolveRecord
@@ -119,7 +120,7 @@ class PlacedLPS(LPSOperator):
                 degree = solver.quadrature_degree
             answer = self._factorised(flat_load, flat, method, degree)
         flat[:, nodes.interior] = answer[:, nodes.interior]
-        warn_beyond(self.model, nodes, flat)
+        warn_beyond(self.model, lambda: largest_strain(nodes, flat))
         return self._told(field, self.load(load), method, records)
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
@@ -195,7 +196,6 @@ class PlacedLPS(LPSOperator):
             )
         flat = u.reshape(-1, len(self.points.x), 2)
         answer = self.through.solve(load.reshape(flat.shape), flat)
-        warn_beyond(self.model, self.points, answer)
         return self._told(answer.reshape(u.shape), self.load(load), "lu", [])
 
     def _differentiable(self, b: Any, u: Any, solver: Solver, parameters: Solid | None) -> Solution:
@@ -305,8 +305,9 @@ def sheet_at_rest(operator: PlacedLPS, b: ArrayLike) -> Solution:
     if not size.min() > SINGULAR * size.max():
         raise InputError("the symbol is singular at a wave vector of this sheet")
     wave = np.linalg.solve(D, transform[..., None])[..., 0]
-    u = np.ascontiguousarray(np.fft.ifftn(wave, axes=(-3, -2)).real[place])
-    warn_beyond(model, nodes, u)
+    field = np.fft.ifftn(wave, axes=(-3, -2)).real
+    warn_beyond(model, lambda: lattice_strain(field, nodes.spacing))
+    u = np.ascontiguousarray(field[place])
     load = load - load.mean(axis=-2, keepdims=True)
     return Solution(u, operator.points, operator, load, "fft", proven=operator.proven)
 

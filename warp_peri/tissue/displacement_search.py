@@ -15,11 +15,12 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.bond_slopes import bond_slopes
-from warp_peri.tissue.energy_fit import largest_stretch, lower_bounds
+from warp_peri.tissue.energy_fit import lower_bounds
 from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem
 from warp_peri.tissue.factors import positive_factors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
+from warp_peri.tissue.stretch_range import largest_stretch
 from warp_peri.tissue.thickness import Thickness
 
 SCALE_WEIGHT = 1e3
@@ -165,7 +166,7 @@ class Search:
         op = self.problem.op
         samples = Samples(op.points, self.data)
         solid = HyperelasticSolid(
-            op.dictionary, self.c, op.points.spacing, stretch=largest_stretch(op, samples)
+            op.dictionary, self.c, op.points.spacing, stretch=largest_stretch(op, samples.u)
         )
         return DisplacementFit(solid, np.sqrt(self.squares), history, self.left_out, self.thickness)
 
