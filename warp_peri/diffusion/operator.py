@@ -22,7 +22,7 @@ Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
 SAMPLES = 32
 """Places along a bond at which a field of conductivity is read."""
 ROUNDING = 1e-10
-"""Eigenvalues so far below zero, over the largest diagonal, count as zero: a periodic body has one."""
+"""Eigenvalues so far below zero, over the largest diagonal, count as zero."""
 
 
 @dataclass(frozen=True)

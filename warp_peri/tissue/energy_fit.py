@@ -174,7 +174,9 @@ def fit_energy(
         c = non_negative(system, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
     else:
         c = least_squares(system, lower=deviations_only(dictionary, stiffness), ridge=ridge)
-    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch=largest_stretch(op, samples))
+    solid = HyperelasticSolid(
+        dictionary, c, samples.spacing, largest_stretch(op, samples), units=samples.points.units
+    )
     return EnergyFit(solid, residual(system, c), positive, margin)
 
 
