@@ -126,7 +126,7 @@ def run_plane(
     first = 0
     if checkpoint is not None and Path(checkpoint).exists():
         kept = _load(checkpoint, key)
-        moved = _history(flow, dt, [], int(kept["step"]))
+        _extend(moved, flow, dt, int(kept["step"]))
         _check_history(checkpoint, kept["moved"], moved, dt)
         first, u, sigma = int(kept["step"]), kept["u"].copy(), kept["sigma"].copy()
         times, us, sigmas = list(kept["t"]), list(kept["us"]), list(kept["sigmas"])
@@ -152,7 +152,7 @@ def run_plane(
         sigmas.append(sigma.copy())
         if checkpoint is not None:
             kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
-            moved = _history(flow, dt, moved, n + 1)
+            _extend(moved, flow, dt, n + 1)
             kept["moved"] = np.array(moved)
             _save(checkpoint, kept | {"t": times, "us": us, "sigmas": sigmas, "key": key})
     asked = 1 + steps // every  # a checkpoint may have gone further
@@ -166,16 +166,14 @@ def _check(flow: PlaneFlow, until: float, dt: float, every: int) -> None:
 
 
 def _key(flow: PlaneFlow, stress: Stress, dt: float, every: int) -> str:
-    """What a run depends on; its force and its wall are kept by their values, `_history`."""
+    """What a run depends on; its force and its wall are kept by their values."""
     return f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every} {key_of(stress)}"
 
 
-def _history(
-    flow: PlaneFlow, dt: float, known: list[tuple[float, float]], steps: int
-) -> list[tuple[float, float]]:
-    """Force and wall as so many steps ask for them, after those that are known."""
-    new = range(len(known), steps)
-    return known + [(float(flow.force(n * dt)), float(flow.top((n + 0.5) * dt))) for n in new]
+def _extend(known: list[tuple[float, float]], flow: PlaneFlow, dt: float, steps: int) -> None:
+    """Add force and wall, as so many steps and their last record ask for them, to those known."""
+    for n in range(len(known), steps + 1):
+        known.append((float(flow.force(n * dt)), float(flow.top((n - 0.5) * dt)) if n else 0.0))
 
 
 def _check_history(
@@ -196,7 +194,7 @@ def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
     try:
         kept: dict[str, Any] = dict(read_arrays(path))
         kept_key = str(kept["key"])
-        if kept["moved"].shape != (int(kept["step"]), 2):
+        if kept["moved"].shape != (int(kept["step"]) + 1, 2):
             raise ValueError(f"moved {kept['moved'].shape}")
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None
