@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.learning import fit
 from tests.support.nonlinear import CONSTANTS, FORMS, solid
 from tests.support.problems import lattice, smooth
 from warp_peri import Bernstein, InputError, Samples, evaluate
-from tests.support.learning import fit
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.methods import Optimum, TwoStage
 from warp_peri.models.nonlinear import NonlinearModel

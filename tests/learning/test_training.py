@@ -174,7 +174,9 @@ def test_two_lattices_are_learned_together():
 
 def test_held_moduli_are_held():
     points, _ = data("positive", 3.0)
-    held = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))).material
+    held = fit(
+        points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))
+    ).material
     assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
     expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
     assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
@@ -250,8 +252,6 @@ def test_bad_choices_are_refused(change, words):
 def test_settings_that_mean_nothing_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
-
-
 
 
 def test_noise_for_scattered_points_is_refused():

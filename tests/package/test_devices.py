@@ -53,7 +53,14 @@ def test_the_tape_that_a_gpu_uses_gives_the_gathered_gradient(device, monkeypatc
 @pytest.mark.parametrize("method", ["sine", "multigrid"])
 def test_solves_recover_a_manufactured_solution(device, method):
     points = manufactured(MODEL, lattice(48, HORIZON), 1)  # more nodes than the coarsest level
-    u = solve(MODEL, points, points.b, points.u, method=method, iteration=dict(tolerance=1e-11, device=device))
+    u = solve(
+        MODEL,
+        points,
+        points.b,
+        points.u,
+        method=method,
+        iteration=dict(tolerance=1e-11, device=device),
+    )
     np.testing.assert_allclose(u, points.u, rtol=0, atol=1e-8)
 
 

@@ -17,9 +17,8 @@ from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.strain import largest_strain
-from warp_peri.transfer.operator import LPSOperator
 from warp_peri.statics.body import Coupling, solve_body
-
+from warp_peri.transfer.operator import LPSOperator
 
 
 def cancelled(horizon=2.0):

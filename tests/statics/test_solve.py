@@ -8,7 +8,8 @@ from scipy.optimize import brentq
 
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
-from warp_peri import InputError, Model
+from warp_peri import InputError, Model, Periodic, Points
+from warp_peri import solve as at_rest
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
@@ -121,14 +122,14 @@ def test_arrays_that_do_not_fit_are_refused(b, u, words):
 @pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((64, 3)), np.full((64, 2), np.nan)])
 def test_sheets_that_do_not_fit_are_refused(b):
     with pytest.raises(InputError, match="b, u_collar: expected"):
-        solved(kernel("1/r", HORIZON), Periodic(Points.sheet((8, 8), 1.0), b))
+        at_rest(kernel("1/r", HORIZON), Periodic(Points.sheet((8, 8), 1.0), b))
 
 
 @pytest.mark.parametrize("change", [{"box": None}, {"box": (9.0, 8.0)}])
 def test_a_sheet_must_fill_its_box(change):
-    points = dataclasses.replace(Points.sheet((8, 8), 1.0), **change)
+    points = replace(Points.sheet((8, 8), 1.0), **change)
     with pytest.raises(InputError, match="points: expected"):
-        solved(kernel("1/r", HORIZON), Periodic(points, np.zeros((64, 2))))
+        at_rest(kernel("1/r", HORIZON), Periodic(points, np.zeros((64, 2))))
 
 
 def test_a_collar_that_is_too_thin_is_refused():

@@ -132,7 +132,7 @@ def fit_uncertainty(
         _warn_of_curvature(step.T @ np.concatenate(bends) @ step)
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
     pairs = [_beside(problem, y, model, step) for step in steps]
-    back = found.model
+    back = found.material
     return Uncertainty(
         [(scale.outer_model(a, back), scale.outer_model(b, back), off) for a, b, off in pairs]
     )

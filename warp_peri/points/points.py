@@ -87,7 +87,9 @@ class Points:
         """
         grid = np.indices(sides).reshape(len(sides), -1).T
         box = (sides[0] * spacing, sides[1] * spacing)
-        return cls(spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis)
+        return cls(
+            spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
+        )
 
     @property
     def is_plain_lattice(self) -> bool:

@@ -166,7 +166,11 @@ class Search:
         op = self.problem.op
         samples = Samples(op.points, self.data)
         solid = HyperelasticSolid(
-            op.dictionary, self.c, op.points.spacing, stretch=largest_stretch(op, samples.u)
+            op.dictionary,
+            self.c,
+            op.points.spacing,
+            largest_stretch(op, samples.u),
+            units=op.points.units,
         )
         return DisplacementFit(solid, np.sqrt(self.squares), history, self.left_out, self.thickness)
 

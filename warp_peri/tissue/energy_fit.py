@@ -176,7 +176,7 @@ def fit_energy(
     else:
         c = least_squares(system, lower=deviations_only(dictionary, stiffness), ridge=ridge)
     solid = HyperelasticSolid(
-        dictionary, c, samples.spacing, stretch=largest_stretch(op, samples.u)
+        dictionary, c, samples.spacing, largest_stretch(op, samples.u), units=samples.points.units
     )
     return EnergyFit(solid, residual(system, c), positive, margin)
 

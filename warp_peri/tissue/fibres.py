@@ -178,12 +178,12 @@ def read_material(
     op = HyperelasticOperator(dictionary, few)
     c = non_negative(equations(op, few), lower=lower_bounds(dictionary, stiffness))
     stretch = largest_stretch(op, few.u)
-    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch)
+    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch, units=samples.points.units)
     for within, share in ((1.6 * np.pi / directions, 0.02), (0.1, 0.01)):
         dictionary, c = families(solid, within=within, share=share)
         solid = move(
             few,
-            HyperelasticSolid(dictionary, c, samples.spacing, stretch),
+            replace(solid, dictionary=dictionary, coefficients=c),
             stiffness=stiffness,
             most_steps=most_steps,
         )

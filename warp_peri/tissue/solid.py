@@ -13,6 +13,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike, Samples
@@ -223,8 +224,9 @@ class HyperelasticSolid:
         spacing: of the lattice it was learned on [length]; others take the same coefficients.
         stretch: largest nodal stretch of the data it was learned from, if known.
         provenance: of data and fit.
+        units: names of the units of length and stress that it is in, those of its data.
 
-    Raises InputError for coefficients of another number or not finite.
+    Raises InputError for coefficients of another number or not finite, and units not known.
     """
 
     dictionary: Dictionary
@@ -232,9 +234,11 @@ class HyperelasticSolid:
     spacing: float
     stretch: float | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    units: Units = USUAL
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", check_units(self.units))
         values = np.array(self.coefficients, float)
         if values.shape != (len(self.dictionary),) or not np.isfinite(values).all():
             raise InputError(
@@ -275,6 +279,7 @@ class HyperelasticSolid:
         return {
             "format": FORMAT,
             "version": VERSION,
+            **unit_content(self.units),
             "reach": dictionary.reach,
             "bonds": list(dictionary.bonds),
             "deviations": [list(step) for step in dictionary.deviations],
@@ -287,7 +292,10 @@ class HyperelasticSolid:
 
 
 def load_hyperelastic(path: str | os.PathLike[str]) -> HyperelasticSolid:
-    """Read such a file; InputError for one that is none, or holds what no solid has."""
+    """Read such a file; InputError for one that is none, or holds what no solid has.
+
+    Of a file that names no units Å and TPa are taken, with a warning.
+    """
     try:
         with open(path, encoding="utf-8") as file:
             content = json.load(file)
@@ -311,6 +319,7 @@ def load_hyperelastic(path: str | os.PathLike[str]) -> HyperelasticSolid:
             float(content["spacing"]),
             None if stretch is None else float(stretch),
             dict(content["provenance"]),
+            units_of(content, f"{path}"),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: {error}") from None
