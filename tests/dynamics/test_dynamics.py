@@ -177,6 +177,7 @@ def test_energy_over_a_hundred_thousand_steps():
         ({"model": replace(kernel("1/r", 2.0), certified_on=())}, "certified on no spacing"),
     ],
 )
+@pytest.mark.filterwarnings("ignore:transferred")
 def test_bad_input_is_refused(change, words):
     points = lattice(4, 2.0)
     given = {"model": kernel("1/r", 2.0), "points": points, "u": noise(points)}

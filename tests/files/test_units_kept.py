@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary
-from warp_peri import InfluenceFunction, InputError, Model, Points, load_model
+from warp_peri import InputError, Model, Points
 from warp_peri.damage.solid import BrittleSolid, load_brittle_solid
 from warp_peri.diffusion.conductor import Conductor, load_conductor
 from warp_peri.flow.gaussian_process import fit_process
 from warp_peri.flow.law_file import load_law, save_law
 from warp_peri.flow.spring_law import SpringLaw
+from warp_peri.models.lps import load_model
 from warp_peri.models.nonlinear import NonlinearModel, load_any, load_nonlinear
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import factors
+from warp_peri.shapes import InfluenceFunction
 from warp_peri.tissue.solid import HyperelasticSolid, load_hyperelastic
 
 UNITS = [("angstrom", "TPa"), ("m", "Pa"), ("mm", "GPa")]
@@ -50,7 +52,6 @@ def nonlinear(units, smoothing):
         certified(units),
         *(stress * np.array([1.0, -2.0, 0.5])),
         Smoothing(7.5 * length, 0.1) if smoothing else None,
-        0.3,
         {f"{5 * length:g}": {"strain": 0.03}},
         {"test": 0.002},
         {"data": "strained.h5"},

@@ -9,42 +9,37 @@ from tests.support.nonlinear import solid
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, manufactured, smooth
 from tests.support.sheets import hgo_dictionary, square
+from tests.support.solving import solve_nonlinear
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import (
-    Bernstein,
+from warp_peri import Bernstein, Samples, choose_model, diagnose, evaluate
+from warp_peri.choice import Scene
+from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.methods import (
     Conditions,
     Constrained,
-    InfluenceFunction,
-    Nonlinear,
-    NonlinearOperator,
     Optimum,
-    Samples,
-    Scene,
     Smoothing,
-    ThroughLattice,
     TwoStage,
-    choose_model,
-    diagnose,
-    evaluate,
-    fit,
     fit_uncertainty,
-    load_model,
-    on_lattice,
-    one_kernel,
-    solve_body,
-    solve_nonlinear,
     sweep,
 )
+from warp_peri.models.lps import load_model
+from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, factors
 from warp_peri.points.units import in_units_of, scaled
+from warp_peri.shapes import InfluenceFunction
+from warp_peri.statics.body import solve_body
+from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.tissue.energy_fit import fit_energy
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.from_displacement import fit_displacement
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.transfer.nonlinear import nonlinear_for
+from warp_peri.transfers import on_lattice, one_kernel
 
 UNITS = [("nm", "Pa"), ("m", "Pa"), ("mm", "GPa")]
 AGREE = 1e-6

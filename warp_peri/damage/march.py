@@ -54,7 +54,7 @@ class History:
         return float(missing.max() / scale) if scale else 0.0
 
     def by_name(self) -> dict[str, np.ndarray]:
-        """Every history as an array: the ledger's columns, "u region", "v region", "force section"."""
+        """Every history as an array: those of the ledger, and "u NAME", "v NAME", "force NAME"."""
         named = {name: self.column(name) for name in LEDGER[1:]}
         for kind in ("u", "v", "force"):
             named |= {f"{kind} {name}": np.array(r) for name, r in getattr(self, kind).items()}

@@ -148,7 +148,7 @@ class PlacedLPS(LPSOperator):
         if chosen is not None:
             return chosen
         stiff = self.model.lam > STIFF * self.model.mu
-        direct = 0 if isinstance(solver, Krylov) else DIRECT
+        direct = 0 if isinstance(solver, Krylov) else None
         return choose_method(self.nodes, plain=plain, stiff=stiff, direct=direct)
 
     def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
@@ -234,7 +234,7 @@ def checked_fields(
 
 
 def choose_method(
-    points: PointsLike, *, plain: bool, stiff: bool = False, direct: int = DIRECT
+    points: PointsLike, *, plain: bool, stiff: bool = False, direct: int | None = None
 ) -> str:
     """The cheapest method for a point set.
 
@@ -242,12 +242,12 @@ def choose_method(
         points: whose interior nodes are solved for.
         plain: a lattice without a box or broken bonds.
         stiff: λ ≫ μ.
-        direct: most unknown nodes that are factorised.
+        direct: most unknown nodes that are factorised; DIRECT by default.
     """
     nodes = int(np.count_nonzero(points.interior))
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
-    if nodes <= direct:
+    if nodes <= (DIRECT if direct is None else direct):
         return "lu"
     if stiff:
         return "strip"
