@@ -8,7 +8,7 @@ import pytest
 from tests.support.problems import KERNELS, ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.solving import velocity_verlet
 from warp_peri import InputError
-from warp_peri.dynamics.verlet import INERTIA, Inert, step
+from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
@@ -166,7 +166,6 @@ def test_energy_over_a_hundred_thousand_steps():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"points": replace(lattice(4, 2.0), spacing=0.0)}, "points: expected a lattice"),
         ({"u": np.zeros((3, 2))}, "u: expected finite values of shape"),
         ({"v": np.full((144, 2), np.nan)}, "v: expected finite values"),
         ({"density": 0.0}, "density: expected a number > 0"),
@@ -177,10 +176,16 @@ def test_energy_over_a_hundred_thousand_steps():
         ({"model": replace(kernel("1/r", 2.0), certified_on=())}, "certified on no spacing"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:transferred")
 def test_bad_input_is_refused(change, words):
     points = lattice(4, 2.0)
     given = {"model": kernel("1/r", 2.0), "points": points, "u": noise(points)}
     given |= {"v": 0 * points.x, "density": DENSITY, "step": 1e-3, "steps": 2} | change
     with pytest.raises(InputError, match=words):
         velocity_verlet(**given)
+
+
+def test_scattered_points_have_no_motion():
+    points = replace(lattice(4, 2.0), spacing=0.0)
+    operator = kernel("1/r", 2.0).on(points, transfer=False, allow_uncertified=True)
+    with pytest.raises(InputError, match="points: expected a lattice"):
+        march(operator, None, 0 * points.x, density=DENSITY, step=0.1, steps=1)

@@ -114,7 +114,7 @@ def learned(samples=MADE, noise=None, kernel=None, **asked):
         made = Bernstein(3) if kernel is None else kernel(units)
         horizon = 2.5 * length_of(units)
         found = fit(there(samples, units), horizon, made, progress=False, **quiet, **asked)
-        return numbers(found.model)
+        return numbers(found.material)
 
     return run
 
@@ -158,7 +158,7 @@ def constants(smoothing):
             normalise=True,
             nonlinear=Nonlinear(smoothing and Smoothing(smoothing * h)),
             progress=False,
-        ).model
+        ).material
         strain = found.proven_strain(h)
         there_ = found.in_units(USUAL)
         return np.concatenate([numbers(there_.linear), there_.numbers, [strain]])
