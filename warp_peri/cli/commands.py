@@ -153,7 +153,8 @@ def run_train(given: argparse.Namespace) -> Result:
     if given.influence:
         if given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
-        kernel = shape_of(given.influence, given.horizon, samples.spacing)
+        unit = symbols(data.units)[0]
+        kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
     with locked(given.out):
         run = train(
             samples,
@@ -203,6 +204,23 @@ def training_metrics(run: Run) -> Result:
             "E": float(run.sure.deviation(lambda model: model.E)),
         }
     return metrics
+
+
+def in_percent(metrics: Result) -> Result:
+    """What training prints: errors and shares in %, as `evaluate` has them; JSON keeps fractions."""
+    shown: Result = {}
+    for key, value in metrics.items():
+        if key in ("E_res", "E_u"):
+            shown[f"{key} [%]"] = {
+                name: "–" if error is None else 100 * error for name, error in value.items()
+            }
+        elif key == "residual":
+            shown["why"] = value["why"]
+            shares = {name: 100 * share for name, share in value.items() if name != "why"}
+            shown["shares of the squared residual [%]"] = shares
+        else:
+            shown[key] = value
+    return shown
 
 
 def run_certify(given: argparse.Namespace) -> Result:

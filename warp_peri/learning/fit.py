@@ -130,7 +130,7 @@ def fit(
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
-    sets, quiet = listed(samples), listed(noise)
+    sets, quiet = listed(samples), listed(noise, "noise")
     if nonlinear is not None:
         check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
     linear = _linear(sets, horizon, kernel, method, conditions, loss, quiet, normalise, progress)

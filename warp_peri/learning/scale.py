@@ -115,7 +115,7 @@ def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale
     Raises InputError as stiffness_of does.
     """
     stiffness = stiffness_of(sets, horizon)
-    length = _step(horizon / USUAL_HORIZON, 6) if lengths and horizon > 0 else 1.0
+    length = _step(horizon / USUAL_HORIZON, 6) if lengths and 0 < horizon < math.inf else 1.0
     return Scale(length, _step(stiffness / USUAL_STIFFNESS, 4), stiffness, sets[0].points.units)
 
 
@@ -187,4 +187,8 @@ def scaled_data(
     except InputError:
         made(None)  # what is wrong with the sets themselves comes first
         raise
-    return dataclasses.replace(made(scale), stress=scale.stress), scale
+    try:
+        return dataclasses.replace(made(scale), stress=scale.stress), scale
+    except InputError:
+        made(None)  # the same refusal, with the user's own numbers
+        raise

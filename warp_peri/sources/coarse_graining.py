@@ -95,12 +95,12 @@ def _check_smoothing(
             raise InputError(f"spacing: expected a length > 0, got {spacing}")
         if not radius > spacing / np.sqrt(2):
             raise InputError(
-                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
+                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
                 f"got {radius}; some atoms would belong to no node"
             )
         offset = nodes - nodes[0]
         if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
-            raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
+            raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
 
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
