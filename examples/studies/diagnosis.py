@@ -34,7 +34,7 @@ REACH = INTERIOR + 2 * HORIZON
 LOADS, STRAIN = 24, 0.002
 LONGEST, SHORTEST, ROUGH = 60.0, 24.0, 13.0
 """Waves of the loads [Å]; rough loads go down to the last."""
-STEPS, SKIPPED, QUIET = 400, 200, 12
+STEPS, SKIPPED, QUIET = 40, 20, 8
 """Time steps of 0.5 fs a load, those left out at the begin, and fields of noise alone."""
 
 
@@ -76,7 +76,7 @@ SHEETS = (
     Sheet("rough loads", ("dispersion",), shortest=ROUGH),
     Sheet("nonlinear", ("nonlinearity",), strain=0.02),
     Sheet("noisy", ("noise",), temperature=300.0),
-    Sheet("mixed", ("anisotropy", "heterogeneity"), stretch=(1.1, 1.0), missing=0.02),
+    Sheet("mixed", ("anisotropy", "heterogeneity"), stretch=(1.1, 1.0), missing=0.005),
 )
 UNSEEN = (
     Sheet("boron nitride, stretched", ("anisotropy",), elements=NITRIDE, stretch=(1.0, 1.08)),
@@ -115,7 +115,9 @@ def loads_on(x: np.ndarray, box: tuple[float, float], shortest: float) -> np.nda
     out = []
     for s in range(LOADS):
         angle, phase = generator.uniform(0, 2 * np.pi, 2)
-        wave = np.cos(x @ some[generator.permutation(len(some))[0] if s >= len(some) else s] + phase)
+        wave = np.cos(
+            x @ some[generator.permutation(len(some))[0] if s >= len(some) else s] + phase
+        )
         force = wave[:, None] * (np.cos(angle), np.sin(angle))
         out.append(force - force.mean(axis=0))
     return np.array(out)
@@ -163,12 +165,14 @@ def make(asked: Sheet) -> tuple[Samples, Samples | None]:
             forces.append(rest.force)
         u, force, quiet = np.array(fields), np.array(forces), None
         if asked.temperature:
-            still = np.zeros_like(force[0])
-            runs = [moved(session, statics, box, asked, f, s) for s, f in enumerate(force, 1)]
-            calm = [moved(session, statics, box, asked, still, 100 + s) for s in range(QUIET)]
-            zero = np.mean(calm, axis=0)
-            u, quiet = np.array(runs) - zero, np.array(calm) - zero
-            quiet *= np.sqrt(QUIET / (QUIET - 1))
+            still = np.zeros_like(u[0])
+            u = np.array(
+                [moved(session, statics, box, asked, *each) for each in zip(u, force, range(1, 99))]
+            )
+            seeds = range(100, 100 + QUIET)
+            quiet = np.array(
+                [moved(session, statics, box, asked, still, still, seed) for seed in seeds]
+            )
     samples = smoothed(asked, statics.reference, box, u, force)
     if quiet is None:
         return samples, None
@@ -180,13 +184,17 @@ def moved(
     statics: Statics,
     box: tuple[float, float],
     asked: Sheet,
+    u: np.ndarray,
     force: np.ndarray,
     seed: int,
 ) -> np.ndarray:
-    """Mean displacement [Å] of a run at temperature, shape [A, 2]; its own mean is zero."""
-    total = np.zeros_like(force)
+    """Mean displacement [Å] of a run at temperature from rest under a load, shape [A, 2].
+
+    Its own mean is zero.
+    """
+    total, begin = np.zeros_like(u), statics.reference + u
     run = session.trajectory(
-        statics.reference,
+        begin,
         force,
         temperature=asked.temperature,
         seed=seed,
@@ -196,10 +204,10 @@ def moved(
     )
     for step, (x, _) in enumerate(run):
         if step >= SKIPPED:
-            u = x - statics.reference
-            total += u - np.rint(u / box) * box
-    u = total / (STEPS - SKIPPED)
-    return u - u.mean(axis=0)
+            move = x - begin
+            total += u + move - np.rint(move / box) * box
+    mean: np.ndarray = total / (STEPS - SKIPPED)
+    return mean - mean.mean(axis=0)
 
 
 def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:

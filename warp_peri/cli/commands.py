@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -172,6 +173,8 @@ def run_train(given: argparse.Namespace) -> Result:
         if samples.spacing and len(samples) >= LEAST_SAMPLES:
             diagnosis = diagnose(run.fit.model, samples, noise)
             metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
+            if diagnosis.advice:
+                warnings.warn(diagnosis.advice, stacklevel=1)
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / f"{given.command}.toml")
