@@ -74,7 +74,7 @@ def stretched(points, count):
     x, h = points.x, points.spacing
     u, b = np.zeros((2, count, len(x), 2))
     for s in range(count):
-        k = generator.uniform(0.15, 0.35) * np.array([np.cos(s), np.sin(s)])
+        k = generator.uniform(0.08, 0.25) * np.array([np.cos(s), np.sin(s)])
         angle, phase = generator.uniform(0, 2 * np.pi, 2)
         e, wave = np.array([np.cos(angle), np.sin(angle)]), np.cos(x @ k + phase)
         c, s2 = (2 - 2 * np.cos(k * h)) / h**2, np.sin(k * h) / h

@@ -161,7 +161,7 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
 
 
 def test_elements_alone_name_a_spacing_that_gives_the_lattice_room(model):
-    """Told on the body itself: the spacing that is named serves."""
+    """The spacing that is named serves."""
     mesh = mesh_outline(box(30, 30), [], size=1.0)
     held = {"left": (0, 0)}
     with pytest.warns(UserWarning, match="elements alone") as caught:
@@ -169,7 +169,9 @@ def test_elements_alone_name_a_spacing_that_gives_the_lattice_room(model):
     (said,) = [str(each.message) for each in caught if "alone" in str(each.message)]
     spacing = float(re.search(r"Coupling\(spacing=([0-9.]+)\) or less", said)[1])
     coupling = Coupling(spacing=spacing, overlap=9.0)
-    assert solve_body(model, mesh, displacement=held, coupling=coupling).points is not None
+    with pytest.warns(UserWarning, match="transferred from") as caught:
+        assert solve_body(model, mesh, displacement=held, coupling=coupling).points is not None
+    assert all(str(each.message).startswith("transferred from") for each in caught)
     with pytest.warns(UserWarning, match=r"Room for the lattice: a body [0-9.]+ times as large"):
         solve_body(model, mesh, displacement=held, coupling=Coupling(spacing=1.0, overlap=16.0))
 

@@ -210,7 +210,7 @@ def training_metrics(run: Run) -> Result:
 
 
 def in_percent(metrics: Result) -> Result:
-    """What training prints: errors and shares in %, as `evaluate` has them; JSON keeps fractions."""
+    """What training prints: errors and shares in %, as `evaluate` does; JSON keeps fractions."""
     shown: Result = {}
     for key, value in metrics.items():
         if key in ("E_res", "E_u"):

@@ -25,7 +25,7 @@ LEAST_SAMPLES = 8
 RIDGE = 1e-2
 """Of the fits at single nodes, relative to the sum of their squared features."""
 RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-6, 1e-8)
-"""Of the fits to whole samples that are tried, relative to their features' largest singular value."""
+"""Of the fits to whole samples that are tried, relative to the largest singular value."""
 TINY = 1e-300
 Feature: TypeAlias = Callable[[np.ndarray], np.ndarray]
 WORDS = {
