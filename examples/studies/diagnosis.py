@@ -4,8 +4,8 @@
 
 LAMMPS makes small sheets of graphene and boron nitride, each with one thing (the mixed one has
 two) that a uniform, isotropic, linear solid cannot have: they are stretched, sheared, have holes or
-two phases, carry rough or large loads, or move at 300 K. Each is smoothed, fitted and diagnosed. The
-last three were chosen before any was looked at, and took no part in setting up the diagnosis.
+two phases, carry rough or large loads, or move at 300 K. Each is smoothed, fitted and diagnosed.
+The last three were chosen before any was looked at, and took no part in setting up the diagnosis.
 """
 
 from __future__ import annotations
