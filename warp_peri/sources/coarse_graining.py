@@ -101,11 +101,11 @@ def _check_smoothing(
             raise InputError(f"spacing: expected a length > 0, got {spacing}")
         if not radius > spacing / np.sqrt(2):
             raise InputError(
-                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
+                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
                 f"got {radius}; some atoms would belong to no node"
             )
         if not _on_lattice(nodes, spacing):
-            raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
+            raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
 
 
 def _spacing_of(nodes: np.ndarray) -> float:
