@@ -54,7 +54,7 @@ def mesh_of(plate: Plate, bond: float) -> Mesh:
     if plate.radius:
         hole = Circle(plate.effective_radius(bond), size=2.0)
         return mesh_outline(box(2 * INSIDE, 2 * INSIDE), [hole], size=8.0)
-    return mesh_outline(box(2 * INSIDE, 2 * plate.effective_height(bond), size=4.0), size=6.0)
+    return mesh_outline(box(2 * INSIDE, 2 * plate.effective_height(bond), size=3.5), size=3.5)
 
 
 def held_sides(plate: Plate, sample: Sample) -> dict:

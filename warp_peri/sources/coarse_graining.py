@@ -175,7 +175,8 @@ def force_on_mesh(
 
     Linear on the triangles, so that force and moment are kept, and the work on every displacement
     that is linear on them; nothing is smeared over an edge. Triangles that hold few atoms give a
-    ragged density: they want to be three bonds wide or more.
+    ragged density, those wider than a tenth of a wave one that is off between its corners, where
+    a bulk's lattice reads it.
 
     Args:
         mesh: the body [Å].
