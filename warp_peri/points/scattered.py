@@ -13,7 +13,7 @@ from warp_peri.points.quadrature import RESIDUAL, family_weights
 
 COINCIDENT = 1e-6
 """Points closer than this fraction of the horizon are one point given twice."""
-BATCH_BONDS = 40_000
+BATCH_BONDS = 10_000
 """Bonds whose weights are solved for at once."""
 
 
