@@ -40,6 +40,9 @@ FLOOR = 0.02
 ABSOLUTE, RELATIVE = 0.004, 0.05
 """Standard deviation taken for a sample of S₁₂/√(S₁ S₂), and of the part that grows with it."""
 
+SPREAD, LEAST_SPREAD = 0.03, 0.003
+"""Standard deviation taken for a sample of the excess, and the least for a mean."""
+
 
 @dataclass(frozen=True)
 class TwistedSpringLaw:
@@ -184,5 +187,7 @@ def learn_twisted(
     noise = (ABSOLUTE**2 + (RELATIVE * y[keep]) ** 2) / x[keep] ** 2
     ratio = y[keep] / x[keep]
     process = condensed(np.concatenate(shape)[keep], ratio, turns, noise=noise, floor=FLOOR**2)
-    excess = condensed(np.concatenate(inputs), np.concatenate(left), turns, mean=0.0)
+    X, y = np.concatenate(inputs), np.concatenate(left)
+    known = np.full(len(y), SPREAD**2)  # steady states, which are many samples, weigh more
+    excess = condensed(X, y, turns, noise=known, floor=LEAST_SPREAD**2, mean=0.0)
     return TwistedSpringLaw(law, process, excess, b)
