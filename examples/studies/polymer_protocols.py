@@ -101,7 +101,7 @@ def steady(count: int = 4000, sets: int = 5) -> dict[str, Any]:
 
     Of shear the means from t = 5 to 8 with their signs, of the others over all time as relative ℓ2.
     """
-    flows, numbers = fast(), {}
+    flows, numbers = fast(), dict[str, Any]()
     truth = stresses(flows, 4 * count, 901)
     for n, rivals in enumerate([*(laws(count, seed) for seed in range(sets)), [FENEP(B)]]):
         for law in rivals:
@@ -122,7 +122,7 @@ def steady(count: int = 4000, sets: int = 5) -> dict[str, Any]:
 
 def unseen(count: int = 4000, sets: int = 5) -> dict[str, Any]:
     """Median and worst over sets of data of the larger error in %."""
-    flows, numbers = protocols(), {}
+    flows, numbers = protocols(), dict[str, Any]()
     truth = stresses(flows, 4 * count, 777)
     for rivals in [*(laws(count, seed) for seed in range(sets)), [FENEP(B)]]:
         for law in rivals:

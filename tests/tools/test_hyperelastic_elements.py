@@ -8,7 +8,7 @@ skfem = pytest.importorskip("skfem")
 from tools.hyperelastic_elements import Elements, NotSolved, quadrilaterals, triangles  # noqa: E402
 from tools.hyperelastic_energies import Family, Fung, hgo, plane_stress_hgo  # noqa: E402
 from tools.make_hgo import Material, make_hgo, sample, square_points  # noqa: E402
-from warp_peri import InputError
+from warp_peri import InputError  # noqa: E402
 
 FIBRES = (Family(0.3, 0.1, 1.5), Family(-1.0, 0.2, 0.0))
 ENERGIES = {
