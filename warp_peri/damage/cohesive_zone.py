@@ -16,8 +16,10 @@ from warp_peri.damage.straight_cracks import CrackedRectangle
 from warp_peri.errors import InputError
 
 ROUNDS = 60
-STAGES = 60
-"""Openings of the widest bond, up to the end of the law, at which equilibria are found."""
+NODES = 6
+"""Points of a cell over which its opening is averaged, so that the compliance is symmetric."""
+STAGES = 40
+"""Steps along the path of equilibria in which a bond alone would come to the end of the law."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,10 @@ class HeldCracks:
 
     Attributes:
         bonds: where they are [length], shape [B, 2].
-        drive: opening at unit strain ε₂₂ of the rim if nothing held [length], shape [B].
-        compliance: by which unit tractions close it [length / stress], shape [B, B].
+        drive: mean openings, then slidings, of their cells at unit strain ε₂₂ of the rim if nothing
+            held [length], shape [2B].
+        compliance: by which unit tractions, normal then shear, undo them [length / stress],
+            symmetric, shape [2B, 2B].
 
     Raises what CrackedRectangle raises, and InputError for a step that is not > 0.
     """
@@ -96,48 +100,79 @@ class HeldCracks:
         owner = np.concatenate([np.full(len(row[1]), k) for k, row in enumerate(rows)])
         places = np.concatenate([row[1] for row in rows])
         width = step / solid.length / 2  # half of a cell, in half lengths
-        pulls = np.zeros((len(ends), len(solid.faces), len(owner)))
+        pulls = np.zeros((len(ends), len(solid.faces), 2 * len(owner)), complex)
+        edges = np.cos(np.arange(len(solid.faces) + 1) * np.pi / len(solid.faces))
         for b, (k, place) in enumerate(zip(owner, places, strict=True)):
-            pulls[k, :, b] = np.abs(solid.faces - place) < width[k]
+            within = np.clip(edges, place - width[k], place + width[k])
+            pulls[k, :, b] = np.diff(within) / np.diff(edges)  # so that no force is lost
+        pulls[:, :, len(owner) :] = 1j * pulls[:, :, : len(owner)]
         x = solid.solve([[0, 0], [0, 1]], pulls)
-        each = [solid.opening(x, k, places[owner == k]) for k in range(len(ends))]
-        gap = np.concatenate(each)
-        self.drive, self.compliance = gap[:, 0], -gap[:, 1:]
+        node, weight = np.polynomial.legendre.leggauss(NODES)
+        gap = np.zeros((len(owner), x.shape[1]), complex)
+        for k in range(len(ends)):
+            mine = owner == k
+            inside = places[mine][:, None] + width[k] * node
+            opening = solid.opening(x, k, inside.ravel()).reshape(*inside.shape, -1)
+            gap[mine] = np.einsum("bqm,q->bm", opening, weight / 2)
+        both = np.concatenate([gap.real, gap.imag])
+        self.drive, self.compliance = both[:, 0], -both[:, 1:]
         middle, arm = ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2
         self.bonds = middle[owner] + places[:, None] * arm[owner]
 
     def opened(self, law: RowLaw) -> tuple[np.ndarray, np.ndarray]:
-        """Equilibria as the widest bond opens to the end of the law.
+        """Equilibria as bonds open, along their path through folds, to the end of the law.
 
-        Returns the strains, shape [S], and the separations of all bonds, shape [S, B].
+        A bond that has lost a part of its stiffness across the row has lost it along the row too.
 
-        Raises InputError where Newton's method finds none.
+        Returns the strains, shape [S], and the separations of all bonds, shape [S, B]; at the last
+        the widest is at the end of the law.
+
+        Raises InputError where Newton's method loses the path.
         """
-        k, count = law.stiffness, len(self.drive)
-        first = np.linalg.solve(k * self.compliance, self.drive)
-        widest = int(np.argmax(first))
-        stages = np.linspace(0, law.separation[-1], STAGES + 1)[1:]
-        opening, strain = first / first[widest] * stages[0], stages[0] / first[widest]
-        strains, openings = [], []
-        for stage in stages:
-            for _ in range(ROUNDS):
-                pull, slope = law(opening)
-                off = opening - pull / k + self.compliance @ pull - strain * self.drive
-                tangent = np.zeros((count + 1, count + 1))
-                tangent[:-1, :-1] = np.diag(1 - slope / k) + self.compliance * slope
-                tangent[:-1, -1], tangent[-1, widest] = -self.drive, 1
-                move = np.linalg.solve(tangent, -np.append(off, opening[widest] - stage))
-                move *= min(1.0, 0.1 * law.separation[-1] / np.abs(move[:-1]).max())
-                opening, strain = opening + move[:-1], strain + move[-1]
-                if np.abs(move[:-1]).max() < 1e-8 * law.separation[-1]:
-                    break
-            else:
-                raise InputError(f"cracks: no equilibrium with a bond open by {stage:.3g}")
-            strains.append(strain)
-            openings.append(opening)
-            if opening.max() > law.separation[-1]:
-                break
-        return np.array(strains), np.array(openings)
+        end, count = float(law.separation[-1]), len(self.bonds)
+        scales = np.append(np.full(count, law.stiffness), np.ones(count))
+        first = np.linalg.solve(self.compliance, self.drive) / scales
+        unit = float(self.drive.max())
+        way = np.append(first * np.repeat((1, 1 / law.stiffness), count), unit)
+        way /= np.linalg.norm(way)
+        at, stride = np.zeros(len(way)), end / STAGES
+        path = [at]
+        while at[:count].max() < end:
+            if len(path) > 100 * STAGES:
+                raise InputError("cracks: no bond came to the end of the law")
+            at = self._next(at, stride * way, law, unit)
+            way = (at - path[-1]) / np.linalg.norm(at - path[-1])
+            path.append(at)
+        tops = [point[:count].max() for point in path[-2:]]
+        path[-1] = path[-2] + (path[-1] - path[-2]) * (end - tops[0]) / (tops[1] - tops[0])
+        found = np.array(path)
+        return found[:, -1] / unit, found[:, :count]
+
+    def _next(self, at: np.ndarray, move: np.ndarray, law: RowLaw, unit: float) -> np.ndarray:
+        """The equilibrium on the plane across a move.
+
+        Unknowns are separations, shear tractions over the law's stiffness, and strain × unit.
+        """
+        k, count, z = law.stiffness, len(self.bonds), at + move
+        for _ in range(ROUNDS):
+            opening, sheared, strain = z[:count], z[count:-1], z[-1] / unit
+            pull, slope = law(opening)
+            lost = np.where(np.abs(opening) > 1e-9, k * opening / pull - 1, 0.0)
+            by_opening = np.where(lost != 0, (k - (lost + 1) * slope) / pull, 0.0)
+            apart = np.concatenate([opening - pull / k, lost * sheared])
+            off = apart + self.compliance @ np.append(pull, k * sheared) - strain * self.drive
+            tangent = np.zeros((len(z), len(z)))
+            tangent[:-1, :-1] = self.compliance * np.append(slope, np.full(count, k))
+            row = np.arange(count)
+            tangent[row, row] += 1 - slope / k
+            tangent[count + row, row] += by_opening * sheared
+            tangent[count + row, count + row] += lost
+            tangent[:-1, -1], tangent[-1] = -self.drive / unit, move
+            step = np.linalg.solve(tangent, -np.append(off, move @ (z - at - move)))
+            z = z + step
+            if np.abs(step).max() < 1e-9 * law.separation[-1]:
+                return z
+        raise InputError("cracks: the path of equilibria was lost; no row holds like this")
 
     def critical_strain(self, law: RowLaw) -> float:
         """The largest strain ε₂₂ of the rim before a bond reaches the end of the law."""
