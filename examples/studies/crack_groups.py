@@ -154,7 +154,9 @@ def main(argv: list[str] | None = None) -> int:
     measured, known = atoms(cases, args.out / "atoms.json"), whole()
     base, single = measured[FITTED], held(known, FITTED)
     factor = float(brentq(lambda f: known.pulled(single, f, base) - base, 0.5, 2.0, xtol=1e-5))
-    table = {FITTED: {"atoms": base, "error without a factor": known.predicted(single, 1) / base - 1}}
+    table = {
+        FITTED: {"atoms": base, "error without a factor": known.predicted(single, 1) / base - 1}
+    }
     for case in tqdm(cases[1:], desc="continuum"):
         strain, predicted = measured[case], known.predicted(held(known, case), factor)
         error = predicted / strain - 1

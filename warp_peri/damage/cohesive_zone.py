@@ -6,8 +6,6 @@ one step of the row; all around is elastic. Nothing says where the tip is: that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
@@ -22,26 +20,23 @@ STAGES = 40
 """Steps along the path of equilibria in which a bond alone would come to the end of the law."""
 
 
-@dataclass(frozen=True)
 class RowLaw:
     """How a row of bonds holds two halves of a crystal that move apart.
 
-    Attributes:
+    Args:
         separation: of the halves, from 0 to where the bonds count as broken [length], shape [P].
         traction: there, 0 first [stress], shape [P].
 
     Raises InputError unless the separations rise from 0 and the traction begins at 0 and rises.
     """
 
-    separation: np.ndarray
-    traction: np.ndarray
-
-    def __post_init__(self) -> None:
-        s, t = np.asarray(self.separation), np.asarray(self.traction)
+    def __init__(self, separation: ArrayLike, traction: ArrayLike) -> None:
+        self.separation, self.traction = (np.asarray(a, float) for a in (separation, traction))
+        s, t = self.separation, self.traction
         fine = s.ndim == 1 and s.shape == t.shape and len(s) > 3 and np.isfinite(t).all()
         if not (fine and s[0] == t[0] == 0 and (np.diff(s) > 0).all() and t[1] > 0):
             raise InputError("law: expected separations that rise from 0, and traction from 0 up")
-        object.__setattr__(self, "_curve", CubicSpline(s, t))
+        self._curve = CubicSpline(s, t)
 
     @property
     def stiffness(self) -> float:
@@ -56,7 +51,7 @@ class RowLaw:
 
     def times(self, factor: float) -> RowLaw:
         """The law of a row so many times as strong, and as tough."""
-        return RowLaw(self.separation, factor * np.asarray(self.traction))
+        return RowLaw(self.separation, factor * self.traction)
 
 
 class HeldCracks:
@@ -171,7 +166,8 @@ class HeldCracks:
             step = np.linalg.solve(tangent, -np.append(off, move @ (z - at - move)))
             z = z + step
             if np.abs(step).max() < 1e-9 * law.separation[-1]:
-                return z
+                found: np.ndarray = z
+                return found
         raise InputError("cracks: the path of equilibria was lost; no row holds like this")
 
     def critical_strain(self, law: RowLaw) -> float:

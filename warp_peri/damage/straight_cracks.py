@@ -211,7 +211,8 @@ def _sides(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> float:
 
 def _overlap(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
     """Whether the boxes around two segments meet."""
-    low, high = np.maximum(np.minimum(a, b), np.minimum(c, d)), np.minimum(
-        np.maximum(a, b), np.maximum(c, d)
+    low, high = (
+        np.maximum(np.minimum(a, b), np.minimum(c, d)),
+        np.minimum(np.maximum(a, b), np.maximum(c, d)),
     )
     return bool((low <= high).all())
