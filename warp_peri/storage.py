@@ -19,6 +19,7 @@ from warp_peri.points.unit_names import Units
 READERS = {
     "warp_peri.model": ("models.nonlinear", "load_any"),
     "warp_peri.brittle_solid": ("damage.solid", "load_brittle_solid"),
+    "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
     "warp_peri.hyperelastic": ("tissue.solid", "load_hyperelastic"),
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),
     "warp_peri.flow_law": ("flow.law_file", "load_law"),

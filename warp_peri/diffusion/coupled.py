@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from warp_peri.damage.lattice_body import Body
+from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.stability import check_cut
 from warp_peri.diffusion.operator import DiffusionOperator
@@ -37,7 +37,7 @@ class Coupled:
     def __init__(
         self,
         model: Model,
-        body: Body,
+        body: LatticeBody,
         diffusion: DiffusionOperator,
         *,
         coupling: float,
