@@ -32,7 +32,7 @@ def main(folder):
     state = body.start(cracks=CRACK)
     print("begun", flush=True)
     for steps in range(2, STEPS + 1, 2):
-        state = run.march(state, steps)
+        state = run.march(state, steps=steps)
         time.sleep(0.005)
     np.savez(
         folder / "end.npz",

@@ -178,9 +178,9 @@ class Injected:
         grow [stress], volume of the fluid in it [length²], and pumped, leaks included.
         """
         taken(options, "move")
-        toughness = offered(material, "linear", "move", "a BrittleSolid") and material.toughness
+        toughness = getattr(material, "toughness", None)
         if toughness is None:
-            raise InputError("criterion: expected a toughness, with which a fluid drives a crack")
+            raise InputError("move: expected a BrittleSolid with a toughness for an Injected")
         h, rows = self.points.spacing, []
         for half in self.halves:
             found = [self._at(material, half + d) for d in (0.0, h, -h)]
