@@ -22,6 +22,7 @@ READERS = {
     "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
     "warp_peri.hyperelastic": ("tissue.solid", "load_hyperelastic"),
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),
+    "warp_peri.coupled_solid": ("diffusion.coupled", "load_coupled_solid"),
     "warp_peri.flow_law": ("flow.law_file", "load_law"),
 }
 """Module and function that read a JSON file, by the `format` that it names."""

@@ -203,7 +203,7 @@ def test_a_checkpoint_says_what_differs(tmp_path):
             CrackRun(other, step=step_, **options).march(begin, steps=4)
     with pytest.raises(InputError, match="what differs: records$"):
         CrackRun(body, step=dt, **options, regions={"all": shift[:, 0] > 0}).march(
-            body.start(cracks=CRACK), 4
+            body.start(cracks=CRACK), steps=4
         )
     with pytest.raises(InputError, match="what differs: start$"):  # by the same run, too
         run.march(body.start(), steps=4)
