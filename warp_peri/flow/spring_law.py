@@ -7,7 +7,7 @@ dumbbells are exact: the function is zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, gathered, greedy
+from warp_peri.flow.law_content import law_content
 from warp_peri.flow.planar import (
     IDENTITY,
     carried,
@@ -44,10 +45,16 @@ class SpringLaw:
     Args:
         process: with the inputs of `invariants`.
         outside: "warn", "refuse" or "allow" states far from the data.
+        provenance: what it was learned from; plain values, for its file.
     """
 
     process: GaussianProcess
     outside: str = "warn"
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds; tables are made again."""
+        return law_content("spring", (self.process,), self.outside, self.provenance)
 
     @property
     def name(self) -> str:
@@ -109,7 +116,7 @@ class SpringLaw:
 
     def tabulated(self, shape: tuple[int, int, int] = (64, 48, 32)) -> TabulatedSpringLaw:
         """The same law by a table."""
-        return TabulatedSpringLaw(self.process, self.outside, shape)
+        return TabulatedSpringLaw(self.process, self.outside, self.provenance, shape)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ with ν learned (theory, F33). The state has eight components, C and then P.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, gathered, greedy
+from warp_peri.flow.law_content import law_content
 from warp_peri.flow.laws import FENEP
 from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame
 from warp_peri.flow.protocols import Ensembles
@@ -45,6 +46,14 @@ class TwistedSpringLaw:
     spring_law: SpringLaw
     process: GaussianProcess
     b: float
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds; tables are made again."""
+        processes = (self.spring_law.process, self.process)
+        return law_content(
+            "twisted", processes, self.spring_law.outside, self.provenance, b=self.b
+        )
 
     @property
     def name(self) -> str:
