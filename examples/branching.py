@@ -143,7 +143,9 @@ def main(argv: list[str] | None = None) -> int:
         windows = (runs[k : k + width] for k in range(len(runs) - width + 1))
         slopes = [float(np.polyfit(part[:, 0], part[:, 1], 1)[0]) for part in windows]
         speed = max(slopes, default=float("nan"))
-        numbers["speed_over_rayleigh"] = speed / rayleigh(solid.model.lam, solid.model.mu, solid.density)
+        numbers["speed_over_rayleigh"] = speed / rayleigh(
+            solid.model.lam, solid.model.mu, solid.density
+        )
     args.out.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(4, 6) if args.kalthoff else (8, 3.6), layout="constrained")
     ax = figure.subplots()

@@ -21,10 +21,10 @@ from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
+import warp_peri as wp
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
-import warp_peri as wp
 from warp_peri.damage import Cracked, rectangle
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json

@@ -29,7 +29,6 @@ import numpy as np
 import warp_peri as wp
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
-from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow import (
     FENEP,
     Band,
@@ -50,6 +49,7 @@ from warp_peri.flow import (
     simulate,
     start_pairs,
 )
+from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import Particles
 
 DE, UNTIL, RECORDS = 1e-2, 0.03, 50

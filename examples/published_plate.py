@@ -52,7 +52,9 @@ def plate(half: float, spacing: float, horizon: float, crack: bool) -> tuple[Cra
     across = np.arange(-n, n + 1) * spacing
     along = (np.arange(-2 * n, 2 * n) + 0.5) * spacing
     x = np.stack(np.meshgrid(across, along, indexing="ij"), axis=-1).reshape(-1, 2)
-    free = np.column_stack([np.abs(x[:, 0]) >= 1e-9 * spacing, np.abs(x[:, 1]) <= 2 * half - spacing])
+    free = np.column_stack(
+        [np.abs(x[:, 0]) >= 1e-9 * spacing, np.abs(x[:, 1]) <= 2 * half - spacing]
+    )
     start = np.column_stack([-x[:, 0] / 3, x[:, 1]]) / (2 * half)
     given = np.column_stack([0 * x[:, 0], np.sign(x[:, 1])])
     points = wp.Points(x, free.any(axis=1), spacing)
@@ -76,9 +78,7 @@ def pulled(
     line = [(-1.5 * half, 0.0), (1.5 * half, 0.0)]
     with warnings.catch_warnings():  # trials of a fit fail, which counts against them
         warnings.filterwarnings("ignore", message="load .* left out")
-        return wp.move(
-            solid, problem, loads=rate(half) * times, line=line, no_fail=rim, stop=0.9
-        )
+        return wp.move(solid, problem, loads=rate(half) * times, line=line, no_fail=rim, stop=0.9)
 
 
 def peak(run: wp.Motion, half: float) -> tuple[float, float]:

@@ -23,7 +23,9 @@ def independent_noise() -> Entry:
     """A channel of dumbbells whose cells do not share their random numbers."""
     flow = ChannelFlow(DE, across=20, smoothing=1.2)
     n = Particles(flow).fluid
-    exact = run_channel(flow, Closure(UpperConvectedMaxwell(), DE, n), until=UNTIL, dt=UNTIL / STEPS)
+    exact = run_channel(
+        flow, Closure(UpperConvectedMaxwell(), DE, n), until=UNTIL, dt=UNTIL / STEPS
+    )
     fluids = {
         common: CoupledDumbbells(Dumbbells(n, COUNT, seed=1, common=common), DE)
         for common in (True, False)

@@ -253,7 +253,9 @@ def test_a_body_with_cracks_is_solved_as_any_other_problem():
     problem = Cracked(points, b, u, cracks=[[(-3, 0.2), (3, 0.2)]])
     brittle = solid(2.0)
     solution = solve(brittle, problem)
-    cut = CutSolid(brittle.model, lattice_body(x, 1.0, 3.0), ~points.interior, cracks=problem.cracks)
+    cut = CutSolid(
+        brittle.model, lattice_body(x, 1.0, 3.0), ~points.interior, cracks=problem.cracks
+    )
     np.testing.assert_array_equal(solution.u, cut.solve(b, u))
     np.testing.assert_allclose(solution.operator(solution.u), solution.load, atol=1e-12)
     np.testing.assert_array_equal(solution.load, b[points.interior])

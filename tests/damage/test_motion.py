@@ -80,7 +80,9 @@ def test_held_nodes_move_as_told_and_their_work_counts():
         grip=grip,
         ramp=lambda t: min(1.0, t / 5.0),
     )
-    run = CrackRun(body, step=0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]})
+    run = CrackRun(
+        body, step=0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]}
+    )
     state = run.march(body.start(), steps=200)
     ledger = np.array(run.history.ledger)
     assert run.history.missing < 2e-3

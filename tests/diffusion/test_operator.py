@@ -183,12 +183,19 @@ def test_coupled_steps_that_make_no_sense_are_refused():
             CoupledSolid(law, Conductor(1.0), *numbers)
     with pytest.raises(InputError, match="units: the model is in"):
         CoupledSolid(law, Conductor(1.0, units=("m", "Pa")), 1.0, 1.0)
-    system, rest = CoupledSolid(law, Conductor(1.0), 1.0, 1.0).on(points), np.zeros((len(points.x), 3))
+    system, rest = (
+        CoupledSolid(law, Conductor(1.0), 1.0, 1.0).on(points),
+        np.zeros((len(points.x), 3)),
+    )
     for b, options, words in (
         (rest, {"step": 0.0, "steps": 1}, "step: expected a number > 0"),
         (rest[:, 0], {"step": 1.0, "steps": 1}, "b: expected shape"),
         (rest + np.nan, {"step": 1.0, "steps": 1}, "not finite"),
-        (rest, {"step": 1.0, "steps": 1, "every": 2}, "options among step, steps, collar, got every"),
+        (
+            rest,
+            {"step": 1.0, "steps": 1, "every": 2},
+            "options among step, steps, collar, got every",
+        ),
         (rest, {"step": 1.0}, "expected steps too"),
     ):
         with pytest.raises(InputError, match=words):

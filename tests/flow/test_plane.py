@@ -51,7 +51,9 @@ def test_the_exact_overshoot_of_the_channel():
 
 def test_a_moving_wall_against_the_exact_series():
     flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
-    profiles = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 64), until=20.0, dt=0.02, every=50)
+    profiles = run_plane(
+        flow, Closure(UpperConvectedMaxwell(), 1.0, 64), until=20.0, dt=0.02, every=50
+    )
     exact = series.couette(flow.faces, profiles.t, 1.0, 10.0)
     late = profiles.t > 8  # the front has faded
     assert np.abs(profiles.u - exact)[late].max() < 0.01
@@ -122,7 +124,9 @@ def test_plane_flows_resume_and_write_tables(tmp_path):
     whole.save_csv(tmp_path / "u.csv")
     assert np.allclose(np.loadtxt(tmp_path / "u.csv", delimiter=",")[:, 1:], whole.u)
     with pytest.raises(InputError, match="another flow"):
-        run_plane(flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), until=0.02, dt=1e-4, checkpoint=file)
+        run_plane(
+            flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), until=0.02, dt=1e-4, checkpoint=file
+        )
     pushed = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 13.0)
     for other, law in ((flow, FENEP(20.0)), (pushed, UpperConvectedMaxwell())):
         with pytest.raises(InputError, match="another flow, fluid"):
@@ -174,7 +178,11 @@ def test_a_flow_is_moved_as_any_other_problem(flow):
     assert dumbbells["u"].shape == run["u"].shape
     assert np.isfinite(dumbbells["stress"]).all()
     for material, options, words in (
-        (law, how | {"steps": 3}, "options among until, dt, every, checkpoint, progress, got steps"),
+        (
+            law,
+            how | {"steps": 3},
+            "options among until, dt, every, checkpoint, progress, got steps",
+        ),
         (law, {"until": 1.0}, "expected dt too"),
         (Dumbbells(3, 20), how, f"dumbbells: expected {n} ensembles, got 3"),
         (None, how, "expected a law, Dumbbells or a Closure for a flow, got NoneType"),

@@ -57,7 +57,7 @@ class History:
         return float(missing.max() / scale) if scale else 0.0
 
     def by_name(self) -> dict[str, np.ndarray]:
-        """Every history as an array: those of the ledger, "u NAME", "v NAME", "force NAME", NAME."""
+        """Histories as arrays: the ledger, "u NAME", "v NAME", "force NAME", what is watched."""
         named = {name: self.column(name) for name in LEDGER[1:]}
         for kind in ("u", "v", "force"):
             named |= {f"{kind} {name}": np.array(r) for name, r in getattr(self, kind).items()}
@@ -221,7 +221,11 @@ class CrackRun:
             "grip": _digest(body.grip.numpy()),
             "step": _digest(self.dt),
             "records": _digest(
-                self.every, list(self.sections), [*self.regions, *self.watch], *lines, *self.regions.values()
+                self.every,
+                list(self.sections),
+                [*self.regions, *self.watch],
+                *lines,
+                *self.regions.values(),
             ),
         }
 

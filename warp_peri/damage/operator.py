@@ -112,7 +112,9 @@ def cut_matrix(
     return sp.csr_array(total)
 
 
-def dilatation_matrix(body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray) -> sp.csr_array:
+def dilatation_matrix(
+    body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
+) -> sp.csr_array:
     """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, 2N]."""
     d, place = stretch_matrix(body, neighbour)
     node, bond = np.divmod(place, neighbour.shape[1])

@@ -1,4 +1,4 @@
-"""Problems of bodies with cracks: at rest, in motion, grown slowly, pulled until they come apart."""
+"""Problems of bodies with cracks: at rest, in motion, grown slowly, pulled apart."""
 
 from __future__ import annotations
 
@@ -199,9 +199,7 @@ class Injected:
         return Cracked(self.points, cracks=[crack], pressure=unit).solved(material, None, {})
 
 
-def energy_release(
-    material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]]
-) -> float:
+def energy_release(material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]]) -> float:
     """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
 
     Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are

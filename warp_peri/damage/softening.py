@@ -153,7 +153,12 @@ class SoftSolid:
     def content(self) -> dict[str, Any]:
         """What the file of the solid holds."""
         law = {k: None if np.isinf(v) else v for k, v in vars(self.law).items()}
-        return {"format": FORMAT, "version": VERSION, "model": model_content(self.model), "law": law}
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "model": model_content(self.model),
+            "law": law,
+        }
 
 
 def load_soft_solid(path: str | os.PathLike[str]) -> SoftSolid:

@@ -92,9 +92,7 @@ class BrittleSolid:
     def content(self) -> dict[str, Any]:
         """What the file of the solid holds."""
         numbers = {name: getattr(self, name) for name in ("density", *CRITERIA, "tension_only")}
-        return {
-            "format": FORMAT, "version": VERSION, "model": model_content(self.model), **numbers
-        }
+        return {"format": FORMAT, "version": VERSION, "model": model_content(self.model), **numbers}
 
 
 def load_brittle_solid(path: str | os.PathLike[str]) -> BrittleSolid:

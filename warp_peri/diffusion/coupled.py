@@ -202,9 +202,7 @@ class CoupledOperator:
             kept.append(self.step(now, given, step, b=load))
         return Motion(step * np.arange(steps + 1), kept[-1], None, {"u": np.stack(kept)})
 
-    def step(
-        self, before: ArrayLike, given: ArrayLike, dt: float, *, b: ArrayLike
-    ) -> np.ndarray:
+    def step(self, before: ArrayLike, given: ArrayLike, dt: float, *, b: ArrayLike) -> np.ndarray:
         """u₁, u₂, φ one step later, shape [N, 3]; dt = inf solves the steady state.
 
         Args:

@@ -5,7 +5,6 @@ Lengths in the channel's width, time in t0, stress in η/t0.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 

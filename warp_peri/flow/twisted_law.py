@@ -51,9 +51,7 @@ class TwistedSpringLaw:
     def content(self) -> dict[str, Any]:
         """What the file of the law holds; tables are made again."""
         processes = (self.spring_law.process, self.process)
-        return law_content(
-            "twisted", processes, self.spring_law.outside, self.provenance, b=self.b
-        )
+        return law_content("twisted", processes, self.spring_law.outside, self.provenance, b=self.b)
 
     @property
     def name(self) -> str:
