@@ -6,6 +6,8 @@ Nothing derives from these. A new law is whatever offers the same, and passes th
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from inspect import signature
 from typing import Any, Protocol
 
 import numpy as np
@@ -98,3 +100,23 @@ def placed(material: Any, points: Any, **options: Any) -> Any:
     return offered(material, "on", "solve", "a material, as fit(…).material or load(…)")(
         points, **options
     )
+
+
+def taken(
+    options: dict[str, Any], verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], ...]:
+    """Options for each taker, by its keyword-only arguments but those that are `given` elsewhere.
+
+    Raises InputError for an option that none takes, and for one that is missing.
+    """
+    kinds = [
+        {n: p for n, p in signature(taker).parameters.items() if p.kind is p.KEYWORD_ONLY}
+        for taker in takers
+    ]
+    known = {n: p for kind in kinds for n, p in kind.items() if n not in given}
+    names = ", ".join(known) or "none"
+    if unknown := sorted(options.keys() - known.keys()):
+        raise InputError(f"{verb}: expected options among {names}, got {', '.join(unknown)}")
+    if missing := [n for n, p in known.items() if p.default is p.empty and n not in options]:
+        raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
+    return tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)

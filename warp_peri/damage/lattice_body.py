@@ -24,7 +24,7 @@ ON_LINE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class LatticeBody:
     """Nodes of a square lattice along the axes and the bonds between them.
 
     Attributes:
@@ -60,7 +60,7 @@ class Body:
         return numbers
 
 
-def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> Body:
+def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
     """The bonds of a body on a square lattice along the axes.
 
     Args:
@@ -89,7 +89,7 @@ def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> Body:
     neighbour = np.empty((len(x), len(classes.steps)), dtype=np.int32)
     for b, (a, c) in enumerate(classes.steps):
         neighbour[:, b] = number[grid[:, 0] + a, grid[:, 1] + c]
-    return Body(x, float(spacing), classes, neighbour)
+    return LatticeBody(x, float(spacing), classes, neighbour)
 
 
 def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
@@ -104,7 +104,7 @@ def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def crossing_bonds(body: Body, polyline: ArrayLike) -> np.ndarray:
+def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
     A bond that meets an end of the polyline is not cut, one that meets a corner is; a polyline that
@@ -138,7 +138,7 @@ def crossing_bonds(body: Body, polyline: ArrayLike) -> np.ndarray:
 
 
 def _cut_segment(
-    body: Body, start: np.ndarray, end: np.ndarray, tips: tuple[bool, bool], cut: np.ndarray
+    body: LatticeBody, start: np.ndarray, end: np.ndarray, tips: tuple[bool, bool], cut: np.ndarray
 ) -> None:
     """Mark the bonds across one segment; at its tips, not at its corners, the ends are open."""
     reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
@@ -168,7 +168,7 @@ def _cut_segment(
     cut[near] |= across & (body.neighbour[near] >= 0)
 
 
-def cracked(body: Body, cracks: Sequence[ArrayLike]) -> np.ndarray:
+def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
     """The body's neighbours with the bonds across cracks broken (−1 − j), shape [N, B] int32.
 
     Args:

@@ -16,6 +16,7 @@ from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import HyperelasticSolid
 from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue.stretch_range import warn_beyond
 
 
 class PlacedSheet:
@@ -76,8 +77,9 @@ class PlacedSheet:
             solver: Newton(tolerance).
 
         The details of the solution are an Equilibrium for each sample, with the smallest
-        eigenvalue of its tangent. Raises NoEquilibrium where
-        none was found, naming the sample; InputError for arrays that do not fit.
+        eigenvalue of its tangent. Warns of stretches beyond the data that the solid was learned
+        from. Raises NoEquilibrium where none was found, naming the sample; InputError for arrays
+        that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         given = np.array(u, dtype=float)
@@ -94,8 +96,10 @@ class PlacedSheet:
         fields = given.reshape(-1, *given.shape[-2:])
         for number, (force, field) in enumerate(zip(load.reshape(fields.shape), fields)):
             found.append(self._one(problem, number, None if b is None else force, field))
+        answer = np.stack([one.u for one in found])
+        warn_beyond(self.model, self.energies, answer)
         return Solution(
-            np.stack([one.u for one in found]).reshape(given.shape),
+            answer.reshape(given.shape),
             self.points,
             self,
             self.load(load),
