@@ -207,6 +207,25 @@ class NonlinearModel:
         return content
 
 
+def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Ψ of (N3) [stress] at displacement gradients of shape [..., 2, 2].
+
+    `numbers` are λ, μ, t3, tq2, Re and Im of q3 e^(−6ia), as NonlinearModel.numbers_at.
+    """
+    lam, mu, t3, tq2, *turned = numbers
+    small = (H + H.swapaxes(-1, -2)) / 2
+    square = H.swapaxes(-1, -2) @ H / 2
+    E = small + square
+    trace, added = (np.trace(of, axis1=-2, axis2=-1) for of in (small, square))
+    # of the harmonic part only what the square adds: the linear solid has the rest
+    density = lam / 2 * added * (2 * trace + added)
+    density += mu * (square * (2 * small + square)).sum(axis=(-2, -1))
+    t = trace + added
+    q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
+    cubic = t3 * t**3 + tq2 * t * np.abs(q) ** 2 + (complex(*turned) * q**3).real
+    return np.asarray(density + cubic)
+
+
 def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
     """The model of a file's content.
 

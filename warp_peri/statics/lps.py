@@ -74,11 +74,7 @@ class PlacedLPS(LPSOperator):
         """h² (½ u_I·L u_I + u_I·L u_C) [stress · area], shape [...]; on lattices."""
         if self.carrier is not None or self.points.spacing == 0:
             return None
-        u = np.asarray(u, dtype=float)
-        inside = self.points.interior[:, None]
-        inner = u[..., self.points.interior, :]
-        own, collar = (self(np.where(m, u, 0.0)) for m in (inside, ~inside))
-        return np.asarray(self.points.spacing**2 * (inner * (own / 2 + collar)).sum(axis=(-2, -1)))
+        return linear_energy(self, self.points, u)
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """σ [TPa] at the interior nodes, [..., I, 2, 2]; None on scattered points."""
@@ -213,6 +209,15 @@ class PlacedLPS(LPSOperator):
         inside = torch.from_numpy(self.points.interior).to(b.device)
         told = self._told(answer, b[..., inside, :].detach().cpu().numpy(), method, records)
         return told if parameters is None else replace(told, proven=None)
+
+
+def linear_energy(operator: Any, points: Points, u: np.ndarray) -> np.ndarray:
+    """h² (½ u_I·L u_I + u_I·L u_C) [stress · area] of a linear operator, shape [...]."""
+    u = np.asarray(u, dtype=float)
+    inside = points.interior[:, None]
+    own, collar = (operator(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
+    inner = u[..., points.interior, :]
+    return np.asarray(points.spacing**2 * (inner * (own / 2 + collar)).sum(axis=(-2, -1)))
 
 
 def checked_fields(

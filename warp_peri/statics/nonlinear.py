@@ -21,7 +21,7 @@ from scipy.optimize import NoConvergence, newton_krylov
 from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
-from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.models.nonlinear import NonlinearModel, energy_density
 from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
@@ -31,7 +31,7 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
-from warp_peri.statics.lps import checked_fields
+from warp_peri.statics.lps import checked_fields, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.transfer.nonlinear import nonlinear_for
@@ -119,11 +119,18 @@ class PlacedThirdOrder(NonlinearOperator):
         return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative at u along v, of one field [N, 2]: shape [I, 2]."""
-        return np.asarray((self.tangent(u) @ np.ravel(v)).reshape(-1, 2))
+        """The derivative at u along v, shape [..., I, 2]."""
+        fields, along = (np.reshape(field, (-1, *self.points.x.shape)) for field in (u, v))
+        rates = [self.tangent(f) @ np.ravel(a) for f, a in zip(fields, along, strict=True)]
+        return np.reshape(rates, (*np.shape(u)[:-2], -1, 2))
 
-    def energy(self, u: np.ndarray) -> None:
-        """None: the filtered form has no energy."""
+    def energy(self, u: np.ndarray) -> np.ndarray | None:
+        """Of the linear solid, and h² Σ Ψ(H) (N1) [stress · area]; None for the filtered form."""
+        if self.model.smoothing is not None:
+            return None
+        H, _ = self.gradients(u)
+        own = energy_density(H, self.numbers.numpy()).sum(axis=-1)
+        return linear_energy(self.straight, self.points, u) + self.points.spacing**2 * own
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """σ of the linear solid and P of Ψ [TPa] at the interior nodes, [..., I, 2, 2] (N2)."""

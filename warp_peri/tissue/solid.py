@@ -13,7 +13,14 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
-from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
+from warp_peri.points.unit_names import (
+    USUAL,
+    Units,
+    check_units,
+    factors,
+    unit_content,
+    units_of,
+)
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike, Samples
@@ -263,6 +270,22 @@ class HyperelasticSolid:
         from warp_peri.tissue.placed import PlacedSheet
 
         return PlacedSheet(self, points, thickness=thickness)
+
+    def in_units(self, units: Units) -> HyperelasticSolid:
+        """The same solid with its numbers in other units; records stay as they are.
+
+        Raises InputError for units that are not known, or that no factor leads to.
+        """
+        length, stress = factors(self.units, units)
+        if self.units == tuple(units):
+            return self
+        return replace(
+            self,
+            coefficients=self.coefficients * stress,
+            spacing=self.spacing * length,
+            provenance={**self.provenance, "units_before": list(self.units)},
+            units=check_units(units),
+        )
 
     @property
     def horizon(self) -> float:
