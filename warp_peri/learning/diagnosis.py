@@ -18,7 +18,8 @@ from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import noise_loss
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import NodeOperator
-from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 
 LEAST_SAMPLES = 8

@@ -17,7 +17,8 @@ from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
 from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
