@@ -270,7 +270,7 @@ def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
 def load_nonlinear(path: str | os.PathLike[str]) -> NonlinearModel:
     """Read the file of a nonlinear model; InputError as for load_model."""
     model = load_any(path)
-    if not isinstance(model, NonlinearModel):
+    if model.linear is model:
         raise InputError(f"{path}: kind: expected a nonlinear model, got a linear one")
     return model
 
@@ -283,6 +283,6 @@ def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
         model = nonlinear_from(content) if nonlinear else model_from(content)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if isinstance(model, Model):
+    if model.linear is model:
         return replace(model, file=Path(path))
     return replace(model, linear=replace(model.linear, file=Path(path)))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
-from warp_peri.launch import known_device
+from warp_peri.launch import DEVICE, known_device
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
@@ -151,7 +151,9 @@ class PlacedLPS(LPSOperator):
     def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
         """The solution of the assembled problem."""
         model, nodes = self.model, self.nodes
-        parts = matrices(model, nodes, quadrature_degree=degree)
+        mine = degree == self.quadrature_degree and self.device == DEVICE
+        own = self.bonds if mine else None
+        parts = matrices(model, nodes, quadrature_degree=degree, bonds=own)
         problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
         answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
         stiffness, allowed = problem.stiffness, self.allowed

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -193,11 +194,8 @@ class _Solver:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
         self.linear = linear_solver(operator, points, LINEAR_SHARE * tolerance)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="spacing: the model is certified")
-            self.clipped = NonlinearOperator(
-                operator.model, points, radius=self.proven, allow_uncertified=True
-            )
+        self.clipped = copy(operator)
+        self.clipped.radius = self.proven
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.

@@ -18,7 +18,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import check_same
 from warp_peri.stability.solvability import lanczos_start, smallest_eigenvalue
 from warp_peri.tissue.factors import positive_factors
 from warp_peri.tissue.laplacian import laplacian
@@ -400,6 +401,7 @@ def solve_hyperelastic(
     A thickness of every node, shape [N], makes the sheet uneven, (H18). Warns of stretches beyond
     the data that the solid was learned from.
     """
+    check_same(solid.units, nodes_of(points).units)
     op = HyperelasticOperator(solid.dictionary, points, thickness=thickness)
     found = StaticProblem(op).solve(solid.coefficients, b, u)
     warn_beyond(solid, op, found.u)

@@ -17,6 +17,7 @@ from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import HyperelasticSolid
 from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue.stretch_range import warn_beyond
 
 
 class PlacedSheet:
@@ -67,7 +68,7 @@ class PlacedSheet:
 
     def errors(self, samples: Samples) -> dict[str, Any]:
         """For `evaluate`: as hyperelastic_errors, samples that are not solved told apart."""
-        return hyperelastic_errors(self.model, samples, thickness=self.thickness)
+        return hyperelastic_errors(self.model, samples, operator=self.energies)
 
     def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The stable equilibrium under a load, displacement given on the collar.
@@ -79,7 +80,8 @@ class PlacedSheet:
 
         The details of the solution are an Equilibrium for each sample, with the smallest
         eigenvalue of its tangent. Raises NoEquilibrium where
-        none was found, naming the sample; InputError for arrays that do not fit.
+        none was found, naming the sample; InputError for arrays that do not fit. Warns of
+        stretches beyond the data that the solid was learned from.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         given = np.array(u, dtype=float)
@@ -96,6 +98,7 @@ class PlacedSheet:
         fields = given.reshape(-1, *given.shape[-2:])
         for number, (force, field) in enumerate(zip(load.reshape(fields.shape), fields)):
             found.append(self._one(problem, number, None if b is None else force, field))
+        warn_beyond(self.model, self.energies, np.stack([one.u for one in found]))
         return Solution(
             np.stack([one.u for one in found]).reshape(given.shape),
             self.points,
