@@ -23,7 +23,8 @@ from warp_peri.models.lps import (
 )
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
-from warp_peri.points.unit_names import Units, factors
+from warp_peri.points.unit_names import Units, factors, symbols
+from warp_peri.shown import as_table, error_rows, in_rows
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
@@ -39,7 +40,7 @@ _OPTIONAL = {"sha256", "gradient", "axis"}
 _KEYS = {"format", "version", "kind", "linear", "smoothing", *_OPTIONAL, *CUBIC, *_RECORDS}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NonlinearModel:
     """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
 
@@ -194,6 +195,23 @@ class NonlinearModel:
         """Constants, guarantee and errors, and those of the linear part, as plain values."""
         own = {name: getattr(self, name) for name in (*CUBIC, "proven", "errors")}
         return self.linear.summary() | {"format": f"model, nonlinear, {self.form} form"} | own
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, those of the linear solid last."""
+        length, stress = symbols(self.units)
+        constants = ", ".join(f"{getattr(self, name):.4g}" for name in CUBIC)
+        rows = [("form", self.form), (", ".join(CUBIC), f"{constants} {stress}")]
+        for spacing, figures in self.proven.items():
+            if figures.get("strain"):
+                unique = f"one solution up to |H| = {figures['strain']:.2%}"
+                rows.append((f"proven on {spacing} {length}", unique))
+        return rows + error_rows(self.errors) + self.linear.rows()
+
+    def __repr__(self) -> str:
+        return in_rows("NonlinearModel", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     def content(self) -> dict[str, Any]:
         """What the file of the model holds."""
