@@ -78,7 +78,7 @@ def linear(name, **moduli):
         moment = (uneven * classes.weight * classes.r**-model.alpha) @ basis
         D = np.resize(model.D, len(moment))
         D[-1] -= moment @ D / moment[-1]
-        same = model.D_dilatation is model.D
+        same = np.array_equal(model.D, model.dilatation)
         return replace(model, D=D, D_dilatation=None if same else model.D_dilatation)
 
     return made

@@ -10,9 +10,9 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 
 SEEN = {
-    "LPS": ("λ, μ          0.3, 0.8 TPa", "3 Å", "One solution.", "certified on  1 Å"),
+    "LPS": ("λ, μ 0.3, 0.8 TPa", "3 Å", "One solution.", "certified on 1 Å"),
     "third order, energy": ("t3, tq2, q3", "-0.5, -6.8, 1.04 TPa", "|H| = 3.00%", "λ, μ"),
-    "hyperelastic": ("0.1 Å", "neo_hookean", "TPa", "stretch of the data  not known"),
+    "hyperelastic": ("0.1 Å", "bond (", "TPa", "stretch of the data not known"),
 }
 
 
@@ -22,7 +22,7 @@ def test_a_material_shows_what_it_is(name):
     text, table = repr(material), material._repr_html_()
     assert text.splitlines()[0] == type(material).__name__
     for part in SEEN[name]:
-        assert part in text
+        assert part in " ".join(text.split())
     assert table.startswith("<table>")
     assert table.count("<tr>") == len(text.splitlines()) - 1
     other = repr(material.in_units(("nm", "GPa")))
@@ -32,7 +32,7 @@ def test_a_material_shows_what_it_is(name):
 
 def test_errors_are_shown_where_there_are_any():
     model = replace(LAWS["LPS"].material(), errors={"test": {"E_res": 0.021, "E_u": 0.0042}})
-    assert "errors on test  E_res 2.10%, E_u 0.42%" in repr(model)
+    assert "errors on test E_res 2.10%, E_u 0.42%" in " ".join(repr(model).split())
 
 
 def samples():

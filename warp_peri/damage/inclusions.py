@@ -12,6 +12,7 @@ from warp_peri.damage.lattice_body import Body
 from warp_peri.damage.operator import cut_matrix
 from warp_peri.errors import InputError
 from warp_peri.stability.inertia import definite_factors
+from warp_peri.statics.direct import MatrixProblem
 
 SAMPLES = 32
 """Places along a bond at which a field of moduli is read."""
@@ -126,17 +127,13 @@ def solve_mixed(matrix: sp.csr_array, held: np.ndarray, u: np.ndarray) -> np.nda
             f"held, u: expected shapes [{count}] of bool and [{count}, 2], got "
             f"{list(held.shape)} and {list(given.shape)}"
         )
-    free = np.repeat(~held, 2)
-    solved = given.ravel()
-    solved[free] = 0
-    if not np.isfinite(solved).all():
+    if not np.isfinite(given[held]).all():
         raise InputError("u: expected finite values at held nodes")
-    right = -(matrix @ solved)[free]
-    factors = definite_factors(sp.csc_array(matrix[free][:, free]))
-    if factors is None:
+    inside = matrix[np.repeat(~held, 2)]
+    problem = MatrixProblem(inside, ~held, factorise=definite_factors)
+    if problem.factors is None:
         raise InputError(
             "mixed: the operator on the free nodes is not positive definite; hold the body, and "
             "expect λ + μ > 0 of its materials"
         )
-    solved[free] = factors.solve(right)
-    return solved.reshape(-1, 2)
+    return np.asarray(problem.solve(np.zeros((1, count, 2)), given[None])[0])

@@ -289,7 +289,7 @@ class Model:
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         length, stress = symbols(self.units)
-        kernels = "two influence functions" if self.D is not self.dilatation else "K"
+        kernels = "K" if np.array_equal(self.D, self.dilatation) else "K, K of dilatation"
         rows = [
             ("λ, μ", f"{self.lam:.4g}, {self.mu:.4g} {stress}"),
             ("E, ν", f"{self.E:.4g} {stress}, {self.nu:.3g}"),
