@@ -292,7 +292,8 @@ def _lattice_table(
                 f"{_unit(points)}, got {box}"
             )
     table = neighbour_table(grid, classes.steps, size)
-    return grid, axes, table, (table < 0).any(axis=1)
+    lacking: np.ndarray = (table < 0).any(axis=1)
+    return grid, axes, table, lacking
 
 
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
