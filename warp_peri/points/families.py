@@ -292,7 +292,7 @@ def _lattice_table(
                 f"{_unit(points)}, got {box}"
             )
     table = neighbour_table(grid, classes.steps, size)
-    lacking: np.ndarray = (table < 0).any(axis=1)
+    lacking = np.asarray(np.any(table < 0, axis=1))
     return grid, axes, table, lacking
 
 

@@ -133,7 +133,7 @@ class Samples:
         for name, values in self.arrays.items():
             axes = ("sample", *(f"{name}_{axis}" for axis in range(1, np.ndim(values))))
             held[name] = (axes, values)
-        places = {"x": (("node", "component"), self.x, {"units": length})}
+        places: dict[str, Any] = {"x": (("node", "component"), self.x, {"units": length})}
         places["interior"] = ("node", self.interior)
         return xarray.Dataset(held, coords=places, attrs={"spacing": self.spacing})
 

@@ -43,7 +43,7 @@ class MatrixProblem:
     @property
     def nodes(self) -> int:
         """Number of unknown nodes I."""
-        return int(self.stiffness.shape[0]) // self.components
+        return int(self.stiffness.shape[0] // self.components)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
         """b − L u of the collar [TPa/Å], one column a sample: shape [2 I, S].
