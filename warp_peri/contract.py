@@ -48,9 +48,17 @@ class Operator(Protocol):
 class Material(Protocol):
     """A law with its numbers."""
 
-    units: tuple[str, str]
-    horizon: float
-    dimension: int
+    @property
+    def dimension(self) -> int:
+        """d of the space it fills."""
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Names of the units of length and stress."""
+
+    @property
+    def horizon(self) -> float:
+        """δ [length]."""
 
     def on(self, points: Any) -> Operator:
         """The material on points: transferred there, certified, with its bonds."""
@@ -69,8 +77,9 @@ class Problem(Protocol):
 class Law(Protocol):
     """What may be learned: a family of materials, and how its numbers are found."""
 
-    def learn(self, samples: Any, **options: Any) -> Any:
-        """The Fit: material, certificate, history."""
+    @property
+    def learn(self) -> Callable[..., Any]:
+        """Of samples and options the Fit: material, certificate, history."""
 
 
 def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
@@ -82,10 +91,17 @@ def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
     return method
 
 
-def placed(material: Any, points: Any, **options: Any) -> Any:
+def linear_part(given: Any, verb: str) -> Any:
+    """The linear solid of a material or of its operator; InputError for what has none."""
+    kinds = "a linear solid, or a material with a linear part"
+    return offered(getattr(given, "model", given), "linear", verb, kinds)
+
+
+def placed(material: Any, points: Any, *, verb: str = "solve", **options: Any) -> Any:
     """The operator of a material on points; what is an operator on these points already, as it is.
 
-    Raises InputError for an operator on other points, and for what is neither.
+    Raises InputError for an operator on other points, and for what is neither; `verb` says what
+    it was wanted for.
     """
     if hasattr(material, "rest") and not hasattr(material, "on"):
         mine = material.points
@@ -97,9 +113,13 @@ def placed(material: Any, points: Any, **options: Any) -> Any:
         if not same:
             raise InputError("operator: expected one on the points of the problem, got another's")
         return material
-    return offered(material, "on", "solve", "a material, as fit(…).material or load(…)")(
-        points, **options
-    )
+    on = offered(material, "on", verb, "a material, as fit(…).material or load(…)")
+    known = signature(on).parameters
+    open_ended = any(one.kind is one.VAR_KEYWORD for one in known.values())
+    if not open_ended and (unknown := sorted(options.keys() - known.keys())):
+        what = type(material).__name__
+        raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
+    return on(points, **options)
 
 
 def taken(

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.points.series import mean_inverse
 from warp_peri.points.unit_names import USUAL, Units
 
 Field = Callable[[np.ndarray], np.ndarray]
 
-SAMPLES = 32
-"""Places along a bond at which a field of moduli is read."""
 MEANS = ("series", "harmonic", "arithmetic")
 
 
@@ -119,13 +118,14 @@ def _compliance(
 
     Raises InputError with these words where a value that is read has not this sign.
     """
-    total = np.zeros(body.neighbour.shape)
-    for place in (np.arange(SAMPLES) + 0.5) / SAMPLES:
-        values = np.asarray(field(body.x[:, None] + place * body.xi), dtype=float)
-        values = np.where(read, values, sign)
-        _check_sign(words, values, sign)
-        total += 1 / values
-    return total / SAMPLES
+
+    def values(place: float) -> np.ndarray:
+        along = np.asarray(field(body.x[:, None] + place * body.xi), dtype=float)
+        along = np.where(read, along, sign)
+        _check_sign(words, along, sign)
+        return along
+
+    return mean_inverse(values)
 
 
 def _check_sign(words: str, values: np.ndarray, sign: float) -> None:

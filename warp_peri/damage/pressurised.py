@@ -53,7 +53,10 @@ def opening_volume(solution: Solution, normal: tuple[float, float] = (0.0, 1.0))
     body, neighbour, u = solution.operator.body, solution.operator.neighbour, solution.u
     if sorted(np.abs(normal)) != [0, 1]:
         raise InputError(f"normal: expected one along an axis, as (0, 1), got {normal}")
-    step = np.flatnonzero((body.classes.steps == np.rint(normal)).all(axis=1))[0]
+    across = np.abs(body.xi - body.spacing * np.array(normal)).max(axis=1)
+    step = int(np.argmin(across))
+    if across[step] > 1e-6 * body.spacing:
+        raise InputError("body: expected a lattice along the axes, got a turned one")
     node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
     far = body.neighbour[node, step]
     return float(body.spacing * ((u[far] - u[node]) @ normal).sum())

@@ -20,13 +20,12 @@ from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.series import mean_inverse
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.settings import Direct, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
-SAMPLES = 32
-"""Places along a bond at which a field of conductivity is read."""
 ROUNDING = 1e-10
 """Eigenvalues so far below zero, over the largest diagonal, count as zero."""
 RESIDUAL = 1e-9
@@ -308,12 +307,13 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
         xi = points.x[far] - points.x[near]
         if points.box is not None:
             xi -= np.asarray(points.box) * np.rint(xi / points.box)
-        resistance = np.zeros(len(near))
-        for place in (np.arange(SAMPLES) + 0.5) / SAMPLES:
+
+        def along(place: float) -> np.ndarray:
             values = np.asarray(kappa(points.x[near] + place * xi), dtype=float)
             _check(values)
-            resistance += 1 / values
-        return SAMPLES / resistance
+            return np.broadcast_to(values, len(near))
+
+        return np.asarray(1 / mean_inverse(along))
     values = np.asarray(kappa, dtype=float)
     if values.shape not in ((), (len(points.x),)):
         raise InputError(
