@@ -1,6 +1,6 @@
 """From atoms and frames to fields on nodes: `warp_peri.atoms`."""
 
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.sources.coarse_graining import coarse_grain, force_on_mesh, smoothing_matrix
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
 from warp_peri.sources.dumps import (
     Atoms,
@@ -16,6 +16,7 @@ from warp_peri.sources.dumps import (
 
 __all__ = [
     "coarse_grain",
+    "force_on_mesh",
     "frames_on_lattice",
     "noise_of",
     "read_frame",

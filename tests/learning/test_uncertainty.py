@@ -166,6 +166,10 @@ def test_what_it_cannot_do_is_refused():
     result = fit(data, horizon=HORIZON, kernel=Bernstein(0), normalise=True)
     with pytest.raises(InputError, match="two fields"):
         fit_uncertainty(result, data, fluctuation(data, 1, SIZE, seed=2))
+    with pytest.raises(InputError, match=r"points: expected Samples .* got Points"):
+        fit_uncertainty(result, data.points, noise)
+    with pytest.raises(InputError, match=r"noise: expected Samples .* got list"):
+        fit_uncertainty(result, data, [noise.points])
     with pytest.raises(InputError, match="expected 1 sets"):
         fit_uncertainty(result, [data, data], noise)
     there = dataclasses.replace(data, points=dataclasses.replace(data.points, units=GPA))

@@ -11,7 +11,7 @@ import torch
 
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve, solve_periodic
-from warp_peri import InputError, evaluate
+from warp_peri import InputError, Points, evaluate
 from warp_peri.models.lps import load_model, model_content
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import families_of
@@ -139,3 +139,14 @@ def test_the_horizon_that_the_collar_carries():
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
     with pytest.warns(UserWarning, match="transferred"):
         assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.8])
+def test_nodes_around_a_free_edge_are_told_of_it(file, spacing):
+    """At home and on a lattice that the model is carried to."""
+    x = spacing * np.argwhere(np.ones((24, 24)))
+    x = x[np.linalg.norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
+    inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
+    holed = Points(x=x, interior=inside, spacing=spacing)
+    with pytest.raises(InputError, match=r"edge.* solve_body"):
+        solve(load_model(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))

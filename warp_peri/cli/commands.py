@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -154,7 +155,8 @@ def run_train(given: argparse.Namespace) -> Result:
     if given.influence:
         if given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
-        kernel = shape_of(given.influence, given.horizon, samples.spacing)
+        unit = symbols(data.units)[0]
+        kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
     with locked(given.out):
         run = train(
             samples,
@@ -172,6 +174,8 @@ def run_train(given: argparse.Namespace) -> Result:
         if samples.spacing and len(samples) >= LEAST_SAMPLES:
             diagnosis = diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
+            if diagnosis.advice:
+                warnings.warn(diagnosis.advice, stacklevel=1)
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / f"{given.command}.toml")
@@ -204,6 +208,23 @@ def training_metrics(run: Run) -> Result:
             "E": float(run.sure.deviation(lambda model: model.E)),
         }
     return metrics
+
+
+def in_percent(metrics: Result) -> Result:
+    """What training prints: errors and shares in %, as `evaluate` does; JSON keeps fractions."""
+    shown: Result = {}
+    for key, value in metrics.items():
+        if key in ("E_res", "E_u"):
+            shown[f"{key} [%]"] = {
+                name: "–" if error is None else 100 * error for name, error in value.items()
+            }
+        elif key == "residual":
+            shown["why"] = value["why"]
+            shares = {name: 100 * share for name, share in value.items() if name != "why"}
+            shown["shares of the squared residual [%]"] = shares
+        else:
+            shown[key] = value
+    return shown
 
 
 def run_certify(given: argparse.Namespace) -> Result:

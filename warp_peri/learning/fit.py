@@ -81,7 +81,7 @@ def learn(
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
-    given = listed(samples), horizon, kernel, method, conditions, loss, listed(noise)
+    given = listed(samples), horizon, kernel, method, conditions, loss, listed(noise, "noise")
     return _linear(*given, normalise, progress)
 
 
@@ -103,7 +103,7 @@ def learn_third_order(
     Raises InputError also for other than Optimum, Bernstein polynomials, lattices of one spacing
     and the residual loss.
     """
-    sets, quiet = listed(samples), listed(noise)
+    sets, quiet = listed(samples), listed(noise, "noise")
     check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
     linear = _linear(sets, horizon, kernel, method, conditions, loss, quiet, normalise, progress)
     return with_constants(linear, sets, _second(method), nonlinear)

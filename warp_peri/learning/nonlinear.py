@@ -235,8 +235,8 @@ class _Task:
             )
             if not optimum.converged:
                 raise RuntimeError(
-                    f"nonlinear stage: ended with a margin of {optimum.margin:.1e} TPa, and moduli "
-                    f"to be held missed by {optimum.departure:.1e} TPa"
+                    f"nonlinear stage: ended with a margin of {optimum.margin:.1e}, and moduli "
+                    f"to be held missed by {optimum.departure:.1e}"
                 )
             parameters = optimum.parameters
             constants = self.loss.constants(self._products(self._solid(parameters)), lam, mu)

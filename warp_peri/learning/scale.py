@@ -145,7 +145,7 @@ def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale
     """
     stiffness = stiffness_of(sets, horizon)
     units = sets[0].points.units
-    length = search_length(units, horizon) if lengths and horizon > 0 else 1.0
+    length = search_length(units, horizon) if lengths and 0 < horizon < np.inf else 1.0
     stress = search_unit(units[1], stiffness, USUAL_STIFFNESS, 4)
     return Scale(length, stress, stiffness, units)
 
@@ -213,4 +213,8 @@ def scaled_data(
     except InputError:
         made(None)  # what is wrong with the sets themselves comes first
         raise
-    return dataclasses.replace(made(scale), stress=scale.stress), scale
+    try:
+        return dataclasses.replace(made(scale), stress=scale.stress), scale
+    except InputError:
+        made(None)  # the same refusal, with the user's own numbers
+        raise

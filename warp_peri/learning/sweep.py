@@ -23,6 +23,7 @@ from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import symbols
 from warp_peri.stability.conditions import Conditions
 
 COST_TOLERANCE = 0.1
@@ -214,7 +215,8 @@ def _trial(
             progress=False,
         )
     except RuntimeError as error:
-        return f"δ = {horizon:g} Å, M = {degree}: {error}"
+        unit = symbols(train.points.units)[0]
+        return f"δ = {horizon:g} {unit}, M = {degree}: {error}"
     model = learned.material
     tables = [evaluate(model, points, allow_uncertified=True) for points in (train, val)]
     E_u_test = None if test is None else evaluate(model, test, allow_uncertified=True)["E_u"]

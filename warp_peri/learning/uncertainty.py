@@ -20,6 +20,7 @@ from warp_peri.learning.output_error import as_model
 from warp_peri.learning.response import WaveResponse, products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.scale import scale_of
+from warp_peri.learning.training_data import listed
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import check_noise, corrected, noise_loss
 from warp_peri.losses.reduced import Features, ReducedLoss, reduce
@@ -345,8 +346,7 @@ def _sets_and_noise(
     points: Samples | Sequence[Samples], noise: Samples | Sequence[Samples], number: int
 ) -> tuple[list[Samples], list[Samples]]:
     """Training sets and their noise, as lists of the number that the fit knows."""
-    sets = [points] if isinstance(points, Samples) else list(points)
-    fields = [noise] if isinstance(noise, Samples) else list(noise)
+    sets, fields = listed(points, "points"), listed(noise, "noise")
     if not len(sets) == len(fields) == number:
         raise InputError(
             f"points, noise: expected {number} sets each, got {len(sets)} and {len(fields)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -260,6 +261,9 @@ def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
     content = read_content(path)
     nonlinear = isinstance(content, dict) and content.get("kind") == KIND
     try:
-        return nonlinear_from(content) if nonlinear else model_from(content)
+        model = nonlinear_from(content) if nonlinear else model_from(content)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if isinstance(model, Model):
+        return replace(model, file=Path(path))
+    return replace(model, linear=replace(model.linear, file=Path(path)))

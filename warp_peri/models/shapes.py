@@ -133,7 +133,7 @@ class InfluenceFunction:
         if not np.isfinite(K).all():
             where = distance[~np.isfinite(K)].flat[0]
             raise InputError(
-                f"influence '{self.name}': K is not finite at r = {where:g} Å with "
+                f"influence '{self.name}': K is not finite at r = {where:g} with "
                 f"{dict(self.parameters)}; give `bounds` that keep it so"
             )
         return K

@@ -14,6 +14,8 @@ RESIDUAL = 1e-10
 """Largest relative residual of the exactness conditions that is accepted."""
 DEPENDENT = 1e-12
 """Singular values below this fraction of the largest count as zero."""
+INDEPENDENT = 1e-4
+"""Pivots of the Gram matrix, by their roots, above this fraction of the largest need no SVD."""
 
 
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
@@ -63,15 +65,47 @@ def family_weights(
     xi = xi / horizon
     r = np.hypot(xi[..., 0], xi[..., 1])
     inverse = np.divide(1, r, out=np.zeros_like(r), where=r > 0)
-    ladder = [np.stack([xi[..., a] ** p for p in range(degree + 1)]) for a in range(2)]
-    rows = np.stack([ladder[0][a] * ladder[1][b] for a, b in powers], axis=1)
-    rows *= (inverse**SINGULARITY)[:, None]
-    left, size, right = np.linalg.svd(rows, full_matrices=False)
-    kept = size > DEPENDENT * size[:, :1]
-    components = np.divide(exact @ left, size, out=np.zeros_like(size), where=kept)
-    weights = np.einsum("fk,fkb->fb", components, right)
-    residual = np.abs(np.einsum("fqb,fb->fq", rows, weights) - exact).max(axis=1)
+    x, y = np.ascontiguousarray(np.moveaxis(xi, -1, 0))
+    unit = (x * inverse, y * inverse)
+    of_degree = [unit[0] * unit[0], unit[0] * unit[1], unit[1] * unit[1]]
+    of_degree = [row * inverse for row in of_degree]  # ξ₁² / r³, ξ₁ ξ₂ / r³, ξ₂² / r³
+    rows = np.empty((len(xi), len(powers), xi.shape[1]))
+    first = 0
+    for _ in range(SINGULARITY - 1, degree + 1):
+        for row in of_degree:
+            rows[:, first] = row
+            first += 1
+        of_degree = [row * x for row in of_degree] + [of_degree[-1] * y]
+    weights = _smallest(rows, exact)
+    residual = np.abs((rows @ weights[..., None])[..., 0] - exact).max(axis=1)
     return weights * horizon**2, residual / np.abs(exact).max()
+
+
+def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Solutions of smallest norm of rows · w = exact, rows [F, Q, B], shape [F, B].
+
+    By the normal equations, solved a second time for what the first left; by the SVD, which takes
+    ten times as long, where conditions depend on each other.
+    """
+    weights = np.zeros((len(rows), rows.shape[2]))
+    gram = rows @ rows.swapaxes(1, 2)
+    try:
+        pivots = np.diagonal(np.linalg.cholesky(gram), axis1=1, axis2=2)
+        sound = pivots.min(axis=1) > INDEPENDENT * pivots.max(axis=1)
+    except np.linalg.LinAlgError:
+        sound = np.zeros(len(rows), bool)
+    kept = slice(None) if sound.all() else sound
+    some, gram, sums = rows[kept], gram[kept], weights[kept]
+    for _ in range(2):
+        left = exact[:, None] - some @ sums[..., None]
+        sums += (np.linalg.solve(gram, left).swapaxes(1, 2) @ some)[:, 0]
+    weights[kept] = sums
+    if not sound.all():
+        left, size, right = np.linalg.svd(rows[~sound], full_matrices=False)
+        large = size > DEPENDENT * size[:, :1]
+        components = np.divide(exact @ left, size, out=np.zeros_like(size), where=large)
+        weights[~sound] = np.einsum("fk,fkb->fb", components, right)
+    return weights
 
 
 def _ball_integral(a: int, b: int) -> float:

@@ -33,14 +33,11 @@ from warp_peri.statics.schwarz import Exchange, Schwarz
 from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.statics.whole_body import WholeBody
 from warp_peri.transfer.cache import model_at
+from warp_peri.transfer.lattice import LARGEST
 
 OVERLAP = 2.0
 """Overlap of rim and bulk where none is given, in horizons."""
 TOLERANCE = 1e-8
-ALONE = (
-    "mesh: no triangle is {:g} {} from the body's edge, two horizons and the overlap; it is solved "
-    "by elements alone"
-)
 
 
 @dataclass(frozen=True)
@@ -214,7 +211,8 @@ def solve_body(
         _refuse_soft_edges(problem)
     told = model, spacing, tried, stiff, rim
     if lattice is None or kept.all():
-        warnings.warn(ALONE.format(collar + overlap, symbols(model.units)[0]), stacklevel=2)
+        deepest = depth[mesh.triangles].min(axis=1).max()
+        warnings.warn(_alone(model, collar + overlap, deepest, coupling), stacklevel=2)
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
         alone = u.reshape(-1, 2), None, np.zeros((0, 2))
@@ -257,6 +255,29 @@ def _on_lattice(
     return here, tried[-1].spacing, tried
 
 
+def _alone(model: Model, needed: float, deepest: float, coupling: Coupling) -> str:
+    """Why elements are alone, and what gives the lattice room.
+
+    Args:
+        model: on the lattice that was tried.
+        needed: depth of a triangle without elements: two horizons, a margin and the overlap [Å].
+        deepest: of the mesh's triangles [Å].
+        coupling: what was asked for.
+    """
+    unit = symbols(model.units)[0]
+    cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
+    own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
+    room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
+    if room > 0:
+        digits = 10.0 ** (np.floor(np.log10(room)) - 1)
+        cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")
+    return (
+        f"mesh: no triangle is {needed:g} {unit} from the body's edge, two horizons and the "
+        f"overlap (the deepest is {deepest:.3g} {unit}); it is solved by elements alone. Room for "
+        f"the lattice: {', or '.join(cures)}"
+    )
+
+
 def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
     """Raise InputError where a hole is smaller than the overlap."""
     smallest = mesh.hole_sizes.min(initial=np.inf)
@@ -273,7 +294,8 @@ def long_wave(model: Model, spacing: float) -> Moduli:
     if not (stiff.C44 > 0 and stiff.C11 > abs(stiff.C12)):
         raise InputError(
             "model: expected long-wave moduli of positive energy, got C11, C12, C44 = "
-            f"{stiff.C11:.4g}, {stiff.C12:.4g}, {stiff.C44:.4g} TPa"
+            f"{stiff.C11:.4g}, {stiff.C12:.4g}, {stiff.C44:.4g} "
+            f"{symbols(model.units)[1]}"
         )
     return stiff
 

@@ -40,6 +40,8 @@ SMOOTHNESS = 1e-6
 directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
 ZETA = 0.01
 """c [TPa] that is asked for, or what is proven at home where that is less."""
+LEAST = 2.0
+"""Smallest horizon that a lattice has, in spacings."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
 RECIPE = 6
@@ -199,7 +201,7 @@ def _horizons(spacing: float, largest: float | None) -> list[float]:
     reach = int(LARGEST)
     a, b = np.mgrid[0 : reach + 1, 0 : reach + 1]
     squares = np.unique(a**2 + b**2)
-    lengths = spacing * np.sqrt(squares[(squares >= 4) & (squares <= LARGEST**2)])
+    lengths = spacing * np.sqrt(squares[(squares >= LEAST**2) & (squares <= LARGEST**2)])
     kept = [
         float(length) for length in lengths if largest is None or length <= largest * (1 + 1e-9)
     ]

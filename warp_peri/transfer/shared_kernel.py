@@ -12,8 +12,9 @@ from scipy.optimize import least_squares
 from warp_peri.errors import InputError
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.models.lps import Model
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.unit_names import search_length
+from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import SMALLEST_ALPHA, Coordinates
 from warp_peri.regression.optimum import Problem
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
@@ -69,9 +70,14 @@ def one_kernel(
         A model certified on nine lattices in equal steps of h/δ; its provenance tells, under
         "many_lattices", the errors by h/δ on ten that it was not fitted on.
 
-    Raises InputError for ratios that are none, or a kernel without a proof on each of them.
+    Raises InputError for a horizon that is no length, ratios that are none, or a kernel without a
+    proof on each of them.
     """
     (low, high), unit = ratios, model.mu
+    if not is_positive(horizon):
+        raise InputError(
+            f"horizon: expected a length > 0 {symbols(model.units)[0]}, got {horizon!r}"
+        )
     if not 0.02 <= low < high <= 0.45:
         raise InputError(f"ratios: expected 0.02 ≤ smallest < largest ≤ 0.45, got {ratios}")
     home = home_of(model, horizon * high)
