@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.sparse.csgraph import breadth_first_order
 
@@ -87,21 +88,22 @@ class CrackedSheet:
 
 
 def cracked_sheet(
-    cracks: Sequence[np.ndarray], *, half: float = HALF, turned: float = 0.0
+    cracks: Sequence[np.ndarray], *, half: ArrayLike = HALF, turned: float = 0.0
 ) -> CrackedSheet:
-    """A square sheet with straight cracks.
+    """A rectangular sheet with straight cracks.
 
     Args:
         cracks: ends of each [Å], shape [2, 2]; y = 0 runs through the middle of bonds when the
             crack runs along the zigzag direction, x = 0 midway between two of them.
-        half: half side of the part that moves [Å].
+        half: half sides of the part that moves [Å], one for a square, or two.
         turned: degrees from the zigzag direction to the x axis; 30 is the armchair direction.
     """
     bond = bond_length()
     step = np.sqrt(3) * bond
-    width = half + FRAME
-    reach = width * (1 if turned == 0 else np.sqrt(2))
-    cells = (2 * int(reach / step) + 8, 2 * int(reach / (3 * bond)) + 8)
+    inner = np.broadcast_to(np.asarray(half, float), 2)
+    width = inner + FRAME
+    reach = width if turned == 0 else np.full(2, np.hypot(*width))
+    cells = (2 * int(reach[0] / step) + 8, 2 * int(reach[1] / (3 * bond)) + 8)
     positions, _ = sheet(bond, cells=cells)
     pairs = find_bonds(positions, None)
     middle = positions[pairs].mean(axis=1)
@@ -121,7 +123,7 @@ def cracked_sheet(
         if enough.all():
             break
         positions = positions[enough]
-    return CrackedSheet(positions, pairs, cut, (np.abs(positions) > half).any(axis=1), step)
+    return CrackedSheet(positions, pairs, cut, (np.abs(positions) > inner).any(axis=1), step)
 
 
 def _crossing(ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -302,7 +304,7 @@ class Pulled:
 
 
 def critical_strain(
-    cracks: Sequence[np.ndarray], expected: float, *, half: float = HALF, turned: float = 0.0
+    cracks: Sequence[np.ndarray], expected: float, *, half: ArrayLike = HALF, turned: float = 0.0
 ) -> dict[str, float]:
     """Critical strain of a sheet with cracks, and what it took."""
     began = time.perf_counter()

@@ -50,7 +50,7 @@ def chart(rows: list[dict[str, Any]], file: Path) -> None:
     axes[0].legend(fontsize=9, loc="upper right")
     figure.suptitle("Atoms have error 0 and stand on the floor of the chart", fontsize=10)
     with whole_file(file) as path:
-        figure.savefig(path, dpi=130, format="png")
+        figure.savefig(path, dpi=100, format="png")
     plt.close(figure)
 
 

@@ -136,7 +136,7 @@ def test_evaluate_names_a_set_that_is_not_there(small_run, graphene, capsys):
         (["--horizon", "4"], "horizon: expected at least one spacing (5.0), got 4.0"),
         (["--degree", "-1"], "degree: expected a whole number ≥ 0, got -1"),
         (["--spacing", "3"], "no training set on nodes 3 Å apart"),
-        (["--data", "nowhere.h5"], "nowhere.h5: no such data set"),
+        (["--data", "nowhere.h5"], "nowhere.h5: no such file"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, graphene, tmp_path, capsys):

@@ -67,6 +67,6 @@ def test_an_unprovoked_failure_is_not_taken_for_one():
 
 def test_an_unknown_entry_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(stability_atlas, "make_data", lambda *_: tmp_path)
-    monkeypatch.setattr(stability_atlas.warp_peri, "load_dataset", lambda _: {})
+    monkeypatch.setattr(stability_atlas.warp_peri, "load", lambda _: {})
     with pytest.raises(InputError, match="--only: expected some of sign-changing"):
         stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)])

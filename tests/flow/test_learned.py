@@ -1,12 +1,14 @@
 """Learned laws: mixed flows from exact data, noise, Couette, objectivity, tables, files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, heun, homogeneous
+from warp_peri.flow.cloud import OutsideWarning
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.gaussian_process import fit_process
 from warp_peri.flow.law_file import load_law, save_law
@@ -210,6 +212,37 @@ def test_a_second_memory_turns_the_spring(tmp_path):
         learn_twisted([], 50.0)
     with pytest.raises(InputError, match="shear or mixed"):
         learn_twisted(Ensembles(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)
+
+
+def test_steady_shear_of_the_training_data_comes_back():
+    K = np.concatenate([shear(np.array([2.0, 4.0, 8.0])), elongation(np.array([1.0, 2.0]))])
+    K = np.concatenate([held(K, 40), np.zeros((30, 5, 4))])
+    record = simulate(Dumbbells(5, 3000, b=50.0, seed=3), K, 0.1, steps=5)
+    law = learn_twisted(record, 50.0, points=80, turns=50, outside="allow")
+    s = law.stress(homogeneous(law, held(shear(np.array([8.0])), 60), 0.1)[-1])[0]
+    K = held(shear(np.array([8.0])), 60)
+    truth = simulate(Dumbbells(1, 12_000, b=50.0, seed=9), K, 0.1, steps=5).stress[30:].mean(0)[0]
+    assert s[0] - s[2] == pytest.approx(truth[0] - truth[2], rel=0.08)
+    assert s[1] == pytest.approx(truth[1], rel=0.05)
+
+
+def test_a_faster_flow_than_the_data_is_told_at_any_state(spring, tmp_path):
+    law, record = spring  # shear to 3, elongation to 1
+    save_law(tmp_path / "law.json", replace(law, outside="refuse"), {})
+    again, state = load_law(tmp_path / "law.json"), record.C[20, :1]
+    for K in (shear([3.2]), elongation([1.0]), 10 * np.array([[0.0, -1.0, 1.0, 0.0]]) / 7):
+        again.check(K, state)  # a spin of 10/7 stretches nothing
+    for K, kind in ((shear([3.5]), "rate of strain up to 1.75"), (elongation([1.3]), "beyond")):
+        with pytest.raises(InputError, match=kind):
+            again.check(K, state)
+        with pytest.raises(InputError, match=kind):
+            again.tabulated().check(K, state)
+        with pytest.warns(OutsideWarning, match=kind):
+            homogeneous(replace(law, outside="warn"), K[None], 0.1, start=state)
+    content = json.loads((tmp_path / "law.json").read_text())
+    del content["gradients"]  # a file of before
+    (tmp_path / "law.json").write_text(json.dumps(content))
+    load_law(tmp_path / "law.json").check(shear([3.5]), state)
 
 
 def test_rest_is_the_root_nearest_to_one():

@@ -92,7 +92,7 @@ def test_a_uniform_orthotropic_sheet_is_anisotropic_and_not_heterogeneous():
     """Smooth fields make second differences of all bonds alike; that must not hide the cause."""
     samples = stretched(lattice(11, HORIZON), 24)
     found = fit(samples, HORIZON, Bernstein(4))
-    diagnosis = diagnose(found.model, samples)
+    diagnosis = diagnose(found.material, samples)
     assert diagnosis.residual > 0.1
     assert diagnosis.shares["anisotropy"] > 0.8
     assert diagnosis.shares["heterogeneity"] < 0.1

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
+from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import Fit, Settings
@@ -24,7 +25,6 @@ from warp_peri.points.families import bond_classes
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
-from warp_peri.statics.lps import solve
 
 HORIZON = 2.5
 CLASSES = bond_classes(1.0, HORIZON)

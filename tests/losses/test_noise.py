@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
+from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import learn as fit
@@ -16,7 +17,6 @@ from warp_peri.losses.reduced import reduce
 from warp_peri.methods import TwoStage
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import NodeOperator
-from warp_peri.statics.lps import solve
 
 HORIZON, DEGREE = 3.0, 5
 SIZE = 0.02

@@ -158,7 +158,7 @@ def test_an_interrupt_that_the_shell_ignores_stays_ignored():
     words = [sys.executable, "-c", ignoring + RINGS.format(module="numpy", ignored=True)]
     process = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert process.returncode == 2
-    assert "no such model file" in process.stderr
+    assert "no such file" in process.stderr
 
 
 def test_commands_end_with_one_status_and_one_line(capsys):
@@ -189,7 +189,7 @@ def errors_of(words, capsys):
 
 @pytest.mark.parametrize("horizon", ["0", "-5", "nan", "inf"])
 def test_a_horizon_that_is_no_length_is_named(horizon, result, tmp_path, capsys):
-    result.model.save(tmp_path / "model.json")
+    result.material.save(tmp_path / "model.json")
     words = ["export", "kernel", tmp_path / "model.json", "--out", tmp_path / "K.csv"]
     said = errors_of([*words, "--horizon", horizon], capsys)
     assert f"horizon: expected a length > 0 Å, got {float(horizon)}" in said
@@ -213,7 +213,7 @@ def test_a_fit_refuses_in_the_numbers_it_was_given(horizon, words, samples, tmp_
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="a folder that takes no files")
 def test_a_folder_that_takes_no_files_is_no_other_job(samples, result, tmp_path, capsys):
     save_dataset(tmp_path / "d.h5", Dataset({"train": samples}, 3.35, 2200.0))
-    result.model.save(tmp_path / "model.json")
+    result.material.save(tmp_path / "model.json")
     for words in (
         ["train", tmp_path / "d.h5", "--out", "/proc/xx", "--horizon", HORIZON],
         ["train", tmp_path / "d.h5", "--out", "/proc/xx/y", "--horizon", HORIZON],

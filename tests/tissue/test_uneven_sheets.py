@@ -39,6 +39,7 @@ def frames(uneven, seeds):
     return Samples(POINTS, np.stack(fields))
 
 
+@pytest.mark.filterwarnings("ignore:stretch")  # the second sheet is pulled farther
 def test_a_thickness_is_told_from_the_material():
     train, test, other = frames(0.4, (0, 1)), frames(0.4, (2,)), frames(-0.4, (3, 4))
     with pytest.warns(UserWarning, match="is the sheet uneven"):

@@ -106,7 +106,7 @@ def test_everything_takes_points_of_another_spacing(points, file):
     assert table["transferred_from"] == 1.0
     assert table == evaluate(there, points)
     assert table["E_u"] < 1e-9
-    b = np.random.default_rng(0).normal(size=(12, 14, 2))
+    b = np.random.default_rng(0).normal(size=(24, 28, 2))
     sheet = solve_periodic(model, b, spacing=0.8)
     assert np.array_equal(sheet, solve_periodic(there, b, spacing=0.8))
     step = critical_time_step(model, spacing=0.8, density=1000.0)

@@ -1,4 +1,4 @@
-"""Where a learned law has data: states too far from all of them are outside."""
+"""Where a learned law has data: states too far from them and faster flows are outside."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from warp_peri.errors import InputError
 OUTSIDE = ("warn", "refuse", "allow")
 WIDER = 3.0
 """A state is outside beyond so many times the widest gap between neighbours of the data."""
+FASTER = 0.1
+"""A gradient is outside beyond the fastest of the data by this part of it."""
 
 
 class OutsideWarning(UserWarning):
@@ -46,9 +48,7 @@ class Cloud:
 
         Raises InputError for "refuse", with the number of states and the farthest.
         """
-        if how not in OUTSIDE:
-            raise InputError(f"outside: expected warn, refuse or allow, got {how!r}")
-        if how == "allow":
+        if not asked(how):
             return
         distance = self.distance(X)
         beyond = int((distance > WIDER).sum())
@@ -60,6 +60,65 @@ class Cloud:
             f"{distance.max():.3g} times their spacing, at "
             + ", ".join(f"{value:.3g}" for value in worst)
         )
-        if how == "refuse":
-            raise InputError(message)
-        warnings.warn(message, OutsideWarning, stacklevel=3)
+        tell(message, how)
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """The fastest flows that a law was taught, per relaxation time.
+
+    Args:
+        strain: largest rate of stretching along an axis of the flow: γ/2 in a shear γ, ε in an
+            elongation ε.
+        beyond_spin: largest excess of it over the spin: 0 in shear, ε in elongation.
+    """
+
+    strain: float
+    beyond_spin: float
+
+    @classmethod
+    def of(cls, protocols: list[np.ndarray]) -> Gradients:
+        """Of gradients K, shapes [..., 4]."""
+        rates = np.concatenate([np.reshape(stretching(K), (-1, 2)) for K in protocols])
+        strain, beyond_spin = rates.max(axis=0, initial=0.0)
+        return cls(float(strain), float(beyond_spin))
+
+    def check(self, K: np.ndarray, how: str) -> None:
+        """Warn or refuse when a gradient of K [..., 4] is faster by more than a tenth.
+
+        Raises InputError for "refuse".
+        """
+        if not asked(how):
+            return
+        most = np.reshape(stretching(K), (-1, 2)).max(axis=0)
+        known = np.array([self.strain, self.beyond_spin])
+        over = most > known + FASTER * self.strain
+        if over.any():
+            n = int(np.argmax(over))
+            kind = ("rate of strain", "rate of strain beyond the spin")[n]
+            tell(
+                f"velocity gradient: {kind} up to {most[n]:.3g} per relaxation time, the training "
+                f"data go to {known[n]:.3g}",
+                how,
+            )
+
+
+def stretching(K: np.ndarray) -> np.ndarray:
+    """(rate of strain, what of it is beyond the spin) of gradients [..., 4], shape [..., 2]."""
+    xx, xy, yx, yy = np.moveaxis(np.asarray(K, dtype=float), -1, 0)
+    strain = np.hypot(xx - yy, xy + yx) / 2
+    return np.stack([strain, np.maximum(strain - np.abs(xy - yx) / 2, 0)], axis=-1)
+
+
+def asked(how: str) -> bool:
+    """Whether what is outside is to be said. Raises InputError for an unknown word."""
+    if how not in OUTSIDE:
+        raise InputError(f"outside: expected warn, refuse or allow, got {how!r}")
+    return how != "allow"
+
+
+def tell(message: str, how: str) -> None:
+    """Refuse by an InputError, or warn."""
+    if how == "refuse":
+        raise InputError(message)
+    warnings.warn(message, OutsideWarning, stacklevel=4)

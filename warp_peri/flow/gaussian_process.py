@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
@@ -260,6 +261,41 @@ def gathered(
     total = np.bincount(nearest, weight, len(chosen))
     sums = [np.bincount(nearest, weight * part, len(chosen)) for part in parts.T]
     return np.stack(sums, axis=-1) / total[:, None], total
+
+
+def condensed(
+    X: np.ndarray,
+    y: np.ndarray,
+    points: int,
+    *,
+    noise: np.ndarray | None = None,
+    floor: float = 0.0,
+    rounds: int = 2,
+    **options: Any,
+) -> GaussianProcess:
+    """A process of few points that stand for all data: greedy choices, each the mean around it.
+
+    Args:
+        X: inputs, shape [n, d].
+        y: values, shape [n].
+        points: at most.
+        noise: variance of each value; equal and learned if not given.
+        floor: least variance taken for a mean.
+        rounds: choices, each with the lengths of the fit before it; the first fit has points taken
+            evenly.
+        options: of fit_process.
+    """
+    even = np.unique(np.linspace(0, len(y) - 1, min(points, SUBSET, len(y))).astype(int))
+    process = fit_process(X[even], y[even], noise=None if noise is None else noise[even], **options)
+    weight = None if noise is None else 1 / noise
+    for _ in range(rounds):
+        chosen = greedy(process.standard(X), points)
+        if len(chosen) < 2:
+            break
+        means, sure = gathered(process.standard(X), chosen, np.column_stack([X, y]), weight)
+        known = None if noise is None else np.maximum(1 / sure, floor)
+        process = fit_process(means[:, :-1], means[:, -1], noise=known, **options)
+    return process
 
 
 def _matrix(noise: np.ndarray) -> np.ndarray:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
-from warp_peri.flow.cloud import OUTSIDE
+from warp_peri.flow.cloud import OUTSIDE, Gradients
 from warp_peri.flow.gaussian_process import KERNELS, GaussianProcess
 from warp_peri.flow.rate_law import RateLaw
 from warp_peri.flow.shear_law import ShearLaw
@@ -43,11 +44,13 @@ def save_law(path: str | os.PathLike[str], law: Any, provenance: dict[str, Any])
     b, base = None, law
     if isinstance(law, TwistedSpringLaw):
         b, base = law.b, law.spring_law
-        processes = [base.process, law.process]
+        processes = [base.process, law.process, law.excess]
     else:
         processes = law.processes if kind == "rate" else [law.process]
     content = {"format": FORMAT, "version": VERSION, "kind": kind, "units": UNITS}
     content |= {"outside": base.outside, "kinematics": getattr(law, "kinematics", None), "b": b}
+    gradients = getattr(base, "gradients", None)
+    content |= {"gradients": None if gradients is None else list(astuple(gradients))}
     content |= {"provenance": provenance, "processes": [vars_of(p) for p in processes]}
     write_json(path, content)
 
@@ -77,18 +80,21 @@ def load_law(
         outside, kinematics = str(content["outside"]), bool(content["kinematics"])
         if outside not in OUTSIDE:
             raise ValueError(f"outside {outside!r}")
+        known = content.get("gradients")  # files of before have none
+        gradients = None if known is None else Gradients(*map(float, known))
         if head["kind"] == "rate":
             first, second, third = processes
             return RateLaw((first, second, third), kinematics, outside)
         if head["kind"] == "twisted":
-            spring, turn = processes
-            law = TwistedSpringLaw(SpringLaw(spring, outside), turn, float(content["b"]))
+            spring, turn, excess = processes
+            base = SpringLaw(spring, outside, gradients)
+            law = TwistedSpringLaw(base, turn, excess, float(content["b"]))
             _ = law.twin  # an InputError where b is none
             return law
         (process,) = processes
         if head["kind"] == "shear":
             return ShearLaw(process, kinematics, outside)
-        return SpringLaw(process, outside)
+        return SpringLaw(process, outside, gradients)
     except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path}: its numbers do not fit together ({error})") from None
 

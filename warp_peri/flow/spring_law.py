@@ -7,6 +7,7 @@ dumbbells are exact: the function is zero.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,8 +17,8 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import brentq
 
 from warp_peri.errors import InputError
-from warp_peri.flow.cloud import Cloud
-from warp_peri.flow.gaussian_process import SUBSET, GaussianProcess, fit_process, gathered, greedy
+from warp_peri.flow.cloud import Cloud, Gradients
+from warp_peri.flow.gaussian_process import GaussianProcess, condensed
 from warp_peri.flow.planar import (
     IDENTITY,
     carried,
@@ -37,17 +38,38 @@ def invariants(c: np.ndarray) -> np.ndarray:
     return np.stack([np.log(c), np.log(j * k), np.log(j + k)], axis=-1)
 
 
+def resting(stiffness: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """c I with S = I, the c nearest to 1, of log(S_i/c_i) [n] at equal eigenvalues [n, 3].
+
+    Raises InputError for none between 0.01 and 10.
+    """
+
+    def excess(logarithm: np.ndarray) -> np.ndarray:
+        return np.asarray(logarithm + stiffness(np.exp(logarithm)[:, None] * np.ones(3)))
+
+    grid = np.linspace(np.log(0.01), np.log(10.0), 601)
+    values = excess(grid)
+    crossing = np.flatnonzero((values[:-1] < 0) & (values[1:] >= 0))
+    if not len(crossing):
+        raise InputError("spring law: no conformation at rest between 0.01 and 10")
+    n = crossing[np.argmin(np.abs(grid[crossing]))]
+    root = brentq(lambda x: float(excess(np.array([x]))[0]), grid[n], grid[n + 1], xtol=1e-12)
+    return float(np.exp(root)) * IDENTITY
+
+
 @dataclass(frozen=True)
 class SpringLaw:
     """A process of log(S_i/c_i).
 
     Args:
         process: with the inputs of `invariants`.
-        outside: "warn", "refuse" or "allow" states far from the data.
+        outside: "warn", "refuse" or "allow" states and gradients far from the data.
+        gradients: those of the data; None where they are not known.
     """
 
     process: GaussianProcess
     outside: str = "warn"
+    gradients: Gradients | None = None
 
     @property
     def name(self) -> str:
@@ -61,19 +83,7 @@ class SpringLaw:
     @cached_property
     def rest(self) -> np.ndarray:
         """c I with S = I, the c nearest to 1. Raises InputError for none between 0.01 and 10."""
-
-        def excess(logarithm: np.ndarray) -> np.ndarray:
-            c = np.exp(np.asarray(logarithm))[..., None] * np.ones(3)
-            return np.asarray(logarithm + self.stiffness(invariants(c)[..., 0, :].reshape(-1, 3)))
-
-        grid = np.linspace(np.log(0.01), np.log(10.0), 601)
-        values = excess(grid)
-        crossing = np.flatnonzero((values[:-1] < 0) & (values[1:] >= 0))
-        if not len(crossing):
-            raise InputError("spring law: no conformation at rest between 0.01 and 10")
-        n = crossing[np.argmin(np.abs(grid[crossing]))]
-        root = brentq(lambda x: float(excess(np.array([x]))[0]), grid[n], grid[n + 1], xtol=1e-12)
-        return float(np.exp(root)) * IDENTITY
+        return resting(lambda c: self.stiffness(invariants(c)[:, 0]))
 
     def spring(self, C: np.ndarray) -> np.ndarray:
         """The spring's moments S(C), shape [n, 4]."""
@@ -102,14 +112,19 @@ class SpringLaw:
         return np.asarray(self.cloud.distance(invariants(c).reshape(-1, 3)).reshape(-1, 3).max(1))
 
     def check(self, K: np.ndarray, C: np.ndarray) -> None:
-        """Warn or refuse outside the data; InputError for a C that is not positive definite."""
+        """Warn or refuse outside the data; InputError for a C that is not positive definite.
+
+        A fast flow can end in a C that slower ones have passed, with another S: K is checked too.
+        """
         check_conformation(C)
+        if self.gradients is not None:
+            self.gradients.check(K, self.outside)
         c = np.stack(eigenvalues(C)[:3], axis=-1)
         self.cloud.check(invariants(c).reshape(-1, 3), self.outside)
 
     def tabulated(self, shape: tuple[int, int, int] = (64, 48, 32)) -> TabulatedSpringLaw:
         """The same law by a table."""
-        return TabulatedSpringLaw(self.process, self.outside, shape)
+        return TabulatedSpringLaw(self.process, self.outside, self.gradients, shape)
 
 
 @dataclass(frozen=True)
@@ -182,8 +197,7 @@ def learn_spring(
         records: of dumbbells or of molecules whose C is known.
         points: chosen greedily, those that tell most about all others.
         outside: what happens far from the data, "warn", "refuse" or "allow".
-        rounds: greedy choices, each with the lengths of the fit before it; the first fit has
-            points taken evenly.
+        rounds: greedy choices.
         options: of fit_process.
 
     Raises InputError for moments that are not positive definite, no records, or fewer points than
@@ -196,12 +210,5 @@ def learn_spring(
         raise InputError("records: expected one or more, got none")
     samples = [spring_data(record.C, record.S) for record in records]
     X, y = np.concatenate([x for x, _ in samples]), np.concatenate([v for _, v in samples])
-    even = np.unique(np.linspace(0, len(y) - 1, min(points, SUBSET, len(y))).astype(int))
-    process = fit_process(X[even], y[even], **options)
-    for _ in range(rounds):
-        chosen = greedy(process.standard(X), points)
-        if len(chosen) < 2:
-            break
-        means, _ = gathered(process.standard(X), chosen, np.column_stack([X, y]))
-        process = fit_process(means[:, :3], means[:, 3], **options)
-    return SpringLaw(process, outside)
+    process = condensed(X, y, points, rounds=rounds, **options)
+    return SpringLaw(process, outside, Gradients.of([record.K for record in records]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import beta
@@ -65,17 +67,9 @@ def family_weights(
     xi = xi / horizon
     r = np.hypot(xi[..., 0], xi[..., 1])
     inverse = np.divide(1, r, out=np.zeros_like(r), where=r > 0)
-    x, y = np.ascontiguousarray(np.moveaxis(xi, -1, 0))
-    unit = (x * inverse, y * inverse)
-    of_degree = [unit[0] * unit[0], unit[0] * unit[1], unit[1] * unit[1]]
-    of_degree = [row * inverse for row in of_degree]  # ξ₁² / r³, ξ₁ ξ₂ / r³, ξ₂² / r³
-    rows = np.empty((len(xi), len(powers), xi.shape[1]))
-    first = 0
-    for _ in range(SINGULARITY - 1, degree + 1):
-        for row in of_degree:
-            rows[:, first] = row
-            first += 1
-        of_degree = [row * x for row in of_degree] + [of_degree[-1] * y]
+    ladder = [np.stack([xi[..., a] ** p for p in range(degree + 1)]) for a in range(2)]
+    rows = np.stack([ladder[0][a] * ladder[1][b] for a, b in powers], axis=1)
+    rows *= (inverse**SINGULARITY)[:, None]
     weights = _smallest(rows, exact)
     residual = np.abs((rows @ weights[..., None])[..., 0] - exact).max(axis=1)
     return weights * horizon**2, residual / np.abs(exact).max()
@@ -85,21 +79,22 @@ def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """Solutions of smallest norm of rows · w = exact, rows [F, Q, B], shape [F, B].
 
     By the normal equations, solved a second time for what the first left; by the SVD, which takes
-    ten times as long, where conditions depend on each other.
+    ten times as long, where conditions depend on each other, and of one family alone: of a lattice,
+    whose bits are kept.
     """
     weights = np.zeros((len(rows), rows.shape[2]))
-    gram = rows @ rows.swapaxes(1, 2)
-    try:
-        pivots = np.diagonal(np.linalg.cholesky(gram), axis1=1, axis2=2)
-        sound = pivots.min(axis=1) > INDEPENDENT * pivots.max(axis=1)
-    except np.linalg.LinAlgError:
-        sound = np.zeros(len(rows), bool)
-    kept = slice(None) if sound.all() else sound
-    some, gram, sums = rows[kept], gram[kept], weights[kept]
-    for _ in range(2):
-        left = exact[:, None] - some @ sums[..., None]
-        sums += (np.linalg.solve(gram, left).swapaxes(1, 2) @ some)[:, 0]
-    weights[kept] = sums
+    sound = np.zeros(len(rows), bool)
+    if len(rows) > 1:
+        gram = rows @ rows.swapaxes(1, 2)
+        with contextlib.suppress(np.linalg.LinAlgError):
+            pivots = np.diagonal(np.linalg.cholesky(gram), axis1=1, axis2=2)
+            sound = pivots.min(axis=1) > INDEPENDENT * pivots.max(axis=1)
+        kept = slice(None) if sound.all() else sound
+        some, gram, sums = rows[kept], gram[kept], weights[kept]
+        for _ in range(2):
+            left = exact[:, None] - some @ sums[..., None]
+            sums += (np.linalg.solve(gram, left).swapaxes(1, 2) @ some)[:, 0]
+        weights[kept] = sums
     if not sound.all():
         left, size, right = np.linalg.svd(rows[~sound], full_matrices=False)
         large = size > DEPENDENT * size[:, :1]

@@ -1,0 +1,208 @@
+"""Cracks whose tips are held by rows of bonds: the strain at which a bond gives way (C22).
+
+The bonds of a crystal ahead of a tip open one after the other. Each pulls by a law of its own over
+one step of the row; all around is elastic. Nothing says where the tip is: that comes out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from warp_peri.damage.straight_cracks import CrackedRectangle
+from warp_peri.errors import InputError
+
+ROUNDS = 60
+NODES = 6
+"""Points of a cell over which its opening is averaged, so that the compliance is symmetric."""
+STAGES = 40
+"""Steps along the path of equilibria in which a bond alone would come to the end of the law."""
+
+
+class RowLaw:
+    """How a row of bonds holds two halves of a crystal that move apart.
+
+    Args:
+        separation: of the halves, from 0 to where the bonds count as broken [length], shape [P].
+        traction: there, 0 first [stress], shape [P].
+
+    Raises InputError unless the separations rise from 0 and the traction begins at 0 and rises.
+    """
+
+    def __init__(self, separation: ArrayLike, traction: ArrayLike) -> None:
+        self.separation, self.traction = (np.asarray(a, float) for a in (separation, traction))
+        s, t = self.separation, self.traction
+        fine = s.ndim == 1 and s.shape == t.shape and len(s) > 3 and np.isfinite(t).all()
+        if not (fine and s[0] == t[0] == 0 and (np.diff(s) > 0).all() and t[1] > 0):
+            raise InputError("law: expected separations that rise from 0, and traction from 0 up")
+        self._curve = CubicSpline(s, t)
+
+    @property
+    def stiffness(self) -> float:
+        """Slope at rest [stress / length]; the crystal around has this compliance already."""
+        return float(self._curve(0.0, 1))
+
+    def __call__(self, separation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Traction and its slope; linear below 0 and beyond the end."""
+        inside = np.clip(separation, 0, self.separation[-1])
+        slope = self._curve(inside, 1)
+        return self._curve(inside) + slope * (separation - inside), slope
+
+    def times(self, factor: float) -> RowLaw:
+        """The law of a row so many times as strong, and as tough."""
+        return RowLaw(self.separation, factor * self.traction)
+
+
+class HeldCracks:
+    """Straight cracks in a rectangle, rows of bonds ahead of their tips.
+
+    Args:
+        lam, mu: plane Lamé constants [stress].
+        half: half sides of the rectangle [length].
+        cracks: ends of each, midway between bonds [length], shape [K, 2, 2].
+        step: between bonds along a row [length].
+        cells: bonds ahead of each tip that may open. Cracks of one row with twice as many or fewer
+            between them share all that are there.
+        terms: of the series of each row, as in CrackedRectangle.
+
+    Attributes:
+        bonds: where they are [length], shape [B, 2].
+        drive: mean openings, then slidings, of their cells at unit strain ε₂₂ of the rim if nothing
+            held [length], shape [2B].
+        compliance: by which unit tractions, normal then shear, undo them [length / stress],
+            symmetric, shape [2B, 2B].
+
+    Raises what CrackedRectangle raises, and InputError for a step that is not > 0.
+    """
+
+    def __init__(
+        self,
+        lam: float,
+        mu: float,
+        half: tuple[float, float],
+        cracks: ArrayLike,
+        step: float,
+        *,
+        cells: int = 4,
+        terms: int = 100,
+    ) -> None:
+        if not step > 0:
+            raise InputError(f"step: expected a number > 0, got {step}")
+        rows = _rows(np.asarray(cracks, dtype=float), step, cells)
+        ends = np.array([row[0] for row in rows])
+        solid = CrackedRectangle(lam, mu, half, ends, terms=terms)
+        owner = np.concatenate([np.full(len(row[1]), k) for k, row in enumerate(rows)])
+        places = np.concatenate([row[1] for row in rows])
+        width = step / solid.length / 2  # half of a cell, in half lengths
+        pulls = np.zeros((len(ends), len(solid.faces), 2 * len(owner)), complex)
+        edges = np.cos(np.arange(len(solid.faces) + 1) * np.pi / len(solid.faces))
+        for b, (k, place) in enumerate(zip(owner, places, strict=True)):
+            within = np.clip(edges, place - width[k], place + width[k])
+            pulls[k, :, b] = np.diff(within) / np.diff(edges)  # so that no force is lost
+        pulls[:, :, len(owner) :] = 1j * pulls[:, :, : len(owner)]
+        x = solid.solve([[0, 0], [0, 1]], pulls)
+        node, weight = np.polynomial.legendre.leggauss(NODES)
+        gap = np.zeros((len(owner), x.shape[1]), complex)
+        for k in range(len(ends)):
+            mine = owner == k
+            inside = places[mine][:, None] + width[k] * node
+            opening = solid.opening(x, k, inside.ravel()).reshape(*inside.shape, -1)
+            gap[mine] = np.einsum("bqm,q->bm", opening, weight / 2)
+        both = np.concatenate([gap.real, gap.imag])
+        self.drive, self.compliance = both[:, 0], -both[:, 1:]
+        middle, arm = ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2
+        self.bonds = middle[owner] + places[:, None] * arm[owner]
+
+    def opened(self, law: RowLaw) -> tuple[np.ndarray, np.ndarray]:
+        """Equilibria as bonds open, along their path through folds, to the end of the law.
+
+        A bond that has lost a part of its stiffness across the row has lost it along the row too.
+
+        Returns the strains, shape [S], and the separations of all bonds, shape [S, B]; at the last
+        the widest is at the end of the law.
+
+        Raises InputError where Newton's method loses the path.
+        """
+        end, count = float(law.separation[-1]), len(self.bonds)
+        scales = np.append(np.full(count, law.stiffness), np.ones(count))
+        first = np.linalg.solve(self.compliance, self.drive) / scales
+        unit = float(self.drive.max())
+        way = np.append(first * np.repeat((1, 1 / law.stiffness), count), unit)
+        way /= np.linalg.norm(way)
+        at, stride = np.zeros(len(way)), end / STAGES
+        path = [at]
+        while at[:count].max() < end:
+            if len(path) > 100 * STAGES:
+                raise InputError("cracks: no bond came to the end of the law")
+            at = self._next(at, stride * way, law, unit)
+            way = (at - path[-1]) / np.linalg.norm(at - path[-1])
+            path.append(at)
+        tops = [point[:count].max() for point in path[-2:]]
+        path[-1] = path[-2] + (path[-1] - path[-2]) * (end - tops[0]) / (tops[1] - tops[0])
+        found = np.array(path)
+        return found[:, -1] / unit, found[:, :count]
+
+    def _next(self, at: np.ndarray, move: np.ndarray, law: RowLaw, unit: float) -> np.ndarray:
+        """The equilibrium on the plane across a move.
+
+        Unknowns are separations, shear tractions over the law's stiffness, and strain × unit.
+        """
+        k, count, z = law.stiffness, len(self.bonds), at + move
+        for _ in range(ROUNDS):
+            opening, sheared, strain = z[:count], z[count:-1], z[-1] / unit
+            pull, slope = law(opening)
+            lost = np.where(np.abs(opening) > 1e-9, k * opening / pull - 1, 0.0)
+            by_opening = np.where(lost != 0, (k - (lost + 1) * slope) / pull, 0.0)
+            apart = np.concatenate([opening - pull / k, lost * sheared])
+            off = apart + self.compliance @ np.append(pull, k * sheared) - strain * self.drive
+            tangent = np.zeros((len(z), len(z)))
+            tangent[:-1, :-1] = self.compliance * np.append(slope, np.full(count, k))
+            row = np.arange(count)
+            tangent[row, row] += 1 - slope / k
+            tangent[count + row, row] += by_opening * sheared
+            tangent[count + row, count + row] += lost
+            tangent[:-1, -1], tangent[-1] = -self.drive / unit, move
+            step = np.linalg.solve(tangent, -np.append(off, move @ (z - at - move)))
+            z = z + step
+            if np.abs(step).max() < 1e-9 * law.separation[-1]:
+                found: np.ndarray = z
+                return found
+        raise InputError("cracks: the path of equilibria was lost; no row holds like this")
+
+    def critical_strain(self, law: RowLaw) -> float:
+        """The largest strain ε₂₂ of the rim before a bond reaches the end of the law."""
+        return float(self.opened(law)[0].max())
+
+
+def _rows(
+    cracks: np.ndarray, step: float, cells: int
+) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+    """Lines of cracks and bonds ahead: their ends, and the bonds' places from −1 to 1 on them."""
+    left: list[list[np.ndarray]] = [[crack] for crack in cracks]
+    rows = []
+    while left:
+        group = left.pop()
+        start, end = group[0]
+        along = (end - start) / np.hypot(*(end - start))
+        reach = 2 * cells * step + 1e-6 * step
+        joined = True
+        while joined:
+            spans = np.sort([(crack - start) @ along for crack in group], axis=1)
+            joined = False
+            for number, other in enumerate(left):
+                away = other[0] - start
+                height = np.abs(away[:, 0] * along[1] - away[:, 1] * along[0]).max()
+                span = np.sort(away @ along)
+                gap = np.maximum(span[0] - spans[:, 1], spans[:, 0] - span[1]).min()
+                if height < 1e-6 * step and gap < reach:
+                    group += left.pop(number)
+                    joined = True
+                    break
+        low, high = spans.min() - cells * step, spans.max() + cells * step
+        places = np.arange(low + step / 2, high, step)
+        inside = (places[:, None] > spans[:, 0]) & (places[:, None] < spans[:, 1])
+        places = places[~inside.any(axis=1)]
+        ends = (start + low * along, start + high * along)
+        rows.append((ends, (2 * places - low - high) / (high - low)))
+    return rows
