@@ -292,7 +292,7 @@ def sheet_at_rest(operator: PlacedLPS, b: ArrayLike) -> Solution:
     load, _ = checked_fields(nodes, b, np.zeros_like(np.asarray(b, dtype=float)))
     grid = np.empty((*load.shape[:-2], *sides, 2))
     place = (..., *steps.T, slice(None))
-    grid[place] = load - load.mean(axis=-2, keepdims=True)
+    grid[place] = load
     classes = bond_classes(nodes.spacing, model.horizon)
     waves = [2 * np.pi * np.fft.fftfreq(n, nodes.spacing) for n in sides]
     k = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1).reshape(-1, 2)
