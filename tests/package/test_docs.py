@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import warp_peri
-from tests.support.problems import lattice, manufactured
+from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 from warp_peri.models.shapes import InfluenceFunction, exponential
 
@@ -58,6 +58,16 @@ def test_the_page_on_influence_functions(points, tmp_path, monkeypatch, capsys):
     assert "Every static problem" in capsys.readouterr().out
     assert warp_peri.load("model.json").certified_on == (5.0,)
     assert names["certificate"].holds
+
+
+@pytest.mark.parametrize("page", ["learning.md", "lattices.md"])
+def test_the_pages_on_learning_and_lattices(page, points, capsys):
+    names = {"train": points, "points": points.points}
+    names["model"] = kernel("1/r", HORIZON, spacing=5.0)
+    (snippet,) = snippets(page)
+    exec(compile(snippet, page, "exec"), names)
+    printed = capsys.readouterr().out
+    assert "(4.0,)" in printed if page == "lattices.md" else "certificate" in printed.lower()
 
 
 def test_the_api_lists_every_public_name():

@@ -41,7 +41,7 @@ EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
 large; beyond that the nodes are too far apart to be one body."""
 
 BOND_COLLAR = "interior nodes need complete families"
-AT_EDGES = "Free edges and holes: solve_body, whose elements take what an edge cuts"
+AT_EDGES = "Free edges and holes: Body(mesh, …), whose elements take what an edge cuts"
 
 
 @dataclass(frozen=True)
