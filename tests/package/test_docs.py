@@ -61,9 +61,10 @@ def test_the_page_on_influence_functions(points, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("page", ["learning.md", "lattices.md"])
-def test_the_pages_on_learning_and_lattices(page, points, capsys):
-    names = {"train": points, "points": points.points}
-    names["model"] = kernel("1/r", HORIZON, spacing=5.0)
+def test_the_pages_on_learning_and_lattices(page, capsys):
+    model = kernel("1/r", HORIZON, spacing=5.0)
+    train = manufactured(model, lattice(8, HORIZON, 5.0), 8, wave_number=0.2)
+    names = {"model": model, "train": train, "points": train.points}
     (snippet,) = snippets(page)
     exec(compile(snippet, page, "exec"), names)
     printed = capsys.readouterr().out
