@@ -18,11 +18,8 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri import Model
-from warp_peri.damage.lattice_body import lattice_body, rectangle
-from warp_peri.damage.march import CrackRun
-from warp_peri.damage.motion import BreakingBody
-from warp_peri.damage.solid import BrittleSolid
+import warp_peri as wp
+from warp_peri.damage import BrittleSolid, Cracked, rectangle
 from warp_peri.errors import exit_status
 
 DAMAGED = 0.35
@@ -36,27 +33,28 @@ def rayleigh(lam: float, mu: float, density: float) -> float:
 
 
 def glass(h: float, ratio: float, stress: float, toughness: float = 135.0, hole: float = 0.0):
-    """The plate, maybe with a round hole off its path, and the crack that it starts with."""
+    """The solid, its plate, maybe with a round hole off the path of the crack, and its options."""
     mu = 72e9 * 3 / 8  # λ = μ: ν = 1/3 in plane stress
-    model = Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    model = wp.Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
     solid = BrittleSolid(model, 2440.0, toughness=toughness)
     x = rectangle(0.1, 0.04, h)
     x = x[np.hypot(x[:, 0] - 0.02, x[:, 1] - 0.008) >= hole]
     edge = np.abs(x[:, 1]) > 0.02 - h
     load = np.where(edge[:, None], np.sign(x) * (0.0, stress / h), 0.0)
     no_fail = np.abs(x[:, 1]) > 0.02 - ratio * h
-    body = BreakingBody(solid, lattice_body(x, h, model.horizon), load=load, no_fail=no_fail)
-    return body, [[(-0.051, 0.0), (0.0, 0.0)]]
+    points = wp.Points(x, np.ones(len(x), bool), h)
+    crack = [(-0.051, 0.0), (0.0, 0.0)]
+    return solid, Cracked(points, load, cracks=[crack]), {"no_fail": no_fail}
 
 
 def steel(h: float, ratio: float, turn: float = 0.0, speed: float = 16.5):
-    """Kalthoff and Winkler's plate, its notches, and the velocity of the part that is hit.
+    """Kalthoff and Winkler's plate with its notches, and the velocity of the part that is hit.
 
     The plate is turned by some degrees on the lattice; x comes back in its own axes.
     """
     E, nu = 190e9, 0.25  # plane strain, bond-based
     mu = E / (2 * (1 + nu))
-    model = Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    model = wp.Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
     solid = BrittleSolid(model, 8000.0, toughness=2.213e4)
     cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     axes = np.array([[cos, sin], [-sin, cos]])  # of the plate
@@ -66,9 +64,8 @@ def steel(h: float, ratio: float, turn: float = 0.0, speed: float = 16.5):
     x, lattice = x[inside], lattice[inside]
     hit = (x[:, 0] < -0.05 + (1.5 if turn else 1.0) * h) & (np.abs(x[:, 1]) < 0.025)
     grip = np.where(hit[:, None], speed * axes[0], 0.0)
-    body = BreakingBody(solid, lattice_body(lattice, h, model.horizon), held=hit, grip=grip)
-    notches = [np.array([(-0.053, y), (0.0, y)]) for y in (-0.025001, 0.025001)]
-    return body, [notch @ axes for notch in notches], x
+    notches = [np.array([(-0.053, y), (0.0, y)]) @ axes for y in (-0.025001, 0.025001)]
+    return solid, Cracked(wp.Points(lattice, ~hit, h), cracks=notches), {"grip": grip}, x
 
 
 def crack_angles(x: np.ndarray, phi: np.ndarray, h: float) -> tuple[float | None, float | None]:
@@ -88,26 +85,10 @@ def crack_angles(x: np.ndarray, phi: np.ndarray, h: float) -> tuple[float | None
     return float(mean), float(tip)
 
 
-def tip(body: BreakingBody, phi: np.ndarray) -> float:
+def tip(x: np.ndarray, phi: np.ndarray) -> float:
     """How far to the right the damage has come."""
-    x = body.body.x[(phi > DAMAGED) & (np.abs(body.body.x[:, 0]) < 0.0499), 0]
-    return float(x.max()) if len(x) else 0.0
-
-
-def march(body: BreakingBody, cracks: list, time: float, share: float, progress: bool, out=None):
-    """The run, its end, and where the tip was at each record."""
-    dt = share * body.longest_step
-    steps = round(time / dt)
-    every = max(1, steps // 100)
-    run = CrackRun(body, dt, every=every, series=out)
-    state = body.start(cracks=cracks)
-    tips = []
-    for count in range(every, steps + 1, every):
-        state = run.march(state, count, progress=False)
-        tips.append((state.time, tip(body, body.damage(state))))
-        if progress:
-            print(f"\r{100 * count // steps} %", end="", file=sys.stderr)
-    return run, state, np.array(tips)
+    ahead = x[(phi > DAMAGED) & (np.abs(x[:, 0]) < 0.0499), 0]
+    return float(ahead.max()) if len(ahead) else 0.0
 
 
 def branch_point(x: np.ndarray, phi: np.ndarray, h: float) -> float | None:
@@ -139,35 +120,37 @@ def main(argv: list[str] | None = None) -> int:
         parser.error("--spacing, --share, --time: expected numbers > 0")
     h = args.spacing
     if args.kalthoff:
-        body, cracks, x = steel(h, args.ratio, args.turn)
+        solid, plate, options, x = steel(h, args.ratio, args.turn)
     else:
-        body, cracks = glass(h, args.ratio, 12e6, hole=args.hole)
-        x = body.body.x
-    series = args.out / "series" if args.series else None
-    time = args.time or (85e-6 if args.kalthoff else 45e-6)
-    run, state, tips = march(body, cracks, time, args.share, args.progress, series)
-    phi = body.damage(state)
-    numbers: dict[str, float | None] = {
-        "nodes": len(x),
-        "steps": state.steps,
-        "ledger": run.history.missing,
-    }
+        solid, plate, options = glass(h, args.ratio, 12e6, hole=args.hole)
+        x = plate.points.x
+    step = args.share * solid.longest_step(h)
+    steps = round((args.time or (85e-6 if args.kalthoff else 45e-6)) / step)
+    every = max(1, steps // 100)
+    options |= {"step": step, "steps": every * (steps // every), "every": every}
+    options |= {"series": args.out / "series" if args.series else None, "progress": args.progress}
+    run = wp.move(solid, plate, watch={"tip": lambda phi: tip(plate.points.x, phi)}, **options)
+    phi = run.details.damage
+    numbers: dict[str, float | None] = {"nodes": len(x), "steps": options["steps"]}
+    numbers["ledger"] = run.missing
     if args.kalthoff:
         numbers["angle"], numbers["angle to the tips"] = crack_angles(x, phi, h)
     else:
         numbers["branch"] = branch_point(x, phi, h)
-        model = body.solid.model
+        tips = np.column_stack([run.time, run["tip"]])
         runs = tips[(tips[:, 1] > 2e-3) & (tips[:, 1] < 0.045)]
         width = max(3, len(runs) // 8)
         windows = (runs[k : k + width] for k in range(len(runs) - width + 1))
         slopes = [float(np.polyfit(part[:, 0], part[:, 1], 1)[0]) for part in windows]
         speed = max(slopes, default=float("nan"))
-        numbers["speed_over_rayleigh"] = speed / rayleigh(model.lam, model.mu, body.solid.density)
+        numbers["speed_over_rayleigh"] = speed / rayleigh(
+            solid.model.lam, solid.model.mu, solid.density
+        )
     args.out.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(4, 6) if args.kalthoff else (8, 3.6), layout="constrained")
     ax = figure.subplots()
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
-    ax.set(aspect="equal", xlabel="[mm]", title=f"damage after {state.time * 1e6:.0f} µs")
+    ax.set(aspect="equal", xlabel="[mm]", title=f"damage after {run.time[-1] * 1e6:.0f} µs")
     figure.colorbar(shown, ax=ax)
     figure.savefig(args.out / "damage.png", dpi=120)
     print(json.dumps(numbers, indent=None if args.json else 1))

@@ -21,12 +21,11 @@ from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
+import warp_peri as wp
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
-from warp_peri import Model
-from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage import Cracked, rectangle
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -46,17 +45,16 @@ class Continuum:
 
     def __init__(self, lam: float, mu: float, step: float, half: int = HALF) -> None:
         self.step = step
-        self.model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * step)
+        self.model = wp.Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * step)
         side = 2 * (half + 6) * step
-        self.body = lattice_body(rectangle(side, side, step), step, 3 * step)
-        self.held = (np.abs(self.body.x) > half * step).any(axis=1)
-        self.unit = self.body.x * (0.0, 1.0)
+        x = rectangle(side, side, step)
+        self.points = wp.Points(x, (np.abs(x) <= half * step).all(axis=1), step)
 
     def energy(self, cracks: list) -> float:
         """Elastic energy per thickness at unit strain [TPa Å²]."""
         lines = [[(a * self.step, 0), (b * self.step, 0)] for a, b in cracks]
-        solid = CutSolid(self.model, self.body, self.held, cracks=lines)
-        return solid.energy(solid.solve(self.unit))
+        sheet = Cracked(self.points, u=self.points.x * (0.0, 1.0), cracks=lines)
+        return float(wp.solve(self.model, sheet).energy())
 
     def release(self, longest: int):
         """G at unit strain as a function of a central crack's half length in hexagons [TPa Å]."""

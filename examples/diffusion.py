@@ -18,12 +18,9 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri import Model, Points
-from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.diffusion.conductor import Conductor
-from warp_peri.diffusion.coupled import Coupled
-from warp_peri.diffusion.operator import DiffusionOperator
-from warp_peri.diffusion.transient import steady
+import warp_peri as wp
+from warp_peri import Points
+from warp_peri.diffusion import Conductor, CoupledSolid
 from warp_peri.errors import exit_status
 
 RATIO = 3.0
@@ -43,10 +40,10 @@ def square(cells: int, reach: float, shift: float = 0.0, seed: int = 0) -> Point
 
 def error(points: Points, ratio: float, cells: int, kappa: Any, exact: np.ndarray, g: Any) -> float:
     """Relative l2 error of a steady solution with the source g [N]."""
-    operator = DiffusionOperator(Conductor(ratio / cells), points, kappa=kappa)
-    rows = operator.rows
-    solved = steady(operator, exact, np.broadcast_to(g, exact.shape)[rows])
-    return float(np.linalg.norm((solved - exact)[rows]) / np.linalg.norm(exact[rows]))
+    problem = wp.Dirichlet(points, np.broadcast_to(g, exact.shape), exact)
+    off = wp.solve(Conductor(ratio / cells), problem, kappa=kappa).u - exact
+    rows = points.interior
+    return float(np.linalg.norm(off[rows]) / np.linalg.norm(exact[rows]))
 
 
 def smooth(cells: int, shift: float) -> float:
@@ -80,21 +77,18 @@ def coupled(cells: int) -> tuple[float, float]:
     laplacian = np.column_stack([-2 * u[:, 0] + 0.6 * (1 + x * x), -2 * u[:, 1]])
     rise = np.column_stack([np.full_like(x, 0.6), 0 * x])  # gradient of div u = 0.6 x
     load = -MU * laplacian - (LAM + MU) * rise - COUPLING * gradient
-    model = Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
-    body = lattice_body(points.x, h, RATIO * h)
-    system = Coupled(
-        model,
-        body,
-        DiffusionOperator(Conductor(RATIO * h), points),
-        coupling=COUPLING,
-        storage=STORAGE,
-    )
-    state, dt = (0 * u, 0 * phi), 0.5
-    for time in (dt, 2 * dt):
+    model = wp.Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
+    solid = CoupledSolid(model, Conductor(RATIO * h), COUPLING, STORAGE)
+
+    def loads(time: float) -> np.ndarray:
         source = STORAGE * phi - COUPLING * 0.6 * x - 0.4 * time
-        state = system.step(state, (time * u, time * phi), dt, b=time * load, source=source)
+        return np.column_stack([time * load, source])
+
+    fields = np.column_stack([u, phi])
+    problem = wp.Dirichlet(points, loads, 0 * fields)
+    run = wp.move(solid, problem, step=0.5, steps=2, collar=lambda time: time * fields)
     free = points.interior
-    pairs = ((state[0], u), (state[1], phi))
+    pairs = ((run.u[:, :2], u), (run.u[:, 2], phi))
     return tuple(  # type: ignore[return-value]
         float(np.linalg.norm((a - b)[free]) / np.linalg.norm(b[free])) for a, b in pairs
     )
@@ -123,8 +117,8 @@ def microstructure(cells: int, grains: int = 12, seed: int = 0) -> tuple[float, 
     phi = solve(*condense(conduction.assemble(basis), x=phi, D=basis.get_dofs()))
     points = square(cells, RATIO)
     exact = basis.probes(points.x.T) @ phi
-    operator = DiffusionOperator(Conductor(RATIO / cells), points, kappa=kappa)
-    solved = steady(operator, exact)
+    problem = wp.Dirichlet(points, None, exact)
+    solved = wp.solve(Conductor(RATIO / cells), problem, kappa=kappa).u
     free = points.interior
     off = np.linalg.norm((solved - exact)[free]) / np.linalg.norm(exact[free])
     return float(off), (points.x, kappa(points.x), solved, free)

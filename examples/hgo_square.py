@@ -25,24 +25,28 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+import warp_peri as wp
 from tools.make_hgo import ELEMENTS, Material, make_hgo
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.equilibrium import StaticProblem, solve_hyperelastic
-from warp_peri.tissue.febio import in_words, material_terms, save_febio
-from warp_peri.tissue.fibres import (
+from warp_peri.tissue import (
+    Dictionary,
+    HyperelasticSolid,
+    Term,
+    hyperelastic_errors,
+    in_words,
+    material_terms,
     read_material,
     rose,
+    save_febio,
+    shortest_margin,
     with_corners,
     with_directions,
     with_families,
 )
-from warp_peri.tissue.fit_errors import hyperelastic_errors
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import ACROSS, QUADRATICS, Dictionary, HyperelasticSolid, Term
-from warp_peri.tissue.uniform_strain import shortest_margin
+from warp_peri.tissue.equilibrium import StaticProblem
+from warp_peri.tissue.solid import ACROSS, QUADRATICS
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESS = 0.35
@@ -84,17 +88,15 @@ def learn(samples: Samples, stiffness: float) -> dict[str, tuple[HyperelasticSol
         with_families(with_directions(dictionary, read), read) for dictionary in (FREE, SAFE)
     )
     ways = {
-        "free signs": lambda: fit_energy(samples, free, stable=stable).material,
-        "guaranteed": lambda: (
-            fit_energy(samples, safe, positive=True, stable=stable).material.sparse
-        ),
+        "free signs": lambda: wp.fit(samples, free, stable=stable).material,
+        "guaranteed": lambda: wp.fit(samples, safe, positive=True, stable=stable).material.sparse,
         "read out": lambda: (
             (
-                fit_energy(samples, with_corners(read.dictionary), positive=True, stable=stable)
+                wp.fit(samples, with_corners(read.dictionary), positive=True, stable=stable)
             ).material.sparse
         ),
-        "rival: bonds only": lambda: fit_energy(samples, BONDS).material,
-        "rival: no fibres": lambda: fit_energy(samples, ISOTROPIC, stiffness=RIVAL).material,
+        "rival: bonds only": lambda: wp.fit(samples, BONDS).material,
+        "rival: no fibres": lambda: wp.fit(samples, ISOTROPIC, stiffness=RIVAL).material,
     }
     models = {}
     for name, way in ways.items():
@@ -121,7 +123,7 @@ def table(
 
 def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
     """Measured, predicted and difference of the displacement on the first disk."""
-    u = solve_hyperelastic(solid, disks, disks.loads[0], disks.u[0]).u
+    u = wp.solve(solid, wp.Dirichlet(disks, disks.loads[0], disks.u[0])).u
     truth, inner = disks.u[0], disks.interior
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
     shown = {
@@ -141,7 +143,7 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
 
 def at_rest(solid: HyperelasticSolid, samples: Samples) -> float:
     """Smallest eigenvalue of the tangent at rest on the square, over that of the Laplacian."""
-    problem = StaticProblem(HyperelasticOperator(solid.dictionary, samples))
+    problem = StaticProblem(solid.on(samples).energies)
     smallest = problem.smallest_eigenvalue(solid.coefficients, np.zeros_like(samples.x))
     return smallest / problem.softest
 
@@ -171,7 +173,7 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
         if name == "read out":
             report[name]["material"] = {t.label: c for t, c in material_terms(solid)}
             report[name]["words"] = in_words(solid)
-            solid.save(given.out / f"{element}.json")
+            wp.save(given.out / f"{element}.json", solid)
             save_febio(solid, given.out / f"{element}.feb")
         if name == "guaranteed":
             picture(solid, sets["disks"], given.out / f"{element}_disk.png")

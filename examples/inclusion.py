@@ -16,16 +16,9 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri import Model
-from warp_peri.damage.inclusions import (
-    MEANS,
-    ball_excess,
-    bond_modulus,
-    mixed_matrix,
-    solve_mixed,
-)
-from warp_peri.damage.lattice_body import lattice_body, rectangle
-from warp_peri.damage.operator import bond_weights
+import warp_peri as wp
+from warp_peri.damage import Cracked, Mixed, rectangle
+from warp_peri.damage.inclusions import MEANS
 from warp_peri.errors import exit_status
 
 RADIUS, RATIO = 0.5, 3.0
@@ -44,24 +37,20 @@ def inclusion(cells: int, inside: tuple, outside: tuple, mean: str = "series", b
     h = 1 / cells
     side = 2 * (1 + 2 * RATIO * h)
     x = rectangle(side, side, h)
-    body = lattice_body(x, h, RATIO * h)
-    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
-    w = bond_weights(model, body.classes)
+    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h)
 
     def field(a: float, b: float):
         return lambda place: np.where(np.hypot(place[..., 0], place[..., 1]) < RADIUS, a, b)
 
-    excess = field(inside[0] - inside[1], outside[0] - outside[1])
-    values = ball_excess(body, w, excess) if ball else excess(x)
-    matrix = mixed_matrix(body, w, bond_modulus(body, field(inside[1], outside[1]), mean), values)
+    lam, mu = (field(*pair) for pair in zip(inside, outside))
     bulk, shear = sum(inside), outside[1]
     core = (sum(outside) + shear) / (bulk + shear)
     radial = np.hypot(*x.T)
     exact = x * field(core, 1.0)(x)[:, None]
     exact += np.where(radial < RADIUS, 0, (core - 1) * RADIUS**2 / radial**2)[:, None] * x
-    held = (np.abs(x) > 1).any(axis=1)
-    u = solve_mixed(matrix, held, exact)
-    off = np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
+    u = wp.solve(Mixed(RATIO * h, lam, mu, mean, ball), Cracked(points, u=exact)).u
+    free = points.interior
+    off = np.linalg.norm((u - exact)[free]) / np.linalg.norm(exact[free])
     return float(off), x, u - exact
 
 

@@ -21,6 +21,7 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 
+import warp_peri as wp
 from examples.leaflet_pictures import draw
 from examples.studies.leaflet_rivals import RIVALS, interpolated_errors, rival_errors
 from tools.make_leaflet import Leaflet, make_leaflet, noisy
@@ -28,15 +29,18 @@ from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.points.samples import Samples
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
-from warp_peri.tissue.febio import in_words, save_febio
-from warp_peri.tissue.fibres import families, rose
-from warp_peri.tissue.fit_errors import hyperelastic_errors
-from warp_peri.tissue.from_displacement import (
+from warp_peri.tissue import (
+    Dictionary,
     DisplacementFit,
-    fit_displacement,
+    HyperelasticSolid,
+    Term,
+    families,
     fit_thickness,
+    hyperelastic_errors,
+    in_words,
+    rose,
+    save_febio,
 )
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 UNEVEN = "neo-Hookean, uneven"
 INTERPOLATED = "no material, interpolation"
@@ -66,11 +70,11 @@ def learn(train: Samples, degree: int, *, progress: bool) -> Fits:
     """A fit on eight directions, then one whose directions and exponents are unknowns."""
     began = time.process_time()
     mark = ", uneven" if degree else ""
-    wide = fit_displacement(train, ROSE, thickness=degree, most_steps=6, progress=progress)
+    wide = wp.fit(train, ROSE, thickness=degree, most_steps=6, progress=progress)
     fits = {f"eight directions{mark}": (wide, time.process_time() - began)}
     dictionary, start = families(wide.material)
     if len(dictionary.terms) > len(MATRIX):
-        few = fit_displacement(
+        few = wp.fit(
             train, dictionary, moving=True, start=start, thickness=degree, most_steps=20,
             tolerance=1e-3, progress=progress,
         )  # fmt: skip
@@ -104,7 +108,7 @@ def real_fit(
     train: Samples, dictionary: Dictionary, degree: int, most: float = np.inf, *, progress: bool
 ) -> DisplacementFit:
     """One candidate, its deviations at most so stiff."""
-    return fit_displacement(
+    return wp.fit(
         train, dictionary, stiffness=(LEAST, most), thickness=degree, most_steps=10,
         tolerance=1e-3, progress=progress,
     )  # fmt: skip
@@ -169,7 +173,7 @@ def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]
 
 def export(solid: HyperelasticSolid, folder: Path) -> list[str]:
     """Write the material, as FEBio reads it where it can be one; what it says in words."""
-    solid.save(folder / "leaflet.json")
+    wp.save(folder / "leaflet.json", solid)
     words = in_words(solid)
     try:
         save_febio(solid, folder / "leaflet.feb")

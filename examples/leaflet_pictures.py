@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+import warp_peri as wp
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.equilibrium import StaticProblem
-from warp_peri.tissue.fibres import rose_of
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import HyperelasticSolid
-from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue import HyperelasticSolid, NoEquilibrium, PlacedSheet, rose_of
 
 
 def draw(
@@ -30,10 +28,10 @@ def draw(
 ) -> None:
     """Write the four figures, and the thickness of a sheet that is not even."""
     folder.mkdir(parents=True, exist_ok=True)
-    op = HyperelasticOperator(solid.dictionary, test, thickness=thickness)
+    sheet = solid.on(test, thickness=thickness)
     figures = {
-        "maps": maps(op, solid, test, truth),
-        "curves": curves(op, solid, test),
+        "maps": maps(sheet, test, truth),
+        "curves": curves(sheet, test),
         "rose": fibre_rose(solid),
         "errors": errors_by_frame(report),
     }
@@ -44,12 +42,11 @@ def draw(
         plt.close(figure)
 
 
-def maps(
-    op: HyperelasticOperator, solid: HyperelasticSolid, test: Samples, truth: np.ndarray
-) -> Figure:
+def maps(sheet: PlacedSheet, test: Samples, truth: np.ndarray) -> Figure:
     """Measured, predicted and difference of both components on the last held-out frame."""
-    solved = StaticProblem(op).find(solid.coefficients, None, test.u[-1])
-    u = test.u[-1] if solved is None else solved.u
+    u = test.u[-1]
+    with contextlib.suppress(NoEquilibrium):
+        u = wp.solve(sheet, wp.Dirichlet(test, None, u)).u
     inner = test.interior
     figure, axes = plt.subplots(2, 3, figsize=(10.5, 6.4), layout="constrained")
     for row, component in zip(axes, (0, 1)):
@@ -72,15 +69,15 @@ def thickness_map(test: Samples, thickness: np.ndarray) -> Figure:
     return figure
 
 
-def curves(op: HyperelasticOperator, solid: HyperelasticSolid, test: Samples) -> Figure:
+def curves(sheet: PlacedSheet, test: Samples) -> Figure:
     """Mean nominal stress against mean stretch by protocol; bands span the middle four fifths."""
     protocols = test.arrays.get("protocol", np.zeros(len(test), int))
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained", sharey=True)
     for number in np.unique(protocols):
         points = []
         for n in np.flatnonzero(protocols == number):
-            stretch = np.sqrt(1 + 2 * op.strain(test.u[n])[test.interior, :2])
-            P = piola_stress(op, test.u[n], solid.coefficients)[test.interior]
+            stretch = np.sqrt(1 + 2 * sheet.energies.strain(test.u[n])[test.interior, :2])
+            P = sheet.stress(test.u[n])
             stress = P[:, [0, 1], [0, 1]]
             points.append(
                 (stretch.mean(axis=0), stress.mean(axis=0), np.quantile(stress, (0.1, 0.9), axis=0))

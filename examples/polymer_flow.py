@@ -12,6 +12,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,21 +26,31 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+import warp_peri as wp
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
+from warp_peri.flow import (
+    FENEP,
+    Band,
+    ChannelFlow,
+    ChannelRecord,
+    Dumbbells,
+    RateLaw,
+    TwistedSpringLaw,
+    UpperConvectedMaxwell,
+    band,
+    elongation,
+    held,
+    homogeneous,
+    learn_rate,
+    learn_twisted,
+    mixed,
+    shear,
+    simulate,
+    start_pairs,
+)
 from warp_peri.flow import exact_maxwell as series
-from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.channel_run import ChannelRecord, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.law_file import save_law
-from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
-from warp_peri.flow.pairs import start_pairs
-from warp_peri.flow.paths import Band, band
-from warp_peri.flow.planar import elongation, shear
-from warp_peri.flow.protocols import held, mixed, simulate
-from warp_peri.flow.rate_law import RateLaw, learn_rate
-from warp_peri.flow.twisted_law import TwistedSpringLaw, learn_twisted
+from warp_peri.flow.channel import Particles
 
 DE, UNTIL, RECORDS = 1e-2, 0.03, 50
 B = 50.0
@@ -67,24 +78,24 @@ def fene_law(count: int, seed: int) -> TwistedSpringLaw:
     return learn_twisted(record, B, points=200, outside="allow")
 
 
-def channel(stress: Any, flow: ChannelFlow) -> tuple[ChannelRecord, float]:
+def channel(fluid: Any, flow: ChannelFlow) -> tuple[ChannelRecord, float]:
     """The channel with one kind of fluid, and seconds a step."""
     steps = RECORDS * 10
     start = time.perf_counter()
-    record = run_channel(flow, stress, UNTIL, UNTIL / steps, every=10)
-    return record, (time.perf_counter() - start) / steps
+    run = wp.move(fluid, flow, until=UNTIL, dt=UNTIL / steps, every=10)
+    return run.details, (time.perf_counter() - start) / steps
 
 
 def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, ChannelRecord], Band]:
     """Learned, exact and coupled fluids in one channel, and the band around the learned one."""
     flow = ChannelFlow(DE)
     n = Particles(flow).fluid
-    law = hookean_law(count, seed)
-    save_law(ROOT / "runs" / "polymer_flow" / "law.json", law, {"dumbbells": count, "seed": seed})
+    law = replace(hookean_law(count, seed), provenance={"dumbbells": count, "seed": seed})
+    wp.save(ROOT / "runs" / "polymer_flow" / "law.json", law)
     fluids = {
-        "exact law": Closure(UpperConvectedMaxwell(), DE, n),
-        "learned law": Closure(law.tabulated(), DE, n),
-        "coupled, 1000 dumbbells": CoupledDumbbells(Dumbbells(n, 1000, seed=seed, common=True), DE),
+        "exact law": UpperConvectedMaxwell(),
+        "learned law": law.tabulated(),
+        "coupled, 1000 dumbbells": Dumbbells(n, 1000, seed=seed, common=True),
     }
     outcomes = {name: channel(fluid, flow) for name, fluid in fluids.items()}
     runs = {name: record for name, (record, _) in outcomes.items()}
@@ -103,7 +114,7 @@ def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, Chan
     numbers["exact law"]["against the exact flow"] = relative(exact.v[..., 0], np.array(truth))
 
     def centre(drawn: RateLaw) -> np.ndarray:
-        return channel(Closure(drawn.tabulated(), DE, n), flow)[0].centre()
+        return channel(drawn.tabulated(), flow)[0].centre()
 
     spread = band(law, centre, count=6, seed=seed)
     numbers["learned law"]["2 sd of the band at the centre"] = float(spread.half_width().max())

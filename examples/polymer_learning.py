@@ -25,16 +25,23 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+import warp_peri as wp
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.flow.active import LearningClosure, replayed
-from warp_peri.flow.closure import Closure, CoupledDumbbells
-from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import FENEP
-from warp_peri.flow.planar import elongation, shear
-from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
-from warp_peri.flow.protocols import Ensembles, held, simulate
-from warp_peri.flow.twisted_law import TwistedSpringLaw, learn_twisted
+from warp_peri.flow import (
+    FENEP,
+    Dumbbells,
+    Ensembles,
+    LearningClosure,
+    PlaneFlow,
+    TwistedSpringLaw,
+    elongation,
+    held,
+    learn_twisted,
+    replayed,
+    shear,
+    simulate,
+)
 
 B, CELLS = 50.0, 24
 FLOW = PlaneFlow(1.0, 1.0, CELLS, force=lambda t: 12.0)
@@ -44,8 +51,8 @@ def learn(records: list[Ensembles]) -> TwistedSpringLaw:
     return learn_twisted(records, B, points=150, outside="allow")
 
 
-def run(fluid: Any) -> Profiles:
-    return run_plane(FLOW, fluid, 6.0, 0.01, every=10)
+def run(fluid: Any) -> wp.Motion:
+    return wp.move(fluid, FLOW, until=6.0, dt=0.01, every=10)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -61,22 +68,22 @@ def main(arguments: list[str] | None = None) -> None:
     learning = LearningClosure([weak], learn, replay, FLOW.De, CELLS)
     dumbbells = Dumbbells(CELLS, options.reference, b=B, seed=77, common=True, matched=True)
     runs = {
-        "coupled dumbbells": run(CoupledDumbbells(dumbbells, FLOW.De)),
-        "weak flows alone": run(Closure(learn([weak]), FLOW.De, CELLS)),
+        "coupled dumbbells": run(dumbbells),
+        "weak flows alone": run(learn([weak])),
         "learned on the way": run(learning),
-        "the same law again": run(Closure(learning.law, FLOW.De, CELLS)),
-        "FENE-P": run(Closure(FENEP(B), FLOW.De, CELLS)),
+        "the same law again": run(learning.law),
+        "FENE-P": run(FENEP(B)),
     }
     truth = runs["coupled dumbbells"]
-    size = np.linalg.norm(truth.u)
-    errors = {name: 100 * np.linalg.norm(r.u - truth.u) / size for name, r in runs.items()}
+    size = np.linalg.norm(truth["u"])
+    errors = {name: 100 * np.linalg.norm(r["u"] - truth["u"]) / size for name, r in runs.items()}
     numbers: dict[str, Any] = {"error %": {name: float(e) for name, e in errors.items() if e}}
     numbers["asked (t, cell, gaps)"] = [list(map(float, row)) for row in learning.asked]
     folder = ROOT / "runs" / "polymer_learning"
     write_json(folder / "numbers.json", numbers)
     figure, axes = plt.subplots(figsize=(6, 3.8), layout="constrained")
     for (name, r), style in zip(runs.items(), ("k-", "C3:", "C0--", "C2-.", "C1:")):
-        axes.plot(r.t, r.u[:, CELLS // 2], style, label=name)
+        axes.plot(r.time, r["u"][:, CELLS // 2], style, label=name)
     for t, *_ in learning.asked:
         axes.axvline(t * FLOW.De, color="0.7", lw=0.8)
     axes.set(xlabel="t / t0", ylabel="u / U in the middle")

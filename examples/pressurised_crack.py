@@ -16,39 +16,38 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri import Model
-from warp_peri.damage.cut_solid import CutSolid, westergaard
-from warp_peri.damage.lattice_body import cracked, lattice_body, rectangle
-from warp_peri.damage.pressurised import crack_load, inject, opening_volume, sneddon_opening
+import warp_peri as wp
+from warp_peri import damage
 from warp_peri.errors import exit_status
 
 HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
 
 
 def square(cells: int, lam: float):
-    """The solid, its body, what is held, at spacing 1/cells."""
+    """The solid and its points, at spacing 1/cells."""
     h = 1 / cells
-    model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
+    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
     side = 2 * (1 + 2 * RATIO * h)
-    body = lattice_body(rectangle(side, side, h), h, model.horizon)
-    return model, body, (np.abs(body.x) > 1).any(axis=1)
+    x = damage.rectangle(side, side, h)
+    solid = damage.BrittleSolid(model, 1.0, toughness=TOUGHNESS)
+    return solid, wp.Points(x, (np.abs(x) <= 1).all(axis=1), h)
 
 
 def opening(cells: int, lam: float = 1.0):
     """Opening and its volume over Sneddon's under unit pressure, and the row above the crack."""
-    model, body, held = square(cells, lam)
-    x, h = body.x, body.spacing
-    exact = westergaard(x, HALF, 1.0, lam, 1.0) - x / (2 * (lam + 1))
-    neighbour = cracked(body, [[(-HALF, 0), (HALF, 0)]])
-    load = crack_load(model, body, neighbour, np.diag([0.0, 1.0]))
-    u = CutSolid(model, body, held, neighbour=neighbour).solve(exact, load)
+    solid, points = square(cells, lam)
+    x, h = points.x, points.spacing
+    exact = damage.westergaard(x, HALF, 1.0, lam, 1.0) - x / (2 * (lam + 1))
+    crack, fluid = [(-HALF, 0), (HALF, 0)], np.diag([0.0, 1.0])
+    solution = wp.solve(solid, damage.Cracked(points, u=exact, cracks=[crack], pressure=fluid))
+    u = solution.u
     row = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < HALF)
-    expected = sneddon_opening(x[row, 0], HALF, 1.0, lam, 1.0)
+    expected = damage.sneddon_opening(x[row, 0], HALF, 1.0, lam, 1.0)
     inner = np.abs(x[row, 0]) < 0.8 * HALF
-    whole = np.pi * HALF * sneddon_opening(0.0, HALF, 1.0, lam, 1.0)
+    whole = np.pi * HALF * damage.sneddon_opening(0.0, HALF, 1.0, lam, 1.0)
     numbers = {
         "opening": float(np.mean((u[row, 1] / expected)[inner])),
-        "volume": float(opening_volume(body, u, neighbour) / whole),
+        "volume": float(damage.opening_volume(solution) / whole),
     }
     return numbers, (x[row, 0], u[row, 1], expected)
 
@@ -75,14 +74,14 @@ def main(argv: list[str] | None = None) -> int:
     left.set(xlabel="x₁", ylabel="u₂ above the crack, p = 1")
     left.legend(frameon=False)
     if args.growth:
-        model, body, held = square(args.growth, 1.0)
+        solid, points = square(args.growth, 1.0)
         halves = [k / args.growth for k in range(2, args.growth // 2 + 1)]
-        stages = inject(model, body, held, halves, TOUGHNESS, leak=0.001)
-        exact = np.sqrt(model.E * TOUGHNESS / (np.pi * stages.half))  # of a plane without an end
-        numbers["growth"] = {name: value.tolist() for name, value in vars(stages).items()}
-        numbers["growth"]["pressure over the plane's"] = (stages.pressure / exact).tolist()
-        right.plot(stages.pumped, stages.pressure, "o-", label="square, edges held")
-        right.plot(stages.pumped, exact, "k", linewidth=0.8, label="plane")
+        run = wp.move(solid, damage.Injected(points, halves, leak=0.001))
+        exact = np.sqrt(solid.model.E * TOUGHNESS / (np.pi * run["half"]))  # of an endless plane
+        numbers["growth"] = {name: value.tolist() for name, value in run.history.items()}
+        numbers["growth"]["pressure over the plane's"] = (run["pressure"] / exact).tolist()
+        right.plot(run["pumped"], run["pressure"], "o-", label="square, edges held")
+        right.plot(run["pumped"], exact, "k", linewidth=0.8, label="plane")
         right.set(xlabel="volume pumped", ylabel="pressure")
         right.legend(frameon=False)
     args.out.mkdir(parents=True, exist_ok=True)

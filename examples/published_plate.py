@@ -22,9 +22,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
 
-from warp_peri import Model
-from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.damage.softening import BondLaw, Pull, SoftBody
+import warp_peri as wp
+from warp_peri.damage import BondLaw, Cracked, SoftSolid
 from warp_peri.errors import exit_status
 
 WHOLE = {20: 176.7, 40: 346.7, 60: 523.0, 80: 673.0, 100: 817.0, 150: 1167.0}
@@ -47,37 +46,45 @@ def rate(half: float) -> float:
     return 0.025 * half / 50
 
 
-def plate(half: float, spacing: float, horizon: float, law: BondLaw, crack: bool):
-    """The plate, and its ends' displacement at unit load."""
+def plate(half: float, spacing: float, horizon: float, crack: bool) -> tuple[Cracked, np.ndarray]:
+    """The plate, its ends displaced by one, and nodes whose bonds do not break."""
     n = round(half / spacing)
     across = np.arange(-n, n + 1) * spacing
     along = (np.arange(-2 * n, 2 * n) + 0.5) * spacing
     x = np.stack(np.meshgrid(across, along, indexing="ij"), axis=-1).reshape(-1, 2)
-    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=horizon)
-    ends = np.abs(x[:, 1]) > 2 * half - spacing
-    held = np.column_stack([np.abs(x[:, 0]) < 1e-9 * spacing, ends])
+    free = np.column_stack(
+        [np.abs(x[:, 0]) >= 1e-9 * spacing, np.abs(x[:, 1]) <= 2 * half - spacing]
+    )
     start = np.column_stack([-x[:, 0] / 3, x[:, 1]]) / (2 * half)
     given = np.column_stack([0 * x[:, 0], np.sign(x[:, 1])])
-    soft = SoftBody(
-        model,
-        lattice_body(x, spacing, horizon),
-        law,
-        held,
-        cracks=[[(-half / 2, 0), (half / 2, 0)]] if crack else [],
-        no_fail=np.abs(x[:, 1]) > 2 * half - 2 * horizon,
-    )
-    return soft, np.where(held, given, start)
+    points = wp.Points(x, np.asarray(free.any(axis=1)), spacing)
+    cracks = [[(-half / 2, 0), (half / 2, 0)]] if crack else []
+    problem = Cracked(points, u=np.where(free, start, given), cracks=cracks, free=free)
+    return problem, np.abs(x[:, 1]) > 2 * half - 2 * horizon
 
 
-def pulled(half: float, times: np.ndarray, law: BondLaw, **options) -> Pull:
-    """Forces over t, in units of the stiffness, as far as there is an equilibrium."""
-    settings = {"spacing": SPACING, "horizon": HORIZON, "crack": True} | options
-    soft, unit = plate(half, law=law, **settings)
+def pulled(
+    half: float,
+    times: np.ndarray,
+    law: BondLaw,
+    *,
+    spacing: float = SPACING,
+    horizon: float = HORIZON,
+    crack: bool = True,
+) -> wp.Motion:
+    """Forces in units of the stiffness over loads, rate · t, as far as there is an equilibrium."""
+    problem, rim = plate(half, spacing, horizon, crack)
+    solid = SoftSolid(wp.Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=horizon), law)
     line = [(-1.5 * half, 0.0), (1.5 * half, 0.0)]
     with warnings.catch_warnings():  # trials of a fit fail, which counts against them
         warnings.filterwarnings("ignore", message="load .* left out")
-        run = soft.pull(unit, rate(half) * times, line, stop=0.9)
-    return Pull(run.load / rate(half), run.force, run.broken)
+        return wp.move(solid, problem, loads=rate(half) * times, line=line, no_fail=rim, stop=0.9)
+
+
+def peak(run: wp.Motion, half: float) -> tuple[float, float]:
+    """t and force at the largest force."""
+    highest = int(np.argmax(run["force"]))
+    return float(run.time[highest] / rate(half)), float(run["force"][highest])
 
 
 def fit_whole() -> tuple[float, float, float]:
@@ -86,7 +93,7 @@ def fit_whole() -> tuple[float, float, float]:
 
     def compare(softness: float) -> tuple[float, float]:
         run = pulled(50, times, BondLaw(softness), crack=False)
-        ratio = np.interp(times, run.load, run.force, right=0.0) / forces
+        ratio = np.interp(times, run.time / rate(50), run["force"], right=0.0) / forces
         stiffness = ratio.sum() / (ratio @ ratio)
         return stiffness, float(np.abs(stiffness * ratio - 1).mean())
 
@@ -96,7 +103,7 @@ def fit_whole() -> tuple[float, float, float]:
     return float(best.x), *compare(best.x)
 
 
-def fit_tail(softness: float, stiffness: float, stretch: float) -> tuple[BondLaw, Pull, float]:
+def fit_tail(softness: float, stiffness: float, stretch: float) -> tuple[BondLaw, wp.Motion, float]:
     """The law of one strength whose peak on the small cracked plate is the published one.
 
     Also its run, and the mean relative error of the forces up to the peak.
@@ -105,11 +112,11 @@ def fit_tail(softness: float, stiffness: float, stretch: float) -> tuple[BondLaw
     for _ in range(6):
         law = BondLaw(softness, stretch, (low + high) / 2)
         run = pulled(50, SMALL_TIMES, law)
-        peak = stiffness * run.peak[1]
-        tried.append((abs(peak - SMALL_PEAK[1]), law, run))
-        low, high = (low, law.tail) if peak > SMALL_PEAK[1] else (law.tail, high)
+        highest = stiffness * peak(run, 50)[1]
+        tried.append((abs(highest - SMALL_PEAK[1]), law, run))
+        low, high = (low, law.tail) if highest > SMALL_PEAK[1] else (law.tail, high)
     _, law, run = min(tried, key=lambda trial: trial[0])
-    forces = stiffness * np.interp(list(SMALL), run.load, run.force, right=0.0)
+    forces = stiffness * np.interp(list(SMALL), run.time / rate(50), run["force"], right=0.0)
     return law, run, float(np.abs(forces / list(SMALL.values()) - 1).mean())
 
 
@@ -133,22 +140,23 @@ def main(argv: list[str] | None = None) -> int:
         "L = 50, mean error": curve,
         "peaks": {
             name: {
-                "t": run.peak[0],
-                "force": stiffness * run.peak[1],
-                "t error": run.peak[0] / atoms[0] - 1,
-                "force error": stiffness * run.peak[1] / atoms[1] - 1,
+                "t": t,
+                "force": stiffness * force,
+                "t error": t / atoms[0] - 1,
+                "force error": stiffness * force / atoms[1] - 1,
             }
-            for name, run, atoms in (
-                ("L = 50, fitted", small, SMALL_PEAK),
-                ("L = 100", large, LARGE_PEAK),
-                ("L = 100, horizon × 2", coarse, LARGE_PEAK),
+            for name, (t, force), atoms in (
+                ("L = 50, fitted", peak(small, 50), SMALL_PEAK),
+                ("L = 100", peak(large, 100), LARGE_PEAK),
+                ("L = 100, horizon × 2", peak(coarse, 100), LARGE_PEAK),
             )
         },
     }
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     ax = figure.subplots()
-    for run, label in ((small, "L = 50"), (large, "L = 100"), (coarse, "L = 100, horizon × 2")):
-        ax.plot(run.load, stiffness * run.force, label=label)
+    curves = {"L = 50": (small, 50), "L = 100": (large, 100), "L = 100, horizon × 2": (coarse, 100)}
+    for label, (run, half) in curves.items():
+        ax.plot(run.time / rate(half), stiffness * run["force"], label=label)
     ax.plot(*np.transpose([SMALL_PEAK, LARGE_PEAK]), "ks", label="atoms, peaks")
     ax.set(xlabel="t", ylabel="force across the middle")
     ax.legend(frameon=False)

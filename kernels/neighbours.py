@@ -111,19 +111,13 @@ def lattice_neighbours(
     steps: wp.array2d(dtype=wp.int32),
     number: wp.array2d(dtype=wp.int32),
     neighbour: wp.array2d(dtype=wp.int32),
-    lacking: wp.array(dtype=wp.int32),
 ):
-    """The node at each step of the pattern from each node, −1 where there is none; how many lack.
+    """The node at each step of the pattern from each node, −1 where there is none.
 
     number has a margin of empty places, or is periodic.
     """
     i = first + wp.tid()
-    count = wp.int32(0)
     for p in range(steps.shape[0]):
         a = (grid[i, 0] + steps[p, 0] + number.shape[0]) % number.shape[0]
         b = (grid[i, 1] + steps[p, 1] + number.shape[1]) % number.shape[1]
-        j = number[a, b]
-        neighbour[i, p] = j
-        if j < 0:
-            count += 1
-    lacking[i] = count
+        neighbour[i, p] = number[a, b]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.contract import linear_part
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.arrays import is_positive
@@ -111,7 +112,7 @@ def choose_model(
     tolerance: float,
     scene: Scene,
     table: dict[str, Any] | None = None,
-    model: Model | None = None,
+    model: Any = None,
 ) -> Choice:
     """The cheapest spacing, horizon, degree and solver for a scene.
 
@@ -119,7 +120,8 @@ def choose_model(
         tolerance: largest displacement error, a fraction.
         scene: domain and load.
         table: of examples/studies/speed_accuracy.py; that of the project when None.
-        model: pick spacing and horizon from transfers of this one instead: the coarsest lattice,
+        model: pick spacing and horizon from transfers of this linear solid instead, or of a
+            material's linear part: the coarsest lattice,
             and on it the fewest bonds, that answer waves as long as the scene's shortest within
             the tolerance, against the model at home. Costs are those of the table's solvers.
 
@@ -138,7 +140,7 @@ def choose_model(
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
     table = shipped_table() if table is None else table
     if model is not None:
-        return _of_transfers(model, tolerance, scene, table)
+        return _of_transfers(linear_part(model, "choose_model"), tolerance, scene, table)
     if scene.shortest_wave < table["short_wave"]:
         raise InputError(
             f"scene: waves of {scene.shortest_wave:.6g} Å were not measured; the shortest are "

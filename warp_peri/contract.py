@@ -6,6 +6,8 @@ Nothing derives from these. A new law is whatever offers the same, and passes th
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from inspect import signature
 from typing import Any, Protocol
 
 import numpy as np
@@ -46,9 +48,17 @@ class Operator(Protocol):
 class Material(Protocol):
     """A law with its numbers."""
 
-    units: tuple[str, str]
-    horizon: float
-    dimension: int
+    @property
+    def dimension(self) -> int:
+        """d of the space it fills."""
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Names of the units of length and stress."""
+
+    @property
+    def horizon(self) -> float:
+        """δ [length]."""
 
     def on(self, points: Any) -> Operator:
         """The material on points: transferred there, certified, with its bonds."""
@@ -67,8 +77,9 @@ class Problem(Protocol):
 class Law(Protocol):
     """What may be learned: a family of materials, and how its numbers are found."""
 
-    def learn(self, samples: Any, **options: Any) -> Any:
-        """The Fit: material, certificate, history."""
+    @property
+    def learn(self) -> Callable[..., Any]:
+        """Of samples and options the Fit: material, certificate, history."""
 
 
 def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
@@ -80,10 +91,17 @@ def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
     return method
 
 
-def placed(material: Any, points: Any, **options: Any) -> Any:
+def linear_part(given: Any, verb: str) -> Any:
+    """The linear solid of a material or of its operator; InputError for what has none."""
+    kinds = "a linear solid, or a material with a linear part"
+    return offered(getattr(given, "model", given), "linear", verb, kinds)
+
+
+def placed(material: Any, points: Any, *, verb: str = "solve", **options: Any) -> Any:
     """The operator of a material on points; what is an operator on these points already, as it is.
 
-    Raises InputError for an operator on other points, and for what is neither.
+    Raises InputError for an operator on other points, and for what is neither; `verb` says what
+    it was wanted for.
     """
     if hasattr(material, "rest") and not hasattr(material, "on"):
         mine = material.points
@@ -95,6 +113,30 @@ def placed(material: Any, points: Any, **options: Any) -> Any:
         if not same:
             raise InputError("operator: expected one on the points of the problem, got another's")
         return material
-    return offered(material, "on", "solve", "a material, as fit(…).material or load(…)")(
-        points, **options
-    )
+    on = offered(material, "on", verb, "a material, as fit(…).material or load(…)")
+    known = signature(on).parameters
+    open_ended = any(one.kind is one.VAR_KEYWORD for one in known.values())
+    if not open_ended and (unknown := sorted(options.keys() - known.keys())):
+        what = type(material).__name__
+        raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
+    return on(points, **options)
+
+
+def taken(
+    options: dict[str, Any], verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], ...]:
+    """Options for each taker, by its keyword-only arguments but those that are `given` elsewhere.
+
+    Raises InputError for an option that none takes, and for one that is missing.
+    """
+    kinds = [
+        {n: p for n, p in signature(taker).parameters.items() if p.kind is p.KEYWORD_ONLY}
+        for taker in takers
+    ]
+    known = {n: p for kind in kinds for n, p in kind.items() if n not in given}
+    names = ", ".join(known) or "none"
+    if unknown := sorted(options.keys() - known.keys()):
+        raise InputError(f"{verb}: expected options among {names}, got {', '.join(unknown)}")
+    if missing := [n for n, p in known.items() if p.default is p.empty and n not in options]:
+        raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
+    return tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)

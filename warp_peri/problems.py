@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, placed
+from warp_peri.contract import offered, placed, taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.points.mesh import Mesh
@@ -50,8 +50,10 @@ class Dirichlet:
         how = {name: options.pop(name) for name in on}
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
+            (options,) = taken(options, "move", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")
+        (options,) = taken(options, "move", march)
         return march(operator, self.b, self.u, **options)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from typing import Any
 
 
 def in_rows(title: str, rows: list[tuple[str, str]]) -> str:
@@ -18,3 +19,22 @@ def as_table(rows: list[tuple[str, str]]) -> str:
         for name, value in rows
     )
     return f"<table>{cells}</table>"
+
+
+def proven_rows(certificate: dict[str, Any]) -> list[tuple[str, str]]:
+    """What certificates state, by spacing."""
+    figures = (each for each in certificate.values() if isinstance(each, dict))
+    return [("proven", str(each["statement"])) for each in figures if "statement" in each]
+
+
+def error_rows(errors: dict[str, Any]) -> list[tuple[str, str]]:
+    """E_res and E_u on data sets, by name."""
+    rows = []
+    for name, table in errors.items():
+        known = table if isinstance(table, dict) else {}
+        parts = [
+            f"{key} {known[key]:.2%}" for key in ("E_res", "E_u") if known.get(key) is not None
+        ]
+        if parts:
+            rows.append((f"errors on {name}", ", ".join(parts)))
+    return rows

@@ -19,8 +19,10 @@ from warp_peri.points.unit_names import Units
 READERS = {
     "warp_peri.model": ("models.nonlinear", "load_any"),
     "warp_peri.brittle_solid": ("damage.solid", "load_brittle_solid"),
+    "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
     "warp_peri.hyperelastic": ("tissue.solid", "load_hyperelastic"),
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),
+    "warp_peri.coupled_solid": ("diffusion.coupled", "load_coupled_solid"),
     "warp_peri.flow_law": ("flow.law_file", "load_law"),
 }
 """Module and function that read a JSON file, by the `format` that it names."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from examples.studies.atlas_entry import Entry, words
 from warp_peri import Model
-from warp_peri.damage.lattice_body import Body, lattice_body, rectangle
+from warp_peri.damage.lattice_body import LatticeBody, lattice_body, rectangle
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across
 from warp_peri.damage.slow_growth import apparent_toughness
@@ -19,7 +19,7 @@ from warp_peri.damage.stability import check_breakable, negative_eigenvalues
 SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 
 
-def broken_at_random(body: Body, share: float, seed: int) -> np.ndarray:
+def broken_at_random(body: LatticeBody, share: float, seed: int) -> np.ndarray:
     """Neighbours with a share of the bonds near the middle broken, both directions at once."""
     random, neighbour = np.random.default_rng(seed), body.neighbour.copy()
     near = np.hypot(*body.x.T) < 8 * body.spacing

@@ -7,8 +7,8 @@ import numpy as np
 
 from examples.studies.atlas_entry import Entry, words, written
 from warp_peri import InputError
-from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.channel_run import run_channel
+from warp_peri.flow.channel import Particles
+from warp_peri.flow.channel_run import ChannelFlow, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, heun, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells, propagator
 from warp_peri.flow.laws import UpperConvectedMaxwell
@@ -23,12 +23,14 @@ def independent_noise() -> Entry:
     """A channel of dumbbells whose cells do not share their random numbers."""
     flow = ChannelFlow(DE, across=20, smoothing=1.2)
     n = Particles(flow).fluid
-    exact = run_channel(flow, Closure(UpperConvectedMaxwell(), DE, n), UNTIL, UNTIL / STEPS)
+    exact = run_channel(
+        flow, Closure(UpperConvectedMaxwell(), DE, n), until=UNTIL, dt=UNTIL / STEPS
+    )
     fluids = {
         common: CoupledDumbbells(Dumbbells(n, COUNT, seed=1, common=common), DE)
         for common in (True, False)
     }
-    shared = run_channel(flow, fluids[True], UNTIL, UNTIL / STEPS)
+    shared = run_channel(flow, fluids[True], until=UNTIL, dt=UNTIL / STEPS)
     particles, speeds, seen = Particles(flow), [], []
     try:
         for _ in range(STEPS):

@@ -16,7 +16,7 @@ from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import class_weights, reduce
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.families import lattice_steps
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 
 TOLERANCE = 1e-8

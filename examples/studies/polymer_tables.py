@@ -32,8 +32,8 @@ from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.flow import exact_maxwell as series
-from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.channel_run import ChannelRecord, run_channel
+from warp_peri.flow.channel import Particles
+from warp_peri.flow.channel_run import ChannelFlow, ChannelRecord, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress
 from warp_peri.flow.closure_error import corrected_run, missing_stress
 from warp_peri.flow.dumbbells import Dumbbells
@@ -80,7 +80,7 @@ def couette() -> dict[str, Any]:
         dt = 0.01 * De**0.5
 
         def run(fluid: Any, flow: PlaneFlow = flow, until: float = until, dt: float = dt) -> Any:
-            return run_plane(flow, fluid, until, dt, every=20).u
+            return run_plane(flow, fluid, until=until, dt=dt, every=20).u
 
         exact = run(Closure(MAXWELL, De, 128))
         errors: dict[str, list[float]] = {}
@@ -108,7 +108,7 @@ def exact_channel(flow: ChannelFlow, until: float, fraction: float = 0.5) -> dic
     """The scheme with the exact law against the exact flow."""
     steps = int(np.ceil(until / (fraction * flow.longest_step)))
     fluid = Closure(MAXWELL, flow.De, Particles(flow).fluid)
-    run = run_channel(flow, fluid, until, until / steps, every=max(1, steps // 100))
+    run = run_channel(flow, fluid, until=until, dt=until / steps, every=max(1, steps // 100))
     truth = at_particles(flow, run)
     return {
         "error": relative(run.v[..., 0], truth),
@@ -155,7 +155,7 @@ def recipes(counts: tuple[int, ...] = (10_000, 100_000)) -> dict[str, Any]:
 
     def run(law: Any) -> np.ndarray:
         fluid = Closure(law, flow.De, n, check_every=10**9)
-        return run_channel(flow, fluid, 0.03, 6e-5, every=10).v
+        return run_channel(flow, fluid, until=0.03, dt=6e-5, every=10).v
 
     exact, numbers = run(MAXWELL), {}
     for count in counts:
@@ -222,7 +222,7 @@ def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
     flow, b = PlaneFlow(1.0, 1.0, 64, force=lambda t: 12.0), 50.0
 
     def run(fluid: Any) -> Profiles:
-        return run_plane(flow, fluid, 8.0, 0.004, every=25)
+        return run_plane(flow, fluid, until=8.0, dt=0.004, every=25)
 
     start = time.perf_counter()
     truth = run(
@@ -301,7 +301,7 @@ def bands(seeds: int = 12, count: int = 24) -> dict[str, Any]:
     flow = PlaneFlow(1.0, 10.0, 16, top=lambda t: 1.0)
 
     def run(law: Any) -> np.ndarray:
-        return run_plane(flow, Closure(law, 1.0, 16), 4.0, 0.04, every=20).u
+        return run_plane(flow, Closure(law, 1.0, 16), until=4.0, dt=0.04, every=20).u
 
     exact, held_by, ratios = run(MAXWELL), [], []
     for seed in range(seeds):

@@ -22,7 +22,7 @@ def crack_run(folder):
     body = pulled(lam=0.4, critical_stretch=0.012)
     path = folder / "run.npz"
     return body, CrackRun(
-        body, 0.4 * body.longest_step, every=2, checkpoint=path, checkpoint_every=1
+        body, step=0.4 * body.longest_step, every=2, checkpoint=path, checkpoint_every=1
     )
 
 
@@ -32,7 +32,7 @@ def main(folder):
     state = body.start(cracks=CRACK)
     print("begun", flush=True)
     for steps in range(2, STEPS + 1, 2):
-        state = run.march(state, steps)
+        state = run.march(state, steps=steps)
         time.sleep(0.005)
     np.savez(
         folder / "end.npz",

@@ -6,10 +6,19 @@ import pytest
 from examples.static_crack import main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
-from warp_peri import InputError, Model
-from warp_peri.damage.cut_solid import CutSolid, contour_integral, energy_release, westergaard
-from warp_peri.damage.lattice_body import lattice_body, rectangle
-from warp_peri.damage.slow_growth import apparent_toughness, grow
+from warp_peri import InputError, Model, Points, move, solve
+from warp_peri.damage import (
+    Cracked,
+    Mixed,
+    apparent_toughness,
+    contour_integral,
+    energy_release,
+    lattice_body,
+    rectangle,
+    westergaard,
+)
+from warp_peri.damage.cut_solid import CutSolid, domain_integral
+from warp_peri.damage.slow_growth import grow
 
 SPACINGS = np.array([1 / 8, 1 / 12, 1 / 16])
 
@@ -35,9 +44,9 @@ def test_an_affine_field_stays_affine_in_a_whole_body():
     body = plate(20, 20)
     u = body.x @ [[0.01, 0.002], [0.004, -0.003]]
     held = (np.abs(body.x) > 3).any(axis=1)
-    solved = CutSolid(solid(0.4).model, body, held).solve(u)
+    solved = CutSolid(solid(0.4).model, body, held).solve(None, u)
     np.testing.assert_allclose(solved, u, atol=1e-14)
-    assert contour_integral(solid(0.4).model, body, u, (0.0, 0.0), (3.0, 6.0)) == pytest.approx(0)
+    assert domain_integral(solid(0.4).model, body, u, (0.0, 0.0), (3.0, 6.0)) == pytest.approx(0)
 
 
 def test_a_crack_that_cuts_a_body_in_two_is_refused():
@@ -59,17 +68,21 @@ def test_a_sign_changing_model_cracks_only_where_it_stays_definite():
     with pytest.raises(InputError, match="negative eigenvalues"):
         CutSolid(model, body, held, neighbour=at_random)
     with pytest.raises(InputError, match="changes sign"):
-        grow(model, body, held, body.x, 1)
+        move(model, Cracked(Points(body.x, ~held, 1.0), u=body.x), events=1)
 
 
 def test_growth_breaks_the_most_stretched_bonds_and_loses_energy():
     body = plate(20, 16)
     held = np.abs(body.x[:, 1]) > 5
     u = body.x * (0.0, 0.01)
-    growth = grow(solid().model, body, held, u, 12, cracks=[[(-3, 0), (3, 0)]])
-    assert (np.diff(growth.energy) < 0).all()
-    assert (growth.neighbour < 0).sum() > (body.neighbour < 0).sum()
-    node = np.flatnonzero(((growth.neighbour < 0) & (body.neighbour >= 0)).any(axis=1))
+    problem = Cracked(Points(body.x, ~held, 1.0), u=u, cracks=[[(-3, 0), (3, 0)]])
+    growth = move(solid(), problem, events=12)
+    assert (np.diff(growth["energy"]) < 0).all()
+    np.testing.assert_array_equal(growth.time, growth["load"])
+    np.testing.assert_allclose(growth.u[held], growth.time[-1] * u[held])
+    neighbour = growth.details
+    assert (neighbour < 0).sum() > (body.neighbour < 0).sum()
+    node = np.flatnonzero(((neighbour < 0) & (body.neighbour >= 0)).any(axis=1))
     assert np.abs(body.x[node, 1]).max() < 3  # along the crack
 
 
@@ -77,9 +90,9 @@ def test_growth_of_what_cannot_grow_is_refused():
     body = plate(20, 16)
     held = np.abs(body.x[:, 1]) > 5
     with pytest.raises(InputError, match="no_fail: expected shape .* of int"):
-        grow(solid().model, body, held, body.x, 1, no_fail=held.astype(int))
+        grow(solid().model, body, held, body.x, events=1, no_fail=held.astype(int))
     with pytest.raises(InputError, match="against 0 of its 3 rigid motions"):
-        grow(solid().model, body, held & False, body.x, 1)
+        grow(solid().model, body, held & False, body.x, events=1)
 
 
 def test_a_growing_crack_spends_more_than_a_straight_cut():
@@ -100,7 +113,7 @@ def test_j_does_not_mind_where_the_tip_stands_between_nodes(shift):
     body = lattice_body(x, h, 3 * h)
     model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * h)
     u = westergaard(x - (shift * h, 0.0), 0.5, 1.0, lam, mu)
-    J = contour_integral(model, body, u, (0.5 + shift * h, 0.0), (0.25, 0.5))
+    J = domain_integral(model, body, u, (0.5 + shift * h, 0.0), (0.25, 0.5))
     assert J == pytest.approx(np.pi * 0.5 / model.E, rel=0.006)
 
 
@@ -122,18 +135,19 @@ def test_j_is_the_same_from_whichever_side_the_crack_comes(side, shear):
     one = x @ turn  # where the crack comes from the left
     u = (westergaard(one, 0.5, 1.0, lam, mu) + shear * one @ [[0.0, 1.0], [0.0, 0.0]]) @ turn.T
     tip = tuple(turn @ (0.5, 0.0))
-    J = contour_integral(model, body, u, tip, (0.25, 0.5))
+    J = domain_integral(model, body, u, tip, (0.25, 0.5))
     if not shear:
         assert J == pytest.approx(np.pi * 0.5 / model.E, rel=0.006)
     left = westergaard(x, 0.5, 1.0, lam, mu) + shear * x @ [[0.0, 1.0], [0.0, 0.0]]
-    assert J == pytest.approx(contour_integral(model, body, left, (0.5, 0.0), (0.25, 0.5)))
+    assert J == pytest.approx(domain_integral(model, body, left, (0.5, 0.0), (0.25, 0.5)))
 
 
 def test_the_other_tip_of_one_crack_has_the_same_j():
     body, model = plate(32, 24), solid(0.4).model
-    held = np.abs(body.x[:, 1]) > 9
-    u = CutSolid(model, body, held, cracks=[[(-5, 0), (5, 0)]]).solve(body.x * (0, 0.01))
-    ends = [contour_integral(model, body, u, (tip, 0.0), (3.0, 6.0)) for tip in (5.0, -5.0)]
+    points = Points(body.x, np.abs(body.x[:, 1]) <= 9, 1.0)
+    crack = Cracked(points, u=body.x * (0, 0.01), cracks=[[(-5, 0), (5, 0)]])
+    solution = solve(model, crack)
+    ends = [contour_integral(solution, (tip, 0.0), (3.0, 6.0)) for tip in (5.0, -5.0)]
     assert ends[0] > 0
     assert ends[1] == pytest.approx(ends[0])
 
@@ -149,23 +163,29 @@ def dead_load(width, height, half):
     return model, body, held, b, cracks
 
 
+def released(model, body, held, b, u, cracks):
+    """G, of what is held component by component."""
+    points = Points(body.x, np.ones(len(body.x), bool), body.spacing)
+    return energy_release(model, Cracked(points, b, u, free=~held), cracks)
+
+
 def test_a_dead_load_releases_what_its_work_leaves_over():
     model, body, held, b, cracks = dead_load(24, 48, 4.0)
     nothing = np.zeros_like(body.x)
-    G = energy_release(model, body, held, nothing, cracks, b=b)
+    G = released(model, body, held, b, nothing, cracks)
     bodies = [CutSolid(model, body, held, cracks=lines) for lines in cracks]
-    fields = [one.solve(nothing, b) for one in bodies]
+    fields = [one.solve(b, nothing) for one in bodies]
     elastic = [one.energy(u) for one, u in zip(bodies, fields)]
     assert G == pytest.approx((elastic[2] - elastic[0]) / 4, rel=1e-9)  # Clapeyron: it rises
     ends = np.abs(body.x[:, 1]) > 23
-    fixed = energy_release(model, body, held | ends[:, None], fields[1], cracks)
+    fixed = released(model, body, held | ends[:, None], None, fields[1], cracks)
     assert G == pytest.approx(fixed, rel=0.02)  # the loads do not matter to an instant of growth
     crooked = held | (ends & (body.x[:, 1] < 0))[:, None]
-    both = energy_release(model, body, crooked, 0.3 * body.x * (0, 1), cracks, b=b)
+    both = released(model, body, crooked, b, 0.3 * body.x * (0, 1), cracks)
     potential = []
     for lines in cracks:
         one = CutSolid(model, body, crooked, cracks=lines)
-        u = one.solve(0.3 * body.x * (0, 1), b)
+        u = one.solve(b, 0.3 * body.x * (0, 1))
         potential.append(one.energy(u) - (b * u).sum())
     assert both == pytest.approx((potential[0] - potential[2]) / 4, rel=1e-9)
     assert both > 0
@@ -173,51 +193,99 @@ def test_a_dead_load_releases_what_its_work_leaves_over():
 
 def test_a_dead_load_on_a_strip_releases_what_is_known_of_it():
     model, body, held, b, cracks = dead_load(32, 64, 6.0)
-    G = energy_release(model, body, held, np.zeros_like(body.x), cracks, b=b)
+    G = released(model, body, held, b, None, cracks)
     known = np.pi * 6 / np.cos(np.pi * 6 / 32) / model.E  # C. E. Feddersen, 1966
     assert G == pytest.approx(known, rel=0.1)
 
 
 def test_nothing_released_is_zero_without_a_sign():
     model, body, held, _, cracks = dead_load(16, 16, 3.0)
-    G = energy_release(model, body, held, np.zeros_like(body.x), cracks)
+    G = released(model, body, held, None, None, cracks)
     assert str(G) == "0.0"
     with pytest.raises(InputError, match=r"b: expected shape \[256, 2\]"):
-        energy_release(model, body, held, np.zeros_like(body.x), cracks, b=np.ones(256))
+        released(model, body, held, np.ones(256), None, cracks)
 
 
 def test_the_release_of_an_inclined_crack_needs_several_lengths():
     h, half, angle = 1 / 12, 0.5, np.radians(30)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
-    body = lattice_body(rectangle(2.5, 2.5, h), h, model.horizon)
-    held = (np.abs(body.x) > 1).any(axis=1)
+    x = rectangle(2.5, 2.5, h)
+    points = Points(x, (np.abs(x) <= 1).all(axis=1), h)
     middle = np.array([0.05, 0.02])
-    u = westergaard((body.x - middle) @ turn, half, 1.0, 1.0, 1.0) @ turn.T
+    u = westergaard((x - middle) @ turn, half, 1.0, 1.0, 1.0) @ turn.T
     cracks = [
         [np.array([(-half - d * h, 0.0), (half + d * h, 0.0)]) @ turn.T + middle]
         for d in np.linspace(-2, 2, 9)
     ]
-    G = energy_release(model, body, held, u, cracks)
+    G = energy_release(model, Cracked(points, u=u), cracks)
     assert G == pytest.approx(np.pi * half / model.E, rel=0.03)
 
 
 def test_contours_and_lengths_that_make_no_sense_are_refused():
     body, model = plate(20, 20), solid().model
-    held, u = np.zeros(400, bool), np.zeros((400, 2))
+    points = Points(body.x, (np.abs(body.x) <= 5).all(axis=1), 1.0)
+    problem, u = Cracked(points), np.zeros((400, 2))
+    solution = solve(model, problem)
     for radii in ((4.0, 4.0), (3.6, 4.4), (4.0, np.nan)):
         with pytest.raises(InputError, match="smaller < larger by a spacing of 1"):
-            contour_integral(model, body, u, (0.0, 0.0), radii)
-    with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
-        contour_integral(model, body, u[:3], (0.0, 0.0), (2.0, 4.0))
+            contour_integral(solution, (0.0, 0.0), radii)
+    one = lambda x: np.ones(x.shape[:-1])
+    mixed = solve(Mixed(3.0, lambda x: 2 * one(x), one), problem)
+    with pytest.raises(InputError, match="expected that of a Cracked, of one material"):
+        contour_integral(mixed, (0.0, 0.0), (2.0, 4.0))
     with pytest.raises(InputError, match="more than from the tip to the edge"):
-        contour_integral(model, body, u, (6.0, 0.0), (2.0, 6.0))
+        contour_integral(solution, (6.0, 0.0), (2.0, 6.0))
     with pytest.raises(InputError, match="two lengths or more"):
-        energy_release(model, body, held | True, u, [[[(-4, 0), (4, 0)]]])
+        energy_release(model, problem, [[[(-4, 0), (4, 0)]]])
     short = CutSolid(model, body, (np.abs(body.x) > 5).any(axis=1))
     with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
-        short.solve(u[:, 0])
+        short.solve(None, u[:, 0])
     with pytest.raises(InputError, match="finite numbers where"):
-        short.solve(u + np.nan)
+        short.solve(None, u + np.nan)
     with pytest.raises(InputError, match="body: expected the horizon 4"):
-        CutSolid(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, held)
+        CutSolid(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, ~points.interior)
+
+
+def test_a_body_with_cracks_is_solved_as_any_other_problem():
+    x = rectangle(20.0, 16.0, 1.0)
+    points, u, b = Points(x, np.abs(x[:, 1]) <= 5, 1.0), x * (0.0, 0.01), np.full_like(x, 1e-3)
+    problem = Cracked(points, b, u, cracks=[[(-3, 0.2), (3, 0.2)]])
+    brittle = solid(2.0)
+    solution = solve(brittle, problem)
+    cut = CutSolid(
+        brittle.model, lattice_body(x, 1.0, 3.0), ~points.interior, cracks=problem.cracks
+    )
+    np.testing.assert_array_equal(solution.u, cut.solve(b, u))
+    np.testing.assert_allclose(solution.operator(solution.u), solution.load, atol=1e-12)
+    np.testing.assert_array_equal(solution.load, b[points.interior])
+    assert solution.residual < 1e-10
+    assert float(solution.energy()) == cut.energy(solution.u)
+    free = np.column_stack([np.ones(len(x), bool), points.interior])  # ends that slide
+    free[0, 0] = False
+    sliding = solve(brittle, Cracked(points, u=u, free=free)).u
+    np.testing.assert_array_equal(sliding[~free], u[~free])
+    assert np.abs(sliding - u)[free].max() > 1e-3
+
+
+def test_what_is_no_body_with_cracks_is_refused_by_name():
+    x = rectangle(12.0, 12.0, 1.0)
+    points, brittle = Points(x, np.abs(x[:, 1]) <= 4, 1.0), solid()
+    problem = Cracked(points, u=x)
+    for call, words in (
+        (lambda: solve(brittle, problem, transfer=False), "options among none, got transfer"),
+        (lambda: move(brittle, problem, step=1.0), "expected steps too"),
+        (lambda: move(brittle, problem, events=2, every=3), "among events, no_fail, .* got every"),
+        (lambda: move(brittle, problem, loads=[1.0], line=x[:2]), "a SoftSolid for loads"),
+        (lambda: move(brittle.model, problem, step=1.0, steps=1), "a BrittleSolid for steps"),
+        (lambda: move(brittle, Cracked(points, x), events=2), "b: slow growth and pulls"),
+        (lambda: solve(brittle, Cracked(points, free=points.interior)), r"free: expected shape"),
+        (lambda: solve(brittle, Cracked(Points(x, points.interior, 0.0))), "is for lattices"),
+        (
+            lambda: solve(brittle, Cracked(Points(x, points.interior, 1.0, units=("m", "Pa")))),
+            "units: the model is in",
+        ),
+        (lambda: solve(None, problem), "expected a solid with a linear part"),
+    ):
+        with pytest.raises(InputError, match=words):
+            call()

@@ -61,7 +61,7 @@ def test_what_is_no_polyline_is_refused(line):
 
 def test_what_is_no_lattice_is_refused():
     x = rectangle(4, 4, 1.0)
-    with pytest.raises(InputError, match="1 nodes are given twice"):
+    with pytest.raises(InputError, match="1 duplicates"):
         lattice_body([*x, x[0]], 1.0, 2.0)
     with pytest.raises(InputError, match="square lattice of spacing"):
         lattice_body([*x, (0.2, 0.0)], 1.0, 2.0)

@@ -20,8 +20,8 @@ KINDS = {
 def marched(kind, share, **options):
     body = pulled(**KINDS[kind])
     dt = share * body.longest_step
-    run = CrackRun(body, dt, every=1, **options)
-    return body, run, run.march(body.start(cracks=CRACK), round(40 / dt))
+    run = CrackRun(body, step=dt, every=1, **options)
+    return body, run, run.march(body.start(cracks=CRACK), steps=round(40 / dt))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -80,8 +80,10 @@ def test_held_nodes_move_as_told_and_their_work_counts():
         grip=grip,
         ramp=lambda t: min(1.0, t / 5.0),
     )
-    run = CrackRun(body, 0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]})
-    state = run.march(body.start(), 200)
+    run = CrackRun(
+        body, step=0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]}
+    )
+    state = run.march(body.start(), steps=200)
     ledger = np.array(run.history.ledger)
     assert run.history.missing < 2e-3
     np.testing.assert_allclose(body.velocity(state)[held], grip[held])
@@ -103,11 +105,11 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     }
     dt = straight[1].dt
     steps = straight[2].steps
-    first = CrackRun(body, dt, **options)
-    first.march(body.start(cracks=CRACK), steps // 2)
-    assert 0 < body.damage(first.march(body.start(cracks=CRACK), steps // 2)).max()
-    again = CrackRun(body, dt, **options)
-    state = again.march(body.start(cracks=CRACK), steps)
+    first = CrackRun(body, step=dt, **options)
+    first.march(body.start(cracks=CRACK), steps=steps // 2)
+    assert 0 < body.damage(first.march(body.start(cracks=CRACK), steps=steps // 2)).max()
+    again = CrackRun(body, step=dt, **options)
+    state = again.march(body.start(cracks=CRACK), steps=steps)
     for name in ("u", "v", "links", "work"):
         want, got = getattr(straight[2], name).numpy(), getattr(state, name).numpy()
         assert want.tobytes() == got.tobytes()
@@ -117,14 +119,14 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     assert len(records) == steps
     assert (tmp_path / "series" / "motion.pvd").read_text().count("DataSet") == steps
     with pytest.raises(InputError, match="another body, start, load or step"):
-        CrackRun(body, dt / 2, **options).march(body.start(cracks=CRACK), steps)
+        CrackRun(body, step=dt / 2, **options).march(body.start(cracks=CRACK), steps=steps)
     with pytest.raises(InputError, match="another body, start, load or step"):
-        CrackRun(body, dt, **options).march(body.start(), steps)
+        CrackRun(body, step=dt, **options).march(body.start(), steps=steps)
     options = {"checkpoint": tmp_path / "other.npz", "every": 1, "checkpoint_every": 1}
     lines = [{"middle": [(-9, y), (9, y)]} for y in (0, 1)]
-    CrackRun(body, dt, sections=lines[0], **options).march(body.start(), 2)
+    CrackRun(body, step=dt, sections=lines[0], **options).march(body.start(), steps=2)
     with pytest.raises(InputError, match="another body, start, load or step"):
-        CrackRun(body, dt, sections=lines[1], **options).march(body.start(), 4)
+        CrackRun(body, step=dt, sections=lines[1], **options).march(body.start(), steps=4)
 
 
 def ramped(ramp):
@@ -143,8 +145,8 @@ def test_a_checkpoint_of_another_history_of_loads_is_refused_wherever_it_differs
 
     def march(ramp, steps, **more):
         body, dt = ramped(ramp)
-        run = CrackRun(body, dt, **(options | more))
-        return run, run.march(body.start(cracks=CRACK), steps)
+        run = CrackRun(body, step=dt, **(options | more))
+        return run, run.march(body.start(cracks=CRACK), steps=steps)
 
     march(slow, 40)
     for ramp in (lambda t: slow(t) + jump(t), None, lambda t: min(1.0, t / (59.999999 * dt))):
@@ -163,10 +165,10 @@ def test_a_load_that_changes_only_later_goes_on_as_if_never_stopped(tmp_path):
     ramps = lambda t: 1.0, lambda t: 1.0 if t < 30.5 * dt else 0.2
     options = {"checkpoint": tmp_path / "run.npz", "every": 5, "checkpoint_every": 1}
     body, _ = ramped(ramps[0])
-    CrackRun(body, dt, **options).march(body.start(cracks=CRACK), 20)
+    CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=20)
     body, _ = ramped(ramps[1])
-    resumed = CrackRun(body, dt, **options).march(body.start(cracks=CRACK), 50)
-    straight = CrackRun(body, dt, every=5).march(body.start(cracks=CRACK), 50)
+    resumed = CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=50)
+    straight = CrackRun(body, step=dt, every=5).march(body.start(cracks=CRACK), steps=50)
     assert resumed.u.numpy().tobytes() == straight.u.numpy().tobytes()
 
 
@@ -174,22 +176,22 @@ def test_fewer_steps_than_are_behind_are_refused(tmp_path):
     body = pulled(**KINDS["bond-based"])
     dt, path = 0.4 * body.longest_step, tmp_path / "run.npz"
     options = {"checkpoint": path, "every": 10, "checkpoint_every": 1}
-    state = CrackRun(body, dt, **options).march(body.start(cracks=CRACK), 100)
+    state = CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=100)
     start = body.start(cracks=CRACK)
     with pytest.raises(InputError, match="at least the 100 steps of the checkpoint, got 50"):
-        CrackRun(body, dt, **options).march(start, 50)
+        CrackRun(body, step=dt, **options).march(start, steps=50)
     assert start.steps == 0
-    assert CrackRun(body, dt, every=10).march(start, 50).steps == 50
+    assert CrackRun(body, step=dt, every=10).march(start, steps=50).steps == 50
     with pytest.raises(InputError, match="at least the 100 that the state has taken, got 50"):
-        CrackRun(body, dt).march(state, 50)
+        CrackRun(body, step=dt).march(state, steps=50)
 
 
 def test_a_checkpoint_says_what_differs(tmp_path):
     options = {"checkpoint": tmp_path / "run.npz", "every": 1, "checkpoint_every": 1}
     body = pulled(**KINDS["bond-based"])
     dt, start = 0.4 * body.longest_step, body.start(cracks=CRACK)
-    run = CrackRun(body, dt, **options)
-    run.march(start, 2)
+    run = CrackRun(body, step=dt, **options)
+    run.march(start, steps=2)
     shift = np.full((len(body.body.x), 2), 1e-4)
     free = BreakingBody(body.solid, body.body, no_fail=body.no_fail)
     brittler = pulled(lam=1.0, critical_stretch=0.011)
@@ -200,20 +202,20 @@ def test_a_checkpoint_says_what_differs(tmp_path):
         (brittler, dt, brittler.start(cracks=CRACK), "solid"),
     ):
         with pytest.raises(InputError, match=f"what differs: {words}$"):
-            CrackRun(other, step_, **options).march(begin, 4)
+            CrackRun(other, step=step_, **options).march(begin, steps=4)
     with pytest.raises(InputError, match="what differs: records$"):
-        CrackRun(body, dt, **options, regions={"all": shift[:, 0] > 0}).march(
-            body.start(cracks=CRACK), 4
+        CrackRun(body, step=dt, **options, regions={"all": shift[:, 0] > 0}).march(
+            body.start(cracks=CRACK), steps=4
         )
     with pytest.raises(InputError, match="what differs: start$"):  # by the same run, too
-        run.march(body.start(), 4)
+        run.march(body.start(), steps=4)
 
 
 def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
     law, body = solid(0.4, critical_stretch=0.01), plate(12, 12)
     free = BreakingBody(law, body)
-    run = CrackRun(free, 0.2 * free.longest_step, every=1)
-    run.march(free.start(v=0.05 * body.x * (1, -0.5)), 60)
+    run = CrackRun(free, step=0.2 * free.longest_step, every=1)
+    run.march(free.start(v=0.05 * body.x * (1, -0.5)), steps=60)
     assert run.history.column("dissipated")[-1] > 0
     assert run.history.missing < 2e-3
 
@@ -230,9 +232,9 @@ def test_runs_that_would_record_nothing_are_refused():
         ({"sections": {"bent": [(-9, 0), (0, 0), (9, 8)]}}, "section: expected two ends"),
     ):
         with pytest.raises(InputError, match=words):
-            CrackRun(body, dt, **options)
+            CrackRun(body, step=dt, **options)
     with pytest.raises(InputError, match="nothing has been recorded"):
-        print(CrackRun(body, dt).history.missing)
+        print(CrackRun(body, step=dt).history.missing)
     with pytest.raises(InputError, match="grip: expected held components"):
         BreakingBody(solid(toughness=1.0), plate(6, 6), grip=np.ones((36, 2)))
 
@@ -242,7 +244,7 @@ def test_steps_beyond_the_bound_are_refused():
     with pytest.raises(InputError, match="whatever breaks"):
         check_step(body, 1.01 * body.longest_step)
     with pytest.warns(UserWarning, match="whatever breaks"):
-        CrackRun(body, 1.01 * body.longest_step, allow_unstable=True)
+        CrackRun(body, step=1.01 * body.longest_step, allow_unstable=True)
     with pytest.raises(InputError, match="step: expected a number > 0"):
         check_step(body, 0.0)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from warp_peri import InputError, Model
-from warp_peri.damage.cut_solid import energy_release
-from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri import InputError, Model, Points
+from warp_peri.damage.lattice_body import rectangle
+from warp_peri.damage.problems import Cracked, energy_release
 from warp_peri.damage.straight_cracks import CrackedRectangle
 
 LAM, MU = 1.0, 0.8
@@ -67,10 +67,10 @@ def test_each_tip_of_any_cracks_releases_what_its_growth_takes(crack, tip):
 def test_stacked_cracks_release_what_a_cut_lattice_does():
     cracks = np.array([[(-8, 4), (4, 4)], [(-4, -4), (8, -4)]], float)
     model = Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=3.0)
-    body = lattice_body(rectangle(46, 42, 1.0), 1.0, 3.0)
+    x = rectangle(46, 42, 1.0)
     half = (20.5, 18.5)  # the first nodes that are held
-    held = (np.abs(body.x) > np.array(half) - 0.1).any(axis=1)
-    upward = body.x * (0.0, 1.0)
+    free = (np.abs(x) < np.array(half) - 0.1).all(axis=1)
+    problem = Cracked(Points(x, free, 1.0), u=x * (0.0, 1.0))
     sheet = CrackedRectangle(LAM, MU, half, cracks)
     expected = sheet.releases(sheet.solve([[0, 0], [0, 1]])[:, 0])[0]
     found = []
@@ -78,7 +78,7 @@ def test_stacked_cracks_release_what_a_cut_lattice_does():
         sets = [cracks.copy(), cracks.copy()]
         sets[0][0, tip, 0] += out
         sets[1][0, tip, 0] -= out
-        found.append(energy_release(model, body, held, upward, [list(one) for one in sets]))
+        found.append(energy_release(model, problem, [list(one) for one in sets]))
     assert found == pytest.approx(expected, rel=0.03)
     assert abs(expected[0] / expected[1] - 1) > 0.06  # tips that differ by more than is allowed
 

@@ -9,15 +9,23 @@ from examples.diffusion import coupled, jump, main, order, smooth, square
 from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import kernel
-from warp_peri import InputError, Model, Points
+from warp_peri import Dirichlet, InputError, Krylov, Model, Points, load, move, save, solve
 from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.diffusion.conductor import Conductor, load_conductor
-from warp_peri.diffusion.coupled import Coupled
-from warp_peri.diffusion.operator import DiffusionOperator
-from warp_peri.diffusion.transient import steady, transient
+from warp_peri.diffusion import Conductor, CoupledOperator, CoupledSolid, DiffusionOperator
 
 CELLS = [6, 9, 13]
 LAW = Conductor(horizon=3.2, alpha=1.3, D=np.array([1.0, 0.4, 0.7]))
+
+
+def steady(operator, phi, source=None):
+    """φ at rest."""
+    return solve(operator, Dirichlet(operator.points, source, phi)).u
+
+
+def transient(operator, phi, step, steps, source=None, **options):
+    """φ at every step."""
+    problem = Dirichlet(operator.points, source, phi)
+    return move(operator, problem, step=step, steps=steps, **options)["u"]
 
 
 def difference(function, step=1e-5):
@@ -158,8 +166,8 @@ def test_fields_that_do_not_fit_are_refused():
             call()
     for call in (
         lambda: steady(operator, np.full(count, np.nan)),
-        lambda: steady(operator, phi, np.nan),
-        lambda: transient(operator, phi, 0.1, 1, source=np.inf),
+        lambda: steady(operator, phi, np.full(count, np.nan)),
+        lambda: transient(operator, phi, 0.1, 1, source=np.full(count, np.inf)),
     ):
         with pytest.raises(InputError, match="expected finite values"):
             call()
@@ -170,42 +178,98 @@ def test_fields_that_do_not_fit_are_refused():
 
 def test_coupled_steps_that_make_no_sense_are_refused():
     points, law = square(3, 6.0), Model(1.0, 1.0, 1.0, np.ones(1), 1.0)
-    body = lattice_body(points.x, 1 / 3, 1.0)
-    flux = DiffusionOperator(Conductor(1.0), points)
-    for numbers in ({"coupling": np.nan, "storage": 1.0}, {"coupling": 1.0, "storage": -1.0}):
+    for numbers in ((np.nan, 1.0), (1.0, -1.0)):
         with pytest.raises(InputError, match="coupling, storage"):
-            Coupled(law, body, flux, **numbers)
-    system, count = Coupled(law, body, flux, coupling=1.0, storage=1.0), len(points.x)
-    rest = (np.zeros((count, 2)), np.zeros(count))
-    with pytest.raises(InputError, match="step: expected a number > 0"):
-        system.step(rest, rest, 0.0, b=rest[0], source=rest[1])
-    with pytest.raises(InputError, match="b: expected shape"):
-        system.step(rest, rest, 1.0, b=rest[1], source=rest[1])
-    with pytest.raises(InputError, match="not finite"):
-        system.step(rest, rest, 1.0, b=rest[0], source=rest[1] + np.nan)
+            CoupledSolid(law, Conductor(1.0), *numbers)
+    with pytest.raises(InputError, match="units: the model is in"):
+        CoupledSolid(law, Conductor(1.0, units=("m", "Pa")), 1.0, 1.0)
+    system, rest = (
+        CoupledSolid(law, Conductor(1.0), 1.0, 1.0).on(points),
+        np.zeros((len(points.x), 3)),
+    )
+    for b, options, words in (
+        (rest, {"step": 0.0, "steps": 1}, "step: expected a number > 0"),
+        (rest[:, 0], {"step": 1.0, "steps": 1}, "b: expected shape"),
+        (rest + np.nan, {"step": 1.0, "steps": 1}, "not finite"),
+        (
+            rest,
+            {"step": 1.0, "steps": 1, "every": 2},
+            "options among step, steps, collar, got every",
+        ),
+        (rest, {"step": 1.0}, "expected steps too"),
+    ):
+        with pytest.raises(InputError, match=words):
+            move(system, Dirichlet(points, b, rest), **options)
 
 
 def test_a_solid_or_a_flux_that_would_grow_is_not_coupled():
     points = square(3, 6.0)
     points = Points(3 * points.x, points.interior, 1.0)
     body = lattice_body(points.x, 1.0, 3.0)
-    bad = DiffusionOperator(Conductor(3.0, D=np.array([1.0, 1.0, -1.0])), points)
-    law, numbers = Model(1.0, 1.0, 1.0, np.ones(1), 3.0), {"coupling": 1.0, "storage": 1.0}
+    bad = Conductor(3.0, D=np.array([1.0, 1.0, -1.0]))
+    law = Model(1.0, 1.0, 1.0, np.ones(1), 3.0)
     with pytest.raises(InputError, match="eigenvalues below zero"):
-        Coupled(law, body, bad, **numbers)
-    sign_changing = kernel("sign-changing", 3.0)
-    flux = DiffusionOperator(Conductor(3.0), points)
-    Coupled(sign_changing, body, flux, **numbers)
+        CoupledSolid(law, bad, 1.0, 1.0).on(points)
+    solid = CoupledSolid(kernel("sign-changing", 3.0), Conductor(3.0), 1.0, 1.0)
+    solid.on(points)
     torn = random_breaking(body, np.random.default_rng(0), 0.5)
     with pytest.raises(InputError, match="negative eigenvalues"):
-        Coupled(sign_changing, body, flux, neighbour=torn, **numbers)
+        CoupledOperator(solid, points, neighbour=torn)
 
 
 def test_laws_go_through_their_file(tmp_path):
-    LAW.save(tmp_path / "law.json")
-    again = load_conductor(tmp_path / "law.json")
+    save(tmp_path / "law.json", LAW)
+    again = load(tmp_path / "law.json")
     assert (again.horizon, again.alpha) == (LAW.horizon, LAW.alpha)
     np.testing.assert_array_equal(again.D, LAW.D)
+    solid = CoupledSolid(Model(1.5, 1.0, 1.0, np.ones(1), 3.0), LAW, 0.7, 0.3)
+    save(tmp_path / "coupled.json", solid)
+    again = load(tmp_path / "coupled.json")
+    assert (again.coupling, again.storage, again.horizon, again.model.lam) == (0.7, 0.3, 3.2, 1.5)
+    np.testing.assert_array_equal(again.conductor.D, LAW.D)
+    (tmp_path / "coupled.json").write_text('{"format": "warp_peri.coupled_solid", "version": 1}')
+    with pytest.raises(InputError, match="not a readable coupled solid"):
+        load(tmp_path / "coupled.json")
+
+
+def test_an_operator_of_diffusion_keeps_the_contract():
+    points = square(5, 4.0)
+    operator = Conductor(0.7, 2.0).on(points)
+    random = np.random.default_rng(0)
+    phi, b = random.standard_normal((2, 3, len(points.x)))
+    solution = solve(operator, Dirichlet(points, b, phi))
+    assert solution.u.shape == phi.shape
+    np.testing.assert_array_equal(solution.u[:, ~points.interior], phi[:, ~points.interior])
+    np.testing.assert_allclose(operator(solution.u), operator.load(b), atol=1e-11)
+    np.testing.assert_allclose(solution.u[1], steady(operator, phi[1], b[1]), atol=1e-13)
+    assert solution.residual < 1e-12
+    along = points.interior * random.standard_normal(len(points.x))
+    slope = difference(lambda t: float(operator.energy(phi[0] + t * along)), 1e-2)
+    expected = points.spacing**2 * operator(phi[0]) @ along[points.interior]
+    assert slope == pytest.approx(expected, rel=1e-9)
+    assert "displacement" in repr(solution)
+    with pytest.raises(InputError, match="solver: expected Direct"):
+        solve(operator, Dirichlet(points, b, phi), solver=Krylov())
+    with pytest.raises(InputError, match="stress: this law has none"):
+        solution.stress()
+    with pytest.raises(InputError, match="units: the model is in"):
+        Conductor(0.7, units=("m", "Pa")).on(points)
+
+
+def test_a_coupled_solid_comes_to_its_steady_state():
+    points = square(4, 6.0)
+    solid = CoupledSolid(
+        Model(1.5, 1.0, 1.0, np.ones(1), 0.75), Conductor(0.75), coupling=0.7, storage=0.3
+    )
+    fields, b = np.random.default_rng(0).standard_normal((2, len(points.x), 3))
+    problem = Dirichlet(points, b, fields)
+    steadily = solve(solid, problem)
+    assert steadily.residual < 1e-10
+    np.testing.assert_allclose(steadily.operator(steadily.u), steadily.load, atol=1e-9)
+    run = move(solid, problem, step=50.0, steps=8)
+    np.testing.assert_allclose(run.u, steadily.u, atol=1e-6)
+    assert run["u"].shape == (9, len(points.x), 3)
+    np.testing.assert_allclose(solve(solid, Dirichlet(points, None, 0 * fields)).u, 0)
 
 
 def test_the_example_prints(tmp_path, capsys):

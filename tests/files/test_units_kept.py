@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary
-from warp_peri import InputError, Model, Points
+from warp_peri import InputError, Model, Points, load, save
 from warp_peri.damage.solid import BrittleSolid, load_brittle_solid
 from warp_peri.diffusion.conductor import Conductor, load_conductor
 from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.law_file import load_law, save_law
 from warp_peri.flow.spring_law import SpringLaw
 from warp_peri.models.lps import load_model
 from warp_peri.models.nonlinear import NonlinearModel, load_any, load_nonlinear
@@ -100,8 +99,8 @@ KINDS = {
     "data set": (dataset, lambda data, path: save_dataset(path, data), load_dataset),
     "law of flow, which has reduced units": (
         spring,
-        lambda law, path: save_law(path, law, {}),
-        load_law,
+        lambda law, path: save(path, law),
+        load,
     ),
 }
 

@@ -16,7 +16,7 @@ FLOW, B = PlaneFlow(1.0, 1.0, 12, force=lambda t: 12.0), 50.0
 
 
 def run(fluid):
-    return run_plane(FLOW, fluid, 2.5, 0.0125, every=20).u
+    return run_plane(FLOW, fluid, until=2.5, dt=0.0125, every=20).u
 
 
 def learn(records):
@@ -48,6 +48,6 @@ def test_nothing_is_asked_inside_the_data(weak):
     slow = PlaneFlow(1.0, 1.0, 12, force=lambda t: 0.5)
     fluid = LearningClosure([weak], learn, replayed(1000, B, 100), 1.0, 12)
     law = fluid.law
-    run_plane(slow, fluid, 1.0, 0.0125)
+    run_plane(slow, fluid, until=1.0, dt=0.0125)
     assert not fluid.asked
     assert fluid.law is law

@@ -69,7 +69,7 @@ def test_a_process_with_products_two_by_two_is_not_drawn():
 
 def test_the_band_holds_the_exact_velocity():
     flow = PlaneFlow(1.0, 10.0, 16, top=lambda t: 1.0)
-    run = lambda law: run_plane(flow, Closure(law, 1.0, 16), 4.0, 0.04, every=20).u
+    run = lambda law: run_plane(flow, Closure(law, 1.0, 16), until=4.0, dt=0.04, every=20).u
     exact, inside = run(UpperConvectedMaxwell()), []
     for seed in range(4):
         rates = held(shear(np.linspace(-20, 20, 7)), 300)
@@ -82,7 +82,7 @@ def test_the_band_holds_the_exact_velocity():
 def test_the_error_of_a_closure_is_estimated_from_replayed_cells():
     flow = PlaneFlow(1.0, 1.0, 24, force=lambda t: 2.0)
     truth, law = Giesekus(0.1), UpperConvectedMaxwell()
-    run = lambda fluid: run_plane(flow, Closure(fluid, 1.0, 24), 4.0, 0.02, every=5)
+    run = lambda fluid: run_plane(flow, Closure(fluid, 1.0, 24), until=4.0, dt=0.02, every=5)
     replay = lambda K, interval: truth.stress(homogeneous(truth, K, interval))
     first, exact = run(law), run(truth)
     missing = missing_stress(flow, first, law, replay, 12)

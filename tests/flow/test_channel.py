@@ -6,8 +6,8 @@ import pytest
 from tests.support.problems import fitted_order
 from warp_peri import InputError
 from warp_peri.flow import exact_maxwell as series
-from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.channel_run import run_channel
+from warp_peri.flow.channel import Particles
+from warp_peri.flow.channel_run import ChannelFlow, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
@@ -17,7 +17,7 @@ from warp_peri.flow.log_conformation import LogConformation
 def run(flow, until, fraction=0.9, every=10, **more):
     dt = until / np.ceil(until / (fraction * flow.longest_step))
     fluid = Closure(UpperConvectedMaxwell(), flow.De, Particles(flow).fluid)
-    return run_channel(flow, fluid, until, dt, every=every, **more)
+    return run_channel(flow, fluid, until=until, dt=dt, every=every, **more)
 
 
 def error(flow, record):
@@ -61,13 +61,13 @@ def test_a_linear_velocity_and_a_quiet_fluid_are_exact():
 def test_runs_resume_with_the_same_bits_and_go_to_paraview(tmp_path):
     flow, file = ChannelFlow(1e-2, across=20, length=0.6, smoothing=1.2), tmp_path / "run.npz"
     fluid = lambda: Closure(UpperConvectedMaxwell(), 1e-2, Particles(flow).fluid)
-    whole = run_channel(flow, fluid(), 0.02, 1e-4, every=2)
-    run_channel(flow, fluid(), 0.01, 1e-4, every=2, checkpoint=file)
-    resumed = run_channel(flow, fluid(), 0.02, 1e-4, every=2, checkpoint=file)
+    whole = run_channel(flow, fluid(), until=0.02, dt=1e-4, every=2)
+    run_channel(flow, fluid(), until=0.01, dt=1e-4, every=2, checkpoint=file)
+    resumed = run_channel(flow, fluid(), until=0.02, dt=1e-4, every=2, checkpoint=file)
     assert np.array_equal(whole.v, resumed.v)
     assert len(whole.save_vtu(tmp_path / "fields")) == len(whole.t)
     with pytest.raises(InputError, match="another channel"):
-        run_channel(flow, fluid(), 0.02, 5e-5, checkpoint=file)
+        run_channel(flow, fluid(), until=0.02, dt=5e-5, checkpoint=file)
     n = Particles(flow).fluid
     for other in (
         Closure(FENEP(20.0), 1e-2, n),
@@ -76,8 +76,8 @@ def test_runs_resume_with_the_same_bits_and_go_to_paraview(tmp_path):
         CoupledDumbbells(Dumbbells(n, 20, common=True), 1e-2),
     ):
         with pytest.raises(InputError, match="another channel, fluid"):
-            run_channel(flow, other, 0.02, 1e-4, every=2, checkpoint=file)
-    shorter = run_channel(flow, fluid(), 0.01, 1e-4, every=2, checkpoint=file)
+            run_channel(flow, other, until=0.02, dt=1e-4, every=2, checkpoint=file)
+    shorter = run_channel(flow, fluid(), until=0.01, dt=1e-4, every=2, checkpoint=file)
     assert np.array_equal(shorter.t, whole.t[:50])
     _, u = whole.profile(33)
     filled = np.zeros(33, bool)
@@ -97,13 +97,13 @@ def test_a_run_that_fails_leaves_its_last_record(tmp_path):
     n = Particles(flow).fluid
     fluid = Breaking(UpperConvectedMaxwell(), 1e-2, n)
     with pytest.raises(InputError, match="broken"):
-        run_channel(flow, fluid, 5e-3, 1e-4, every=2, checkpoint=file)
+        run_channel(flow, fluid, until=5e-3, dt=1e-4, every=2, checkpoint=file)
     kept = np.load(file)
     assert kept["done"] == 24
     fluid = Closure(UpperConvectedMaxwell(), 1e-2, n)
-    resumed = run_channel(flow, fluid, 5e-3, 1e-4, every=2, checkpoint=file)
+    resumed = run_channel(flow, fluid, until=5e-3, dt=1e-4, every=2, checkpoint=file)
     fluid = Closure(UpperConvectedMaxwell(), 1e-2, n)
-    assert np.array_equal(resumed.v, run_channel(flow, fluid, 5e-3, 1e-4, every=2).v)
+    assert np.array_equal(resumed.v, run_channel(flow, fluid, until=5e-3, dt=1e-4, every=2).v)
     resumed.save_csv(tmp_path / "u.csv", bins=20)
     table = np.loadtxt(tmp_path / "u.csv", delimiter=",")
     assert np.allclose(table[-1, 1:], resumed.v[-1, :, 0].reshape(20, -1).mean(axis=1))
@@ -123,7 +123,7 @@ def test_dumbbells_in_every_particle():
     exact = run(flow, 5e-3)
     dt = 5e-3 / np.ceil(5e-3 / (0.9 * flow.longest_step))
     coupled = CoupledDumbbells(Dumbbells(n, 2000, seed=1, common=True), 1e-2)
-    record = run_channel(flow, coupled, 5e-3, dt)
+    record = run_channel(flow, coupled, until=5e-3, dt=dt)
     difference = np.linalg.norm(record.v - exact.v) / np.linalg.norm(exact.v)
     assert difference < 4 * np.sqrt(2 / 2000)
 
@@ -132,7 +132,7 @@ def test_bad_input_is_refused():
     flow = ChannelFlow(1e-2)
     fluid = Closure(UpperConvectedMaxwell(), 1e-2, Particles(flow).fluid)
     with pytest.raises(InputError, match="time step: expected up to 0.00019"):
-        run_channel(flow, fluid, 1.0, 1e-3)
+        run_channel(flow, fluid, until=1.0, dt=1e-3)
     with pytest.raises(InputError, match="period above 0.63"):
         ChannelFlow(1e-2, across=15)
     for wrong in ({"De": -1.0}, {"force": np.nan}, {"solvent": np.inf}, {"across": 30.5}):
@@ -140,7 +140,7 @@ def test_bad_input_is_refused():
             ChannelFlow(**{"De": 1e-2} | wrong)
     for until, every in ((1e-3, 0), (np.nan, 1), (-1.0, 1), (1e-4, 5)):
         with pytest.raises(InputError, match="run: expected every"):
-            run_channel(flow, fluid, until, 1e-4, every=every)
+            run_channel(flow, fluid, until=until, dt=1e-4, every=every)
     with pytest.raises(InputError, match="velocity gradient: expected shape"):
         fluid.advance(np.zeros((3, 4)), 1e-4)
     with pytest.raises(InputError, match="check_every: expected 1"):

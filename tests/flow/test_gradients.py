@@ -52,7 +52,7 @@ def test_every_gradient_against_central_differences(name):
 
 @pytest.mark.parametrize("law", [Giesekus(0.2), FENEP(30.0)])
 def test_torch_and_numpy_run_the_same_flow(law):
-    same = run_plane(FLOW, Closure(law, 1.0, 6), 0.4, 0.01, every=5)
+    same = run_plane(FLOW, Closure(law, 1.0, 6), until=0.4, dt=0.01, every=5)
     u = velocities(law, FLOW, 0.4, 0.01, every=5)
     assert np.abs(u.numpy() - same.u[1:]).max() < 1e-3  # steps of a law are divided there
 

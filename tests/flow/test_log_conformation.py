@@ -60,6 +60,6 @@ def test_it_is_the_same_law(law):
     assert np.allclose(log.stress(logarithm(C)), law.stress(C), atol=1e-12)
     assert np.abs(log.rate(0 * K[0], np.tile(log.rest, (12, 1)))).max() < 1e-12
     flow = PlaneFlow(1.0, 1.0, 16, force=lambda t: 8.0)
-    run = lambda fluid: run_plane(flow, Closure(fluid, 1.0, 16), 3.0, 0.01, every=50).u
+    run = lambda fluid: run_plane(flow, Closure(fluid, 1.0, 16), until=3.0, dt=0.01, every=50).u
     plain = run(law)
     assert np.linalg.norm(run(log) - plain) < 1e-3 * np.linalg.norm(plain)

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tests.support.problems import fitted_order
-from warp_peri import InputError
+from warp_peri import InputError, move
+from warp_peri.flow import ChannelFlow
 from warp_peri.flow import exact_maxwell as series
+from warp_peri.flow.channel import Particles
 from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell
@@ -19,7 +21,7 @@ LAWS = [UpperConvectedMaxwell(), Giesekus(0.3), FENEP(20.0)]
 def channel(De, cells, until, force, every=1):
     flow = PlaneFlow(De, 1e-2, cells, force=force)
     closure = Closure(UpperConvectedMaxwell(), De, cells)
-    return flow, run_plane(flow, closure, until, flow.longest_step / 2, every=every)
+    return flow, run_plane(flow, closure, until=until, dt=flow.longest_step / 2, every=every)
 
 
 def test_start_up_of_a_channel_against_the_exact_series():
@@ -49,7 +51,9 @@ def test_the_exact_overshoot_of_the_channel():
 
 def test_a_moving_wall_against_the_exact_series():
     flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
-    profiles = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 64), 20.0, 0.02, every=50)
+    profiles = run_plane(
+        flow, Closure(UpperConvectedMaxwell(), 1.0, 64), until=20.0, dt=0.02, every=50
+    )
     exact = series.couette(flow.faces, profiles.t, 1.0, 10.0)
     late = profiles.t > 8  # the front has faded
     assert np.abs(profiles.u - exact)[late].max() < 0.01
@@ -58,7 +62,7 @@ def test_a_moving_wall_against_the_exact_series():
 def test_a_solvent_adds_its_viscosity():
     flow = PlaneFlow(0.1, 1.0, 16, force=lambda t: 1.0, solvent=1.0)
     closure = Closure(UpperConvectedMaxwell(), 0.1, 16)
-    profiles = run_plane(flow, closure, 3.0, flow.longest_step / 2, every=100)
+    profiles = run_plane(flow, closure, until=3.0, dt=flow.longest_step / 2, every=100)
     y = flow.faces
     assert np.abs(profiles.u[-1] - y * (1 - y) / 4).max() < 1e-4
 
@@ -100,10 +104,10 @@ def test_steady_shear_of_the_named_laws():
 
 def test_a_coupled_flow_nears_the_exact_law():
     flow = PlaneFlow(1.0, 1.0, 16, force=lambda t: 1.0)
-    exact = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 16), 2.0, 0.02, every=10)
+    exact = run_plane(flow, Closure(UpperConvectedMaxwell(), 1.0, 16), until=2.0, dt=0.02, every=10)
     for count in (500, 8000):
         dumbbells = Dumbbells(16, count, seed=3, common=True)
-        profiles = run_plane(flow, CoupledDumbbells(dumbbells, 1.0), 2.0, 0.02, every=10)
+        profiles = run_plane(flow, CoupledDumbbells(dumbbells, 1.0), until=2.0, dt=0.02, every=10)
         error = np.linalg.norm(profiles.u - exact.u) / np.linalg.norm(exact.u)
         assert error < 4 * np.sqrt(2 / count)  # the elastic modulus is ⟨q_y²⟩, noisy by √(2/N)
 
@@ -111,7 +115,7 @@ def test_a_coupled_flow_nears_the_exact_law():
 def test_plane_flows_resume_and_write_tables(tmp_path):
     flow, file = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 12.0), tmp_path / "flow.npz"
     run = lambda until, **more: run_plane(
-        flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), until, 2e-4, every=5, **more
+        flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), until=until, dt=2e-4, every=5, **more
     )
     whole = run(0.02)
     run(0.01, checkpoint=file)
@@ -120,11 +124,13 @@ def test_plane_flows_resume_and_write_tables(tmp_path):
     whole.save_csv(tmp_path / "u.csv")
     assert np.allclose(np.loadtxt(tmp_path / "u.csv", delimiter=",")[:, 1:], whole.u)
     with pytest.raises(InputError, match="another flow"):
-        run_plane(flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), 0.02, 1e-4, checkpoint=file)
+        run_plane(
+            flow, Closure(UpperConvectedMaxwell(), 1e-2, 16), until=0.02, dt=1e-4, checkpoint=file
+        )
     pushed = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 13.0)
     for other, law in ((flow, FENEP(20.0)), (pushed, UpperConvectedMaxwell())):
         with pytest.raises(InputError, match="another flow, fluid"):
-            run_plane(other, Closure(law, 1e-2, 16), 0.02, 2e-4, every=5, checkpoint=file)
+            run_plane(other, Closure(law, 1e-2, 16), until=0.02, dt=2e-4, every=5, checkpoint=file)
     assert np.array_equal(run(0.01, checkpoint=file).u, whole.u[: len(whole.u) // 2 + 1])
 
 
@@ -132,7 +138,7 @@ def test_a_checkpoint_of_another_history_is_refused_wherever_it_differs(tmp_path
     def run(until, force=lambda t: 12.0, top=lambda t: 0.0, **more):
         flow = PlaneFlow(1e-2, 1e-2, 16, force=force, top=top)
         fluid = Closure(UpperConvectedMaxwell(), 1e-2, 16)
-        return run_plane(flow, fluid, until, 2e-4, every=5, **more)
+        return run_plane(flow, fluid, until=until, dt=2e-4, every=5, **more)
 
     file = tmp_path / "run.npz"
     run(0.01, checkpoint=file)
@@ -148,10 +154,38 @@ def test_bad_input_is_refused():
     flow = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 12.0)
     closure = Closure(UpperConvectedMaxwell(), 1e-2, 16)
     with pytest.raises(InputError, match="time step: expected up to 0.000625"):
-        run_plane(flow, closure, 1.0, 1e-3)
+        run_plane(flow, closure, until=1.0, dt=1e-3)
     with pytest.raises(InputError, match="positive eigenvalues, got -0.5"):
         closure.law.check(np.zeros((1, 4)), np.array([[1.0, 1.5, 1.0, 1.0]]))
     with pytest.raises(InputError, match="trace below 20"):
         FENEP(20.0).check(np.zeros((1, 4)), np.array([[19.0, 0.0, 1.0, 1.0]]))
     with pytest.raises(InputError, match="De > 0"):
         PlaneFlow(0.0, 1.0)
+
+
+@pytest.mark.parametrize("flow", [PlaneFlow(1.0, 1.0, 8, top=lambda t: 1.0), ChannelFlow(1e-2)])
+def test_a_flow_is_moved_as_any_other_problem(flow):
+    n = 8 if isinstance(flow, PlaneFlow) else Particles(flow).fluid
+    how = {"until": 4 * flow.longest_step, "dt": flow.longest_step / 4, "every": 8}
+    law = UpperConvectedMaxwell()
+    run = move(law, flow, **how)
+    again = move(Closure(law, flow.De, n), flow, **how)
+    assert np.array_equal(run["u"], again["u"])
+    assert np.array_equal(run["stress"], again["stress"])
+    assert np.array_equal(run.u, run["u"][-1])
+    assert len(run.time) == len(run["stress"])
+    dumbbells = move(Dumbbells(n, 20, common=True), flow, **how)
+    assert dumbbells["u"].shape == run["u"].shape
+    assert np.isfinite(dumbbells["stress"]).all()
+    for material, options, words in (
+        (
+            law,
+            how | {"steps": 3},
+            "options among until, dt, every, checkpoint, progress, got steps",
+        ),
+        (law, {"until": 1.0}, "expected dt too"),
+        (Dumbbells(3, 20), how, f"dumbbells: expected {n} ensembles, got 3"),
+        (None, how, "expected a law, Dumbbells or a Closure for a flow, got NoneType"),
+    ):
+        with pytest.raises(InputError, match=words):
+            move(material, flow, **options)

@@ -7,12 +7,13 @@ from examples import diffusion, pressurised_crack, static_crack
 from examples import inclusion as inclusions
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
-from warp_peri import InputError, Model
+from warp_peri import InputError, Model, Points, move, save, solve
+from warp_peri.damage import Cracked, Injected, Mixed, opening_volume, rectangle
 from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.inclusions import ball_excess, bond_modulus, mixed_matrix, solve_mixed
-from warp_peri.damage.lattice_body import cracked, lattice_body, rectangle
+from warp_peri.damage.inclusions import ball_excess, bond_modulus
+from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix
-from warp_peri.damage.pressurised import crack_load, inject, opening_volume
+from warp_peri.damage.pressurised import crack_load
 
 CELLS = np.array([8, 12, 16])
 
@@ -30,17 +31,24 @@ def test_one_material_is_the_plain_operator():
     body, model = plate(8, 8), solid(3.0).model
     w = bond_weights(model, body.classes)
     uniform = lambda value: lambda place: np.full(place.shape[:-1], value)
-    excess = ball_excess(body, w, uniform(2.0))
-    matrix = mixed_matrix(body, w, bond_modulus(body, uniform(1.0)), excess)
+    edge = np.abs(body.x).max(axis=1) > 3
+    matrix = CutSolid(Mixed(3.0, uniform(3.0), uniform(1.0)), body, edge).matrix
     assert abs(matrix - cut_matrix(body, w, body.neighbour, 1.0, 2.0)).max() < 1e-13
     with pytest.raises(InputError, match="of one sign"):
         ball_excess(body, w, lambda place: place[..., 0])
-    edge = np.abs(body.x).max(axis=1) > 3
-    soft = mixed_matrix(body, w, bond_modulus(body, uniform(1.0)), np.full(64, -20.0))
+    problem = Cracked(Points(body.x, ~edge, 1.0), u=body.x)
     with pytest.raises(InputError, match="is not positive definite; hold the body"):
-        solve_mixed(soft, edge, body.x)
-    with pytest.raises(InputError, match="held, u: expected shapes"):
-        solve_mixed(matrix, np.repeat(edge[:, None], 2, axis=1), body.x)
+        solve(Mixed(3.0, uniform(-19.0), uniform(1.0), balls=False), problem)
+    one = Mixed(3.0, uniform(3.0), uniform(1.0))
+    np.testing.assert_allclose(solve(one, problem).u, solve(model, problem).u, atol=1e-13)
+    torn = Cracked(problem.points, u=body.x, cracks=[[(-2, 0.3), (2, 0.3)]])
+    np.testing.assert_allclose(solve(one, torn).u, solve(model, torn).u, atol=1e-13)
+    with pytest.raises(InputError, match="of which no file is made"):
+        save("nowhere.json", one)
+    with pytest.raises(InputError, match="pressure: expected one material"):
+        solve(one, Cracked(problem.points, pressure=np.eye(2)))
+    with pytest.raises(InputError, match="mean: expected one of"):
+        Mixed(3.0, uniform(3.0), uniform(1.0), "geometric")
     with pytest.raises(InputError, match="mean: expected one of"):
         bond_modulus(body, np.ones(64), "geometric")
     with pytest.raises(InputError, match="mu: expected values > 0"):
@@ -95,7 +103,7 @@ def square_error(cells, lam, edge):
     else:
         exact, load = state_based_field(x, lam, 1.0), state_based_load(x, lam, 1.0)
     model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
-    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve(exact, load)
+    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve(load, exact)
     return np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
 
 
@@ -119,7 +127,8 @@ def test_the_load_of_a_crack_undoes_it():
     body, model = plate(16, 16), solid(0.4).model
     neighbour = cracked(body, [[(-3, 0.5), (4, 2.2)]])
     stress = np.array([[0.3, 0.1], [0.1, -0.2]])
-    load = crack_load(model, body, neighbour, stress)
+    edge = np.abs(body.x).max(axis=1) > 7
+    load = crack_load(CutSolid(model, body, edge, neighbour=neighbour), stress)
     assert np.abs(load.sum(axis=0)).max() < 1e-13
     strain = (stress - 0.4 / 2.8 * 0.1 * np.eye(2)) / 2
     w = bond_weights(model, body.classes)
@@ -132,17 +141,27 @@ def test_the_load_of_a_crack_undoes_it():
 
 def test_fluids_and_loads_that_make_no_sense_are_refused():
     body, model = plate(12, 12), solid().model
-    held, cut = np.abs(body.x).max(axis=1) > 5, cracked(body, [[(-3, 0), (3, 0)]])
+    points = Points(body.x, np.abs(body.x).max(axis=1) <= 5, 1.0)
+    crack = [[(-3, 0), (3, 0)]]
     for stress in ([[0.0, 1.0], [0.0, 0.0]], np.full((2, 2), np.inf)):
         with pytest.raises(InputError, match="stress: expected a finite, symmetric one"):
-            crack_load(model, body, cut, np.array(stress))
+            solve(model, Cracked(points, cracks=crack, pressure=stress))
     with pytest.raises(InputError, match="normal: expected one along an axis"):
-        opening_volume(body, body.x, cut, (0.7, 0.7))
-    for halves, toughness in (([3.0, 2.0], 1.0), ([2.0, 3.0], -1.0), ([1.0], 1.0), ([], 1.0)):
+        opening_volume(solve(model, Cracked(points, cracks=crack)), (0.7, 0.7))
+    for halves in ([3.0, 2.0], [1.0], []):
         with pytest.raises(InputError, match="half lengths that rise"):
-            inject(model, body, held, halves, toughness)
+            Injected(points, halves)
     with pytest.raises(InputError, match="leak, compressibility: expected numbers ≥ 0"):
-        inject(model, body, held, [2.0], 1.0, leak=-1.0)
+        Injected(points, [2.0], leak=-1.0)
+    with pytest.raises(InputError, match="expected a BrittleSolid with a toughness"):
+        move(solid(), Injected(points, [2.0]))
+    with pytest.raises(InputError, match="expected a BrittleSolid"):
+        move(model, Injected(points, [2.0]))
+    with pytest.raises(InputError, match="under pressure is solved at rest"):
+        move(solid(), Cracked(points, pressure=np.eye(2)), step=0.1, steps=1)
+    run = move(solid(toughness=0.01), Injected(points, [2.0, 3.0], leak=0.1))
+    np.testing.assert_allclose(run["pumped"], run["volume"] + 0.4 * run["half"])
+    assert opening_volume(run.details) * run["pressure"][-1] == pytest.approx(run["volume"][-1])
 
 
 def test_examples_print_and_draw(tmp_path, capsys):

@@ -10,22 +10,22 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from warp_peri.damage.lattice_body import Body, cracked
+from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.damage.stability import check_cut, check_horizon
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.stability import inertia
-
-RESIDUAL = 1e-9
-"""Largest relative residual of a solve."""
+from warp_peri.statics.direct import MatrixProblem
+from warp_peri.statics.solution import Solution
 
 
 class CutSolid:
     """A body with broken bonds at rest, its operator factorised once.
 
     Args:
-        model: with one influence function; one that changes sign is checked by inertia.
+        material: with one influence function; one that changes sign is checked by inertia, and so
+            is a Mixed.
         body: nodes and bonds.
         held: components of the displacement that are given, shape [N] or [N, 2] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.
@@ -41,37 +41,55 @@ class CutSolid:
 
     def __init__(
         self,
-        model: Model,
-        body: Body,
+        material: Any,
+        body: LatticeBody,
         held: ArrayLike,
         *,
         neighbour: np.ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
     ) -> None:
-        self.model, self.body = model, body
-        check_horizon(model, body)
+        self.model, self.body = material.linear, body
+        check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = np.asarray(held, dtype=bool)
         held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
         if held.shape != (len(body.x), 2):
             raise InputError(f"held: expected shape [{len(body.x)}] or [{len(body.x)}, 2] of bool")
         check_pieces(body, self.neighbour, held)
-        weights = bond_weights(model, body.classes)
-        self.matrix = cut_matrix(body, weights, self.neighbour, model.mu, model.lam - model.mu)
-        self.free = ~held.ravel()
+        weights = bond_weights(self.model, body.classes)
+        self.one = not hasattr(material, "moduli")
+        one = self.model.mu, self.model.lam - self.model.mu
+        mu, excess = one if self.one else material.moduli(body, weights)
+        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess)
+        self.free, self.inside = ~held.ravel(), ~held.all(axis=1)
         inner = self.matrix[self.free][:, self.free]
-        if (weights < 0).any():
+        if self.one and (weights < 0).any():
             check_cut(inner)
-        self._inner = sp.csc_array(inner)
-        self._factors = symmetric_factors(self._inner)
+        rows = sp.csr_array(self.matrix[self.free])
+        self._problem = MatrixProblem(rows, ~held, factorise=symmetric_factors)
+        factors = self._problem.factors
+        if not self.one:
+            check_mixed(factors)
         self.left = np.inf
 
-    def solve(self, u: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """Minus the internal force density on nodes that are not held, shape [I, 2]."""
+        force: np.ndarray = (self.matrix @ np.ravel(u)).reshape(-1, 2)[self.inside]
+        return force
+
+    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The derivative along v, which is the force of v for every u."""
+        return self(v)
+
+    def stress(self, u: np.ndarray) -> None:
+        """None: strains of nodes on a crack mean nothing."""
+
+    def solve(self, b: np.ndarray | None, u: np.ndarray) -> np.ndarray:
         """u at rest, shape [N, 2].
 
         Args:
+            b: body force density [stress / length], shape [N, 2]; None for none.
             u: holds the given components; the others are not looked at, shape [N, 2].
-            b: body force density [stress / length], shape [N, 2]; none by default.
 
         Raises InputError for other shapes and for what is not finite.
         """
@@ -84,15 +102,9 @@ class CutSolid:
         solved[self.free] = 0
         if not (np.isfinite(solved).all() and np.isfinite(load).all()):
             raise InputError("u, b: expected finite numbers where displacement or load is given")
-        right = (load - self.matrix @ solved)[self.free]
-        x = self._factors.solve(right)
-        size = np.linalg.norm(right)
-        left = float(np.linalg.norm(self._inner @ x - right))
-        if left > RESIDUAL * size:
-            raise InputError("operator: the solve lost its digits; parts of the body hang loose")
-        self.left = left / float(size) if size else 0.0
-        solved[self.free] = x
-        return solved.reshape(-1, 2)
+        answer = self._problem.solve(load.reshape(1, *shape), solved.reshape(1, *shape))
+        self.left = self._problem.left
+        return np.asarray(answer[0])
 
     def energy(self, u: np.ndarray) -> float:
         """Elastic energy per thickness, bonds among held nodes included [stress · area]."""
@@ -108,7 +120,17 @@ def symmetric_factors(matrix: sp.csc_array) -> Any:
         raise InputError(f"operator: parts of the body hang loose ({error})") from None
 
 
-def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:
+def check_mixed(factors: Any) -> None:
+    """Raise InputError where moduli leave a body indefinite, by the factors of its operator."""
+    signed = inertia.pivots(factors)
+    if signed is None or not (signed > 0).all():
+        raise InputError(
+            "mixed: the operator on the free nodes is not positive definite; hold the body, and "
+            "expect λ + μ > 0 of its materials"
+        )
+
+
+def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
     """Refuse a body of which a piece may move freely: cracks have cut it off and nothing holds it.
 
     A piece needs three held components; a translation or the rotation is named when it is free.
@@ -135,48 +157,8 @@ def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:
             )
 
 
-def energy_release(
-    model: Model,
-    body: Body,
-    held: np.ndarray,
-    u: np.ndarray,
-    cracks: Sequence[Sequence[ArrayLike]],
-    *,
-    b: np.ndarray | None = None,
-) -> float:
-    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
-
-    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
-    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
-
-    Args:
-        model, body, held: as for CutSolid.
-        u: with the given components, shape [N, 2].
-        cracks: for each length its polylines, two or more; what longer ones add is the new area.
-        b: dead load, a body force density that stays as the crack grows [stress / length], shape
-            [N, 2]; its potential counts. None by default.
-
-    Returns what is released per length added, by least squares [stress · length]; with two tips,
-    of each.
-
-    Raises InputError for fewer than two lengths, and as CutSolid and its `solve`.
-    """
-    energies, lengths = [], []
-    for polylines in cracks:
-        solid = CutSolid(model, body, held, cracks=polylines)
-        rest = solid.solve(u, b)
-        work = 0.0 if b is None else body.spacing**2 * float(np.vdot(b, rest))
-        energies.append(solid.energy(rest) - work)
-        corners = (np.diff(np.asarray(line, dtype=float), axis=0) for line in polylines)
-        lengths.append(sum(float(np.hypot(*part.T).sum()) for part in corners))
-    if len(set(lengths)) < 2:
-        raise InputError(f"cracks: expected two lengths or more, got {lengths}")
-    off = np.array(lengths) - np.mean(lengths)
-    return float(off @ np.array(energies) / -(off @ off)) + 0.0  # no −0
-
-
 def contour_integral(
-    model: Model, body: Body, u: np.ndarray, tip: tuple[float, float], radii: tuple[float, float]
+    solution: Solution, tip: tuple[float, float], radii: tuple[float, float]
 ) -> float:
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
@@ -185,15 +167,27 @@ def contour_integral(
     0 between two squares about the tip.
 
     Args:
-        model: λ and μ.
-        body: a rectangle of nodes, the crack midway between two of their rows or columns.
-        u: displacement, shape [N, 2].
+        solution: of a Cracked on a rectangle of nodes, of one material, with the crack midway
+            between two of their rows or columns.
         tip: where the crack ends.
         radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
 
-    Raises InputError for a body that is no rectangle, another shape of u, and squares that do not
+    Raises InputError for a body that is no rectangle, several materials, and squares that do not
     differ by a spacing or do not fit into the body.
     """
+    if not getattr(solution.operator, "one", False):
+        raise InputError("solution: expected that of a Cracked, of one material")
+    return domain_integral(solution.operator.model, solution.operator.body, solution.u, tip, radii)
+
+
+def domain_integral(
+    model: Model,
+    body: LatticeBody,
+    u: np.ndarray,
+    tip: tuple[float, float],
+    radii: tuple[float, float],
+) -> float:
+    """As contour_integral, of a displacement of all nodes [N, 2]."""
     h = body.spacing
     if not (np.isfinite(radii).all() and 0 <= round(radii[0] / h) < round(radii[1] / h)):
         raise InputError(

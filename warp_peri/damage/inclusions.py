@@ -3,23 +3,77 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.lattice_body import Body
-from warp_peri.damage.operator import cut_matrix
+from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
-from warp_peri.stability.inertia import definite_factors
+from warp_peri.models.lps import Model
+from warp_peri.points.series import mean_inverse
+from warp_peri.points.unit_names import USUAL, Units
 
-SAMPLES = 32
-"""Places along a bond at which a field of moduli is read."""
+Field = Callable[[np.ndarray], np.ndarray]
+
 MEANS = ("series", "harmonic", "arithmetic")
 
 
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """Several materials in one body: moduli as fields, one positive influence function (C15).
+
+    Attributes:
+        horizon: δ [length].
+        lam, mu: λ and μ [stress] as functions of positions [..., 2], shape [...].
+        mean: of μ along a bond: "series" adds compliances, "harmonic" and "arithmetic" take the two
+            ends.
+        balls: λ − μ of a node adds the compliances of its ball; False takes the node's own.
+        alpha, D: of the influence function, as a Model's.
+        units: names of the units of length and stress.
+
+    Raises InputError for another mean, a horizon or an influence function as of Model. No file is
+    made of it: fields are functions.
+    """
+
+    horizon: float
+    lam: Field
+    mu: Field
+    mean: str = "series"
+    balls: bool = True
+    alpha: float = 1.0
+    D: ArrayLike = (1.0,)
+    units: Units = USUAL
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        if self.mean not in MEANS:
+            raise InputError(f"mean: expected one of {', '.join(MEANS)}, got {self.mean!r}")
+        _ = self.linear
+
+    @property
+    def linear(self) -> Model:
+        """The influence function, with moduli of one."""
+        return Model(1.0, 1.0, self.alpha, np.asarray(self.D), self.horizon, units=self.units)
+
+    def moduli(self, body: LatticeBody, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """μ of each bond, shape [N, B], and λ − μ of each node, shape [N]."""
+
+        def excess(x: np.ndarray) -> np.ndarray:
+            difference: np.ndarray = np.asarray(self.lam(x)) - np.asarray(self.mu(x))
+            return difference
+
+        values = ball_excess(body, weights, excess) if self.balls else excess(body.x)
+        return bond_modulus(body, self.mu, self.mean), values
+
+    def content(self) -> dict[str, Any]:
+        """Raises InputError: no file is made of functions."""
+        raise InputError("save: the moduli of a Mixed are functions, of which no file is made")
+
+
 def bond_modulus(
-    body: Body, mu: np.ndarray | Callable[[np.ndarray], np.ndarray], mean: str = "series"
+    body: LatticeBody, mu: np.ndarray | Callable[[np.ndarray], np.ndarray], mean: str = "series"
 ) -> np.ndarray:
     """μ of each bond, the same in both directions, shape [N, B].
 
@@ -54,7 +108,7 @@ def bond_modulus(
 
 
 def _compliance(
-    body: Body,
+    body: LatticeBody,
     field: Callable[[np.ndarray], np.ndarray],
     words: str,
     sign: float,
@@ -64,13 +118,14 @@ def _compliance(
 
     Raises InputError with these words where a value that is read has not this sign.
     """
-    total = np.zeros(body.neighbour.shape)
-    for place in (np.arange(SAMPLES) + 0.5) / SAMPLES:
-        values = np.asarray(field(body.x[:, None] + place * body.xi), dtype=float)
-        values = np.where(read, values, sign)
-        _check_sign(words, values, sign)
-        total += 1 / values
-    return total / SAMPLES
+
+    def values(place: float) -> np.ndarray:
+        along = np.asarray(field(body.x[:, None] + place * body.xi), dtype=float)
+        along = np.where(read, along, sign)
+        _check_sign(words, along, sign)
+        return along
+
+    return mean_inverse(values)
 
 
 def _check_sign(words: str, values: np.ndarray, sign: float) -> None:
@@ -80,7 +135,7 @@ def _check_sign(words: str, values: np.ndarray, sign: float) -> None:
 
 
 def ball_excess(
-    body: Body, weights: np.ndarray, excess: Callable[[np.ndarray], np.ndarray]
+    body: LatticeBody, weights: np.ndarray, excess: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """λ − μ of each node, [Σ_b w r² (mean of 1/(λ−μ) along b)]⁻¹, shape [N] (C15).
 
@@ -97,46 +152,3 @@ def ball_excess(
     compliance = _compliance(body, excess, words, sign, np.ones(body.neighbour.shape, bool))
     excess_of_balls: np.ndarray = 1 / (compliance @ (weights * body.r**2))
     return excess_of_balls
-
-
-def mixed_matrix(
-    body: Body, weights: np.ndarray, bond_mu: np.ndarray, excess: ArrayLike
-) -> sp.csr_array:
-    """L of a body of several materials, symmetric, shape [2N, 2N].
-
-    Args:
-        body: the body.
-        weights: w of the ball, shape [B].
-        bond_mu: μ by bond, shape [N, B].
-        excess: λ − μ by node, shape [N].
-    """
-    return cut_matrix(body, weights, body.neighbour, bond_mu, np.asarray(excess, dtype=float))
-
-
-def solve_mixed(matrix: sp.csr_array, held: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """u at rest without load, given at held nodes [N] bool; both of shape [N, 2].
-
-    Raises InputError for other shapes, values that are not finite, and for moduli or holds that
-    leave the body indefinite or loose.
-    """
-    count = matrix.shape[0] // 2
-    held, given = np.asarray(held), np.array(u, dtype=float)
-    if held.shape != (count,) or held.dtype != bool or given.shape != (count, 2):
-        raise InputError(
-            f"held, u: expected shapes [{count}] of bool and [{count}, 2], got "
-            f"{list(held.shape)} and {list(given.shape)}"
-        )
-    free = np.repeat(~held, 2)
-    solved = given.ravel()
-    solved[free] = 0
-    if not np.isfinite(solved).all():
-        raise InputError("u: expected finite values at held nodes")
-    right = -(matrix @ solved)[free]
-    factors = definite_factors(sp.csc_array(matrix[free][:, free]))
-    if factors is None:
-        raise InputError(
-            "mixed: the operator on the free nodes is not positive definite; hold the body, and "
-            "expect λ + μ > 0 of its materials"
-        )
-    solved[free] = factors.solve(right)
-    return solved.reshape(-1, 2)

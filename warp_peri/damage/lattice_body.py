@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
+from warp_peri.points.lattice import neighbour_table, straight_steps
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""
@@ -24,8 +25,8 @@ ON_LINE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
-    """Nodes of a square lattice along the axes and the bonds between them.
+class LatticeBody:
+    """Nodes of a square lattice and the bonds between them.
 
     Attributes:
         x: positions [length], shape [N, 2].
@@ -33,17 +34,20 @@ class Body:
         classes: bond classes of the whole ball.
         neighbour: node at the end of each bond of the ball, shape [N, B] int32; −1 where the body
             has none.
+        axes: of the lattice, as columns.
     """
 
     x: np.ndarray
     spacing: float
     classes: BondClasses
     neighbour: np.ndarray
+    axes: np.ndarray = field(default_factory=lambda: np.eye(2))
 
     @property
     def xi(self) -> np.ndarray:
         """Bond vectors of the ball [length], shape [B, 2]."""
-        return self.classes.xi.astype(float)
+        vectors: np.ndarray = self.classes.xi @ self.axes.T
+        return vectors
 
     @property
     def r(self) -> np.ndarray:
@@ -60,8 +64,8 @@ class Body:
         return numbers
 
 
-def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> Body:
-    """The bonds of a body on a square lattice along the axes.
+def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
+    """The bonds of a body on a square lattice, straight or turned.
 
     Args:
         x: positions [length], shape [N, 2], in any order.
@@ -74,22 +78,10 @@ def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> Body:
     if x.ndim != 2 or x.shape[1:] != (2,) or len(x) == 0 or not np.isfinite(x).all():
         raise InputError(f"x: expected finite positions of shape [N, 2], got {list(x.shape)}")
     classes = bond_classes(spacing, horizon)
-    place = (x - x.min(axis=0)) / spacing
-    grid = np.rint(place).astype(np.int64)
-    if np.abs(place - grid).max() > 1e-6:
-        raise InputError(f"x: expected nodes of a square lattice of spacing {spacing:g}")
-    reach = int(np.floor(horizon / spacing * (1 + HORIZON_TOLERANCE)))
-    grid += reach
-    number = np.full(grid.max(axis=0) + 1 + reach, -1, dtype=np.int32)
-    number[tuple(grid.T)] = np.arange(len(x))
-    if (number >= 0).sum() != len(x):
-        raise InputError(f"x: {len(x) - (number >= 0).sum()} nodes are given twice")
+    grid, axes = straight_steps(x, spacing)
     if len(x) * len(classes.steps) >= 2**31:
         raise InputError(f"x: {len(x)} nodes have more bonds than can be numbered (2³¹)")
-    neighbour = np.empty((len(x), len(classes.steps)), dtype=np.int32)
-    for b, (a, c) in enumerate(classes.steps):
-        neighbour[:, b] = number[grid[:, 0] + a, grid[:, 1] + c]
-    return Body(x, float(spacing), classes, neighbour)
+    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, classes.steps), axes)
 
 
 def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
@@ -104,7 +96,7 @@ def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def crossing_bonds(body: Body, polyline: ArrayLike) -> np.ndarray:
+def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
     A bond that meets an end of the polyline is not cut, one that meets a corner is; a polyline that
@@ -138,7 +130,7 @@ def crossing_bonds(body: Body, polyline: ArrayLike) -> np.ndarray:
 
 
 def _cut_segment(
-    body: Body, start: np.ndarray, end: np.ndarray, tips: tuple[bool, bool], cut: np.ndarray
+    body: LatticeBody, start: np.ndarray, end: np.ndarray, tips: tuple[bool, bool], cut: np.ndarray
 ) -> None:
     """Mark the bonds across one segment; at its tips, not at its corners, the ends are open."""
     reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
@@ -168,7 +160,7 @@ def _cut_segment(
     cut[near] |= across & (body.neighbour[near] >= 0)
 
 
-def cracked(body: Body, cracks: Sequence[ArrayLike]) -> np.ndarray:
+def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
     """The body's neighbours with the bonds across cracks broken (−1 − j), shape [N, B] int32.
 
     Args:

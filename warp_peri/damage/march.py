@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -34,12 +35,14 @@ class History:
         u, v: mean displacement and velocity of named regions, one row a record.
         force: force per thickness across named sections, on the side that lies to the left of the
             line.
+        watched: what was asked of the damage, by name.
     """
 
     ledger: list[list[float]] = field(default_factory=list)
     u: dict[str, list[list[float]]] = field(default_factory=dict)
     v: dict[str, list[list[float]]] = field(default_factory=dict)
     force: dict[str, list[list[float]]] = field(default_factory=dict)
+    watched: dict[str, list[Any]] = field(default_factory=dict)
 
     @property
     def missing(self) -> float:
@@ -54,11 +57,11 @@ class History:
         return float(missing.max() / scale) if scale else 0.0
 
     def by_name(self) -> dict[str, np.ndarray]:
-        """Every history as an array: those of the ledger, and "u NAME", "v NAME", "force NAME"."""
+        """Histories as arrays: the ledger, "u NAME", "v NAME", "force NAME", what is watched."""
         named = {name: self.column(name) for name in LEDGER[1:]}
         for kind in ("u", "v", "force"):
             named |= {f"{kind} {name}": np.array(r) for name, r in getattr(self, kind).items()}
-        return named
+        return named | {name: np.array(rows) for name, rows in self.watched.items()}
 
     def column(self, name: str) -> np.ndarray:
         """One column of the ledger, by its name, shape [K]; InputError for another name."""
@@ -110,9 +113,10 @@ class CrackRun:
 
     Args:
         body: the body.
-        dt: step, at most the body's longest.
+        step: Δt, at most the body's longest.
         every: steps from one record to the next.
         regions: nodes whose mean displacement and velocity are recorded, [N] bool by name.
+        watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
         sections: lines across which the force is recorded, [2, 2] by name.
         checkpoint: file to go on from; written every `checkpoint_every` records.
         series: folder for ParaView's files, one a record.
@@ -125,21 +129,22 @@ class CrackRun:
     def __init__(
         self,
         body: BreakingBody,
-        dt: float,
         *,
+        step: float,
         every: int = 20,
         regions: Mapping[str, ArrayLike] | None = None,
+        watch: Mapping[str, Callable[[np.ndarray], Any]] | None = None,
         sections: Mapping[str, ArrayLike] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int = 10,
         series: str | os.PathLike[str] | None = None,
         allow_unstable: bool = False,
     ) -> None:
-        check_step(body, dt, allow_unstable=allow_unstable)
+        check_step(body, step, allow_unstable=allow_unstable)
         for name, count in (("every", every), ("checkpoint_every", checkpoint_every)):
             if not (isinstance(count, (int, np.integer)) and count > 0):
                 raise InputError(f"{name}: expected a whole number > 0, got {count!r}")
-        self.body, self.dt, self.every = body, float(dt), int(every)
+        self.body, self.dt, self.every = body, float(step), int(every)
         self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
         for name, mask in self.regions.items():
             if mask.shape != (len(body.body.x),) or mask.dtype != bool or not mask.any():
@@ -147,6 +152,7 @@ class CrackRun:
                     f"regions: expected some of {len(body.body.x)} nodes as bool, got {name!r} of "
                     f"shape {list(mask.shape)} with {np.count_nonzero(mask)}"
                 )
+        self.watch = dict(watch or {})
         self.sections = {name: Section(body, line) for name, line in (sections or {}).items()}
         self.path = None if checkpoint is None else Path(checkpoint)
         self.checkpoint_every = int(checkpoint_every)
@@ -154,7 +160,7 @@ class CrackRun:
         self.history = History()
         self._began, self._first, self._ramp = "", (0.0, 0), list[float]()
 
-    def march(self, state: BreakingState, steps: int, *, progress: bool = False) -> BreakingState:
+    def march(self, state: BreakingState, *, steps: int, progress: bool = False) -> BreakingState:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
 
         Raises InputError for the checkpoint of another body, start, load or step, naming what
@@ -190,6 +196,10 @@ class CrackRun:
             self.history.v.setdefault(name, []).append(v[mask].mean(axis=0).tolist())
         for name, section in self.sections.items():
             self.history.force.setdefault(name, []).append(section.force(state).tolist())
+        if self.watch:
+            phi = self.body.damage(state)
+            for name, function in self.watch.items():
+                self.history.watched.setdefault(name, []).append(np.asarray(function(phi)).tolist())
         if self.series is not None:
             fields = {"displacement": u, "velocity": v, "damage": self.body.damage(state)}
             self.series.write(state.steps, state.time, fields)
@@ -211,7 +221,11 @@ class CrackRun:
             "grip": _digest(body.grip.numpy()),
             "step": _digest(self.dt),
             "records": _digest(
-                self.every, list(self.sections), list(self.regions), *lines, *self.regions.values()
+                self.every,
+                list(self.sections),
+                [*self.regions, *self.watch],
+                *lines,
+                *self.regions.values(),
             ),
         }
 
@@ -256,7 +270,7 @@ class CrackRun:
         content |= {"time": np.array(state.time), "steps": np.array(state.steps)}
         content |= {"key": np.array(json.dumps(self._key())), "ramp": self._applied(state.steps)[1]}
         content["ledger"] = np.array(self.history.ledger)
-        for kind in ("u", "v", "force"):
+        for kind in ("u", "v", "force", "watched"):
             for name, rows in getattr(self.history, kind).items():
                 content[f"history_{kind}_{name}"] = np.array(rows)
         if self.series is not None:

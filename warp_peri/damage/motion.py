@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.lattice_body import Body, cracked
+from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import CutOperator, unit_bond_energy, unit_toughness
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.damage.stability import (
@@ -110,7 +110,7 @@ class BreakingBody:
     def __init__(
         self,
         solid: BrittleSolid,
-        body: Body,
+        body: LatticeBody,
         *,
         no_fail: ArrayLike | None = None,
         load: ArrayLike | None = None,
@@ -220,7 +220,7 @@ class BreakingBody:
         return Ledger(state.time, *(area * float(part) for part in (*sums, state.dissipated.sum())))
 
 
-def criterion(solid: BrittleSolid, body: Body) -> tuple[float | None, np.ndarray]:
+def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.ndarray]:
     """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B]."""
     if solid.critical_energy is not None:
         return None, solid.critical_energy * body.classes.weight[body.classes.bond_class]
@@ -231,7 +231,7 @@ def criterion(solid: BrittleSolid, body: Body) -> tuple[float | None, np.ndarray
     return stretch, stretch * body.r**2
 
 
-def energy_of_toughness(toughness: float, body: Body) -> float:
+def energy_of_toughness(toughness: float, body: LatticeBody) -> float:
     """The critical energy of a bond over its weight that has a toughness G_c (theory.md, C8)."""
     return toughness / unit_bond_energy(body.classes)
 

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 
-from warp_peri.damage.lattice_body import Body
+from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.kernels.damage.pairs import pairs
@@ -72,7 +72,7 @@ def stiffness_across(model: Model, classes: BondClasses) -> tuple[float, float]:
     return float(each[each > 0].sum()), float(each[each < 0].sum())
 
 
-def stretch_matrix(body: Body, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
+def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
     """d = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, 2N], and their places.
 
     Component a of node i is column 2 i + a; the places are numbers in the flat [N B] table.
@@ -87,7 +87,7 @@ def stretch_matrix(body: Body, neighbour: np.ndarray) -> tuple[sp.csr_array, np.
 
 
 def cut_matrix(
-    body: Body,
+    body: LatticeBody,
     weights: np.ndarray,
     neighbour: np.ndarray,
     mu: float | np.ndarray,
@@ -112,7 +112,9 @@ def cut_matrix(
     return sp.csr_array(total)
 
 
-def dilatation_matrix(body: Body, weights: np.ndarray, neighbour: np.ndarray) -> sp.csr_array:
+def dilatation_matrix(
+    body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
+) -> sp.csr_array:
     """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, 2N]."""
     d, place = stretch_matrix(body, neighbour)
     node, bond = np.divmod(place, neighbour.shape[1])
@@ -136,7 +138,7 @@ class CutOperator:
     def __init__(
         self,
         model: Model,
-        body: Body,
+        body: LatticeBody,
         *,
         limits: np.ndarray | None = None,
         by_energy: bool = False,

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from warp_peri.damage.lattice_body import Body
+from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file, write_text
 
@@ -25,7 +25,7 @@ class Series:
     Raises InputError without meshio (the extra `export`).
     """
 
-    def __init__(self, folder: str | os.PathLike[str], body: Body) -> None:
+    def __init__(self, folder: str | os.PathLike[str], body: LatticeBody) -> None:
         try:
             import meshio  # noqa: F401
         except ImportError:
@@ -55,7 +55,7 @@ class Series:
         return path
 
 
-def quadrilaterals(body: Body) -> np.ndarray:
+def quadrilaterals(body: LatticeBody) -> np.ndarray:
     """Four nodes around each cell of the lattice whose corners are all there, shape [Q, 4]."""
     place = np.rint((body.x - body.x.min(axis=0)) / body.spacing).astype(int)
     number = np.full(place.max(axis=0) + 1, -1)

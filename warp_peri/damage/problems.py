@@ -1,27 +1,36 @@
-"""Problems of bodies with cracks: at rest, in motion, pulled until they come apart."""
+"""Problems of bodies with cracks: at rest, in motion, grown slowly, pulled apart."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered
+from warp_peri.contract import offered, taken
 from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.lattice_body import lattice_body
+from warp_peri.damage.lattice_body import LatticeBody, lattice_body
 from warp_peri.damage.march import CrackRun
-from warp_peri.damage.motion import BreakingBody
+from warp_peri.damage.motion import BreakingBody, BreakingState
+from warp_peri.damage.pressurised import crack_load, opening_volume
+from warp_peri.damage.slow_growth import grow
+from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
+from warp_peri.points.unit_names import check_same
 from warp_peri.statics.settings import Direct, refuse_solver
 from warp_peri.statics.solution import Solution
 
-MARCHING = ("no_fail", "grip", "ramp")
-STARTING = ("v", "count_cracks")
+
+class Broken(NamedTuple):
+    """How a motion has ended: φ, the share of bonds that a node has lost, [N]; body and state."""
+
+    damage: np.ndarray
+    body: BreakingBody
+    state: BreakingState
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +41,12 @@ class Cracked:
         points: a lattice; where it ends, the body ends. Displacement is given off the interior.
         b: body force density [stress/length], shape [N, 2]; None for no load.
         u: displacement [length], shape [N, 2], read where it is given; zero by default. Of a motion
-            it is that of the start.
+            it is that of the start, of slow loads that of unit load.
         cracks: polylines [length], shape [P, 2] each, that cut bonds.
         free: components that are not given, shape [N, 2] bool, where a node is held in part;
             by default both of the interior.
+        pressure: stress [2, 2] of what presses on the faces of the cracks, p n⊗n of a fluid (C13);
+            of bodies at rest.
     """
 
     points: Points
@@ -43,6 +54,7 @@ class Cracked:
     u: ArrayLike | None = None
     cracks: Sequence[ArrayLike] = ()
     free: np.ndarray | None = None
+    pressure: ArrayLike | None = None
 
     @property
     def held(self) -> np.ndarray:
@@ -55,45 +67,165 @@ class Cracked:
             raise InputError(f"free: expected shape {list(shape)} of bool, got {list(free.shape)}")
         return ~free
 
+    def body(self, material: Any, verb: str) -> LatticeBody:
+        """Nodes and bonds; InputError for what has no linear part, and for other points."""
+        linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
+        check_same(linear.units, self.points.units)
+        if not self.points.is_plain_lattice:
+            raise InputError("points: a Cracked is for lattices that have no box and none outside")
+        return lattice_body(self.points.x, self.points.spacing, linear.horizon)
+
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
-        """The body at rest; the details of the solution are a CutSolid."""
+        """The body at rest, of a solid with a linear part, or of a Mixed."""
         refuse_solver(solver, (Direct,), "a body with cracks")
-        if options:
-            raise InputError(f"solve: a body with cracks takes no {', '.join(options)}")
-        model = offered(material, "linear", "solve", "a solid with a linear part for a Cracked")
-        body = lattice_body(self.points.x, self.points.spacing, model.horizon)
-        cut = CutSolid(model, body, self.held, cracks=self.cracks)
-        given = np.zeros_like(body.x) if self.u is None else np.asarray(self.u, dtype=float)
-        load = None if self.b is None else np.asarray(self.b, dtype=float)
-        u = cut.solve(given, load)
-        return Solution(u, self.points, cut, load, "lu", details=cut, measured=cut.left)
+        taken(options, "solve")
+        body = self.body(material, "solve")
+        cut = CutSolid(material, body, self.held, cracks=self.cracks)
+        load = np.zeros_like(body.x) if self.b is None else np.asarray(self.b, dtype=float)
+        if self.pressure is not None:
+            load = load + crack_load(cut, np.asarray(self.pressure, dtype=float))
+        u = cut.solve(load, np.zeros_like(body.x) if self.u is None else np.asarray(self.u))
+        return Solution(u, self.points, cut, load[cut.inside], "lu", measured=cut.left)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
-        """Bonds that break in motion, of a BrittleSolid: the options are those of CrackRun.
+        """Bonds that break: in motion, event by event, or under loads that rise slowly.
 
-        Args:
-            material: with a density and a criterion.
-            options: `step`, `steps`, `progress`; `every`, `regions`, `sections`, `checkpoint`,
-                `checkpoint_every`, `series`, `allow_unstable` (CrackRun); `no_fail`, `grip`,
-                `ramp` (BreakingBody); `v`, `count_cracks` (BreakingBody.start).
-
-        The histories are the ledger's, and of regions and sections by their names. The details are
-        the BreakingBody, its state at the end and what was recorded.
+        The options say which:
+            step, steps: motion of a BrittleSolid. Also `progress`; `every`, `regions`, `sections`,
+                `watch`, `checkpoint`, `checkpoint_every`, `series`, `allow_unstable` (CrackRun);
+                `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
+                histories are the ledger's, and of regions, sections and what is watched by their
+                names; the details are Broken.
+            events: slow growth in any positive solid, `no_fail` and `progress` (C7).
+            loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16).
         """
-        model = offered(material, "linear", "move", "a BrittleSolid for a Cracked")
-        body = lattice_body(self.points.x, self.points.spacing, model.horizon)
-        step, steps = options.pop("step"), options.pop("steps")
-        progress = bool(options.pop("progress", False))
-        how = {name: options.pop(name) for name in MARCHING if name in options}
-        begin = {name: options.pop(name) for name in STARTING if name in options}
+        body = self.body(material, "move")
+        if self.pressure is not None:
+            raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        if "events" in options or "loads" in options:
+            if self.b is not None:
+                raise InputError("b: slow growth and pulls are of given displacements, got a load")
+            return self._slowly(material, body, options)
+        how, begin, records, run = taken(
+            options,
+            "move",
+            BreakingBody.__init__,
+            BreakingBody.start,
+            CrackRun.__init__,
+            CrackRun.march,
+            given=("load", "held", "u", "cracks"),
+        )
+        offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
         moving = BreakingBody(material, body, load=self.b, held=self.held, **how)
-        run = CrackRun(moving, step, **options)
-        start = moving.start(u=self.u, cracks=self.cracks, **begin)
-        state = run.march(start, steps, progress=progress)
+        marching = CrackRun(moving, **records)
+        state = marching.march(moving.start(u=self.u, cracks=self.cracks, **begin), **run)
         return Motion(
-            run.history.column("time"),
+            marching.history.column("time"),
             moving.displacement(state).copy(),
             moving.velocity(state).copy(),
-            run.history.by_name(),
-            (moving, state, run.history),
+            marching.history.by_name(),
+            Broken(moving.damage(state), moving, state),
         )
+
+    def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
+        u = np.zeros_like(body.x) if self.u is None else np.asarray(self.u, dtype=float)
+        if "events" in options:
+            (how,) = taken(options, "move", grow, given=("cracks",))
+            return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
+        law = offered(material, "law", "move", "a SoftSolid for loads=…")
+        own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
+        soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
+        return soft.pull(u, **how)
+
+
+@dataclass(frozen=True, eq=False)
+class Injected:
+    """A crack |x| < a on y = 0 that a fluid drives through a body, slowly (C14).
+
+    At each half length the pressure is that of G = G_c; G of unit pressure is p² half the change of
+    the opening's volume with the crack's length.
+
+    Attributes:
+        points: a lattice, held off the interior.
+        halves: half lengths in rising order, multiples of the spacing, one or more.
+        leak: volume lost per length of new face [length], ≥ 0.
+        compressibility: of the fluid [1 / stress], ≥ 0.
+
+    Raises InputError for half lengths that do not rise, and a fluid below 0.
+    """
+
+    points: Points
+    halves: Sequence[float]
+    leak: float = 0.0
+    compressibility: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.leak < np.inf and 0 <= self.compressibility < np.inf):
+            raise InputError(
+                "leak, compressibility: expected numbers ≥ 0, got "
+                f"{self.leak} and {self.compressibility}"
+            )
+        h, halves = self.points.spacing, self.halves
+        if not (len(halves) > 0 and halves[0] > h and (np.diff(halves) > 0).all()):
+            raise InputError(
+                f"crack: expected half lengths that rise from more than {h:g}, got {list(halves)}"
+            )
+
+    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+        """Stage by stage, of a BrittleSolid with a toughness.
+
+        The time is the half length; the histories are half, pressure at which the crack is about to
+        grow [stress], volume of the fluid in it [length²], and pumped, leaks included.
+        """
+        taken(options, "move")
+        toughness = getattr(material, "toughness", None)
+        if toughness is None:
+            raise InputError("move: expected a BrittleSolid with a toughness for an Injected")
+        h, rows = self.points.spacing, []
+        for half in self.halves:
+            found = [self._at(material, half + d) for d in (0.0, h, -h)]
+            here, longer, shorter = (opening_volume(one) for one in found)
+            released = (longer - shorter) / (2 * h) / 4  # per tip, at unit pressure: ½ dV/d(2a)
+            pressure = float(np.sqrt(toughness / released))
+            volume = pressure * here
+            pumped = volume * (1 + self.compressibility * pressure) + self.leak * 4 * half
+            rows.append((half, pressure, volume, pumped))
+        history = dict(zip(("half", "pressure", "volume", "pumped"), np.array(rows).T))
+        return Motion(history["half"], pressure * found[0].u, None, history, found[0])
+
+    def _at(self, material: Any, half: float) -> Solution:
+        """At rest under unit pressure."""
+        crack, unit = [(-half, 0.0), (half, 0.0)], [[0.0, 0.0], [0.0, 1.0]]
+        return Cracked(self.points, cracks=[crack], pressure=unit).solved(material, None, {})
+
+
+def energy_release(material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]]) -> float:
+    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
+
+    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
+    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
+
+    Args:
+        material: as of `solve`.
+        problem: its cracks are not looked at; loads stay as the crack grows, their potential
+            counts.
+        cracks: for each length its polylines, two or more; what longer ones add is the new area.
+
+    Returns what is released per length added, by least squares [stress · length]; with two tips,
+    of each.
+
+    Raises InputError for fewer than two lengths, and as Cracked.solved.
+    """
+    energies, lengths = [], []
+    for polylines in cracks:
+        solution = replace(problem, cracks=polylines).solved(material, None, {})
+        work = problem.points.spacing**2 * float(
+            np.vdot(solution.load, solution.u[solution.operator.inside])
+        )
+        energies.append(solution.operator.energy(solution.u) - work)
+        corners = (np.diff(np.asarray(line, dtype=float), axis=0) for line in polylines)
+        lengths.append(sum(float(np.hypot(*part.T).sum()) for part in corners))
+    if len(set(lengths)) < 2:
+        raise InputError(f"cracks: expected two lengths or more, got {lengths}")
+    off = np.array(lengths) - np.mean(lengths)
+    return float(off @ np.array(energies) / -(off @ off)) + 0.0  # no −0

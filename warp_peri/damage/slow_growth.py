@@ -7,16 +7,16 @@ its limit; what a growing crack spends follows from the largest of them (theory.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from warp_peri.damage.cut_solid import CutSolid, westergaard
-from warp_peri.damage.lattice_body import Body, cracked, lattice_body, rectangle
+from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body, rectangle
 from warp_peri.damage.operator import unit_toughness
 from warp_peri.damage.stability import check_breakable, check_no_fail
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 
@@ -24,42 +24,17 @@ TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
 
 
-@dataclass(frozen=True)
-class Growth:
-    """A sequence of events.
-
-    Attributes:
-        load: factor of the given displacement, over the critical stretch, at which each event's
-            bond breaks, shape [K].
-        stretch: largest stretch at unit load before each event, shape [K]; 1/load.
-        energy: elastic energy at unit load before each event [stress · area], shape [K].
-        broken: bonds broken up to each event, both directions, shape [K].
-        neighbour: at the end, shape [N, B].
-    """
-
-    load: np.ndarray
-    energy: np.ndarray
-    broken: np.ndarray
-    neighbour: np.ndarray
-
-    @property
-    def stretch(self) -> np.ndarray:
-        """Largest stretch at unit load before each event."""
-        largest: np.ndarray = 1 / self.load
-        return largest
-
-
 def grow(
     model: Model,
-    body: Body,
+    body: LatticeBody,
     held: ArrayLike,
     u: np.ndarray,
-    events: int,
     *,
+    events: int,
     cracks: Sequence[ArrayLike] = (),
     no_fail: np.ndarray | None = None,
     progress: bool = False,
-) -> Growth:
+) -> Motion:
     """Break the most stretched bond, and its mirror images, event by event.
 
     Args:
@@ -72,6 +47,12 @@ def grow(
         no_fail: nodes whose bonds do not break, shape [N] bool.
         progress: shows a bar.
 
+    Returns:
+        A motion whose time is the load, the factor of u at which each event's bond breaks, over the
+        critical stretch. Its histories are load, energy: elastic at unit load before each event
+        [stress · area], and broken: bonds up to it, both directions. The details are the neighbours
+        at the end, shape [N, B].
+
     Raises InputError for a body that CutSolid refuses, and another `no_fail`.
     """
     check_breakable(model, body.classes)
@@ -80,7 +61,7 @@ def grow(
     safe = check_no_fail(no_fail, len(body.x))
     loads: list[float] = []
     energies, counts = [], []
-    start = int((neighbour >= 0).sum())
+    start, end = int((neighbour >= 0).sum()), np.zeros_like(body.x)
     for _ in tqdm(range(events), disable=not progress, unit="event"):
         try:
             solid = CutSolid(model, body, held, neighbour=neighbour)
@@ -88,7 +69,7 @@ def grow(
             if not loads:
                 raise
             break  # a piece has come off
-        field = solid.solve(u)
+        field = solid.solve(None, u)
         reach = field[neighbour] - field[:, None]
         stretch = (xi * reach).sum(axis=-1) / r**2
         stretch[(neighbour < 0) | safe[:, None] | safe[np.maximum(neighbour, 0)]] = -np.inf
@@ -100,7 +81,9 @@ def grow(
         counts.append(start - int((neighbour >= 0).sum()))
         chosen = stretch > largest * (1 - TOGETHER)
         neighbour = np.where(chosen, -1 - neighbour, neighbour)
-    return Growth(np.array(loads), np.array(energies), np.array(counts), neighbour)
+        end = field * loads[-1]
+    history = dict(zip(("load", "energy", "broken"), map(np.array, (loads, energies, counts))))
+    return Motion(history["load"], end, None, history, neighbour)
 
 
 def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length: int = 3) -> float:
@@ -125,12 +108,13 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     u = westergaard(body.x, half, 1.0, model.lam, model.mu)
     up = body.classes.steps[:, 1]
     each = int(up[up > 0].sum())
-    growth = grow(model, body, held, u, length * each + 1, cracks=[[(-half, 0), (half, 0)]])
-    grown = growth.broken / (4 * each)  # spacings of each tip; an event is 4 directed bonds
+    crack = [(-half, 0), (half, 0)]
+    growth = grow(model, body, held, u, events=length * each + 1, cracks=[crack])
+    grown = growth["broken"] / (4 * each)  # spacings of each tip; an event is 4 directed bonds
     peaks = []
     for k in range(int(grown[-1])):
         cycle = (grown >= k) & (grown < k + 1)
-        ends = np.interp([k, k + 1], grown, growth.energy)
+        ends = np.interp([k, k + 1], grown, growth["energy"])
         released = (ends[0] - ends[1]) / (2 * h)  # at unit load
-        peaks.append(growth.load[cycle].max() ** 2 * released)
+        peaks.append(growth.time[cycle].max() ** 2 * released)
     return float(np.mean(peaks) / unit_toughness(model, body.classes))

@@ -6,8 +6,11 @@ law of bonds at another horizon that has both.
 
 from __future__ import annotations
 
+import os
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,13 +20,16 @@ from scipy.special import hyp1f1
 from tqdm import tqdm
 
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
-from warp_peri.damage.lattice_body import Body, cracked, crossing_bonds
+from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds
 from warp_peri.damage.operator import bond_weights
 from warp_peri.damage.stability import check_breakable, check_horizon, check_no_fail
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.models.lps import Model, model_content, model_from, read_content
 from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.unit_names import Units
 
+FORMAT, VERSION = "warp_peri.soft_solid", 1
 NEWTON = 40
 TOLERANCE = 1e-8
 SETTLED = 0.01
@@ -110,26 +116,63 @@ class BondLaw:
         return BondLaw(self.softness, float(earlier))
 
 
-@dataclass(frozen=True)
-class Pull:
-    """A body pulled slowly.
+@dataclass(frozen=True, eq=False)
+class SoftSolid:
+    """A solid whose bonds soften and fail by one law (C16).
 
     Attributes:
-        load: factors of the displacement of the held nodes, shape [K].
-        force: per thickness at right angles to the section, at each load [stress · length], shape
-            [K].
-        broken: bonds broken by then, shape [K].
+        model: λ = μ, positive on the lattice.
+        law: of the bonds.
+
+    Raises InputError for a model with another λ.
     """
 
-    load: np.ndarray
-    force: np.ndarray
-    broken: np.ndarray
+    model: Model
+    law: BondLaw
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        if self.model.lam != self.model.mu:
+            raise InputError("model: expected λ = μ, bonds without a dilatation")
 
     @property
-    def peak(self) -> tuple[float, float]:
-        """Load and force at the largest force."""
-        highest = int(np.argmax(self.force))
-        return float(self.load[highest]), float(self.force[highest])
+    def linear(self) -> Model:
+        """The solid before anything softens."""
+        return self.model
+
+    @property
+    def horizon(self) -> float:
+        """δ [length]."""
+        return self.model.horizon
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress."""
+        return self.model.units
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the solid holds."""
+        law = {k: None if np.isinf(v) else v for k, v in vars(self.law).items()}
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "model": model_content(self.model),
+            "law": law,
+        }
+
+
+def load_soft_solid(path: str | os.PathLike[str]) -> SoftSolid:
+    """Read what `save` wrote of one; InputError naming what is wrong."""
+    content = read_content(path)
+    try:
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise InputError(f"expected {FORMAT} version {VERSION}")
+        law = {k: np.inf if v is None else v for k, v in content["law"].items()}
+        return SoftSolid(model_from(content["model"]), BondLaw(**law))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: not a readable soft solid ({error})") from None
 
 
 class SoftBody:
@@ -150,15 +193,13 @@ class SoftBody:
     def __init__(
         self,
         model: Model,
-        body: Body,
+        body: LatticeBody,
         law: BondLaw,
         held: np.ndarray,
         *,
-        cracks: list[ArrayLike] | None = None,
+        cracks: Sequence[ArrayLike] = (),
         no_fail: np.ndarray | None = None,
     ) -> None:
-        if model.lam != model.mu:
-            raise InputError("model: expected λ = μ, bonds without a dilatation")
         check_breakable(model, body.classes)
         check_horizon(model, body)
         count, held = len(body.x), np.asarray(held)
@@ -168,7 +209,7 @@ class SoftBody:
                 f"held: expected shape [{count}, 2] of bool, got {list(held.shape)} of {held.dtype}"
             )
         self.body, self.law, self.held = body, law, held
-        table = cracked(body, cracks or [])
+        table = cracked(body, cracks)
         check_pieces(body, table, held)
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
@@ -235,12 +276,12 @@ class SoftBody:
     def pull(
         self,
         u: np.ndarray,
+        *,
         loads: ArrayLike,
         line: ArrayLike,
-        *,
         stop: float = 0.7,
         progress: bool = False,
-    ) -> Pull:
+    ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
         Args:
@@ -250,6 +291,9 @@ class SoftBody:
             line: a straight one, across which the force at right angles to it is read, [2, 2].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
+
+        Returns a motion whose time is the load, with the histories load, force: per thickness at
+        right angles to the line [stress · length], and broken: bonds by then.
 
         A body that has come apart along the line has the force 0; where no equilibrium is found
         while bonds still cross it, the curve ends before, with a warning.
@@ -294,4 +338,5 @@ class SoftBody:
             rows.append((load, self.across(field, share, line), int((share == 0).sum())))
             if rows[-1][1] < stop * max(row[1] for row in rows):
                 break
-        return Pull(*np.array(rows).T)
+        history = dict(zip(("load", "force", "broken"), np.array(rows).T))
+        return Motion(history["load"], field.reshape(-1, 2), None, history)

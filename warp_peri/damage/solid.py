@@ -11,12 +11,16 @@ import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
+from warp_peri.damage.stability import breaking_time_step
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.models.lps import Model, model_content, model_from
+from warp_peri.points.families import bond_classes
+from warp_peri.points.unit_names import Units
 
 FORMAT, VERSION = "warp_peri.brittle_solid", 2
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
@@ -44,6 +48,7 @@ class BrittleSolid:
     critical_stretch: float | None = None
     critical_energy: float | None = None
     tension_only: bool = True
+    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         given = [name for name in CRITERIA if getattr(self, name) is not None]
@@ -61,19 +66,33 @@ class BrittleSolid:
         return self.model
 
     @property
+    def horizon(self) -> float:
+        """δ [length]."""
+        return self.model.horizon
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress."""
+        return self.model.units
+
+    def longest_step(self, spacing: float) -> float:
+        """Time step on a lattice that is stable whatever breaks (theory.md, C9)."""
+        classes = bond_classes(spacing, self.model.horizon)
+        return breaking_time_step(self.model, classes, self.density)
+
+    @property
     def by_energy(self) -> bool:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solid as JSON, whole or not at all: the model with its units and records."""
-        write_json(
-            path,
-            {"format": FORMAT, "version": VERSION}
-            | {"model": model_content(self.model), "density": self.density}
-            | {name: getattr(self, name) for name in CRITERIA}
-            | {"tension_only": self.tension_only},
-        )
+        write_json(path, self.content())
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the solid holds."""
+        numbers = {name: getattr(self, name) for name in ("density", *CRITERIA, "tension_only")}
+        return {"format": FORMAT, "version": VERSION, "model": model_content(self.model), **numbers}
 
 
 def load_brittle_solid(path: str | os.PathLike[str]) -> BrittleSolid:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.lattice_body import Body
+from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import bond_weights, stiffness_across
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
@@ -37,7 +37,7 @@ def check_breakable(model: Model, classes: BondClasses) -> None:
     )
 
 
-def check_horizon(model: Model, body: Body) -> None:
+def check_horizon(model: Model, body: LatticeBody) -> None:
     """Refuse a body whose bonds are not those of the model's ball."""
     if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
         raise InputError(

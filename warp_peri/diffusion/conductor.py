@@ -6,13 +6,18 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
+from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
+
+if TYPE_CHECKING:
+    from warp_peri.diffusion.operator import Conductivity, DiffusionOperator
 
 FORMAT, VERSION = "warp_peri.conductor", 1
 
@@ -36,6 +41,7 @@ class Conductor:
     alpha: float = 1.0
     D: np.ndarray = field(default_factory=lambda: np.ones(1))
     units: Units = USUAL
+    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", check_units(self.units))
@@ -58,10 +64,18 @@ class Conductor:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the law as JSON, whole or not at all."""
+        write_json(path, self.content())
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds."""
         numbers = {name: getattr(self, name) for name in ("horizon", "conductivity", "alpha", "D")}
-        write_json(
-            path, {"format": FORMAT, "version": VERSION} | unit_content(self.units) | numbers
-        )
+        return {"format": FORMAT, "version": VERSION} | unit_content(self.units) | numbers
+
+    def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
+        """The law on points, with a conductivity of its own as of DiffusionOperator."""
+        from warp_peri.diffusion.operator import DiffusionOperator
+
+        return DiffusionOperator(self, points, kappa=kappa)
 
 
 def load_conductor(path: str | os.PathLike[str]) -> Conductor:
@@ -70,12 +84,16 @@ def load_conductor(path: str | os.PathLike[str]) -> Conductor:
     Of a file that names no units Å and TPa are taken, with a warning.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
-            raise InputError(f"expected {FORMAT} version {VERSION}")
-        units = units_of(content, f"{path}")
-        return Conductor(**content, units=units)
+        return conductor_from(json.loads(Path(path).read_text(encoding="utf-8")), f"{path}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable conductor ({error})") from None
+
+
+def conductor_from(content: dict[str, Any], file: str) -> Conductor:
+    """The conductor of a file's content, which is used up."""
+    if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
+        raise InputError(f"expected {FORMAT} version {VERSION}")
+    units = units_of(content, file)
+    return Conductor(**content, units=units)

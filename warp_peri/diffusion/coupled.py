@@ -2,123 +2,244 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from warp_peri.damage.lattice_body import Body
+from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.stability import check_cut
-from warp_peri.diffusion.operator import DiffusionOperator
+from warp_peri.diffusion.conductor import Conductor, conductor_from
+from warp_peri.diffusion.operator import RESIDUAL, Conductivity, DiffusionOperator, check_steps
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.models.lps import Model, model_content, model_from, read_content
+from warp_peri.points.samples import PointsLike
+from warp_peri.points.unit_names import Units, check_same
+from warp_peri.statics.settings import Direct, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
 
-RESIDUAL = 1e-9
+FORMAT, VERSION = "warp_peri.coupled_solid", 1
 
 
-class Coupled:
-    """L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u, by backward Euler.
+@dataclass(frozen=True, eq=False)
+class CoupledSolid:
+    """A solid and what diffuses in it: fields are u₁, u₂ and φ, loads b₁, b₂ and the source.
 
-    Φᵗ is minus the nonlocal gradient that goes with the dilatation, so that what one side works
-    the other receives. The nodes of body and diffusion are the same, in the same order.
+    L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u. Φᵗ is minus the nonlocal gradient
+    that goes with the dilatation, so that what one side works the other receives.
 
-    Args:
+    Attributes:
         model: of the solid, one influence function.
-        body: its nodes and bonds.
-        diffusion: the operator of φ; its interior is what is free, of u as well.
+        conductor: of φ.
         coupling: ε [stress].
         storage: c ≥ 0.
-        neighbour: with broken bonds; the body's own by default.
 
-    Raises InputError for other nodes, a coupling that is not finite, a storage below 0, and for
-    kernels that change sign and leave one of the two with eigenvalues below zero.
+    Raises InputError for a coupling that is not finite, a storage below 0, and other units of one.
+    """
+
+    model: Model
+    conductor: Conductor
+    coupling: float
+    storage: float = 0.0
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        check_same(self.model.units, self.conductor.units)
+        if not (np.isfinite(self.coupling) and 0 <= self.storage < np.inf):
+            raise InputError(
+                f"coupling, storage: expected a finite number and one ≥ 0, got {self.coupling} and "
+                f"{self.storage}"
+            )
+
+    @property
+    def horizon(self) -> float:
+        """δ, the longer of the two [length]."""
+        return max(self.model.horizon, self.conductor.horizon)
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress."""
+        return self.model.units
+
+    def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> CoupledOperator:
+        """The solid on a lattice, with a conductivity of its own as of DiffusionOperator."""
+        return CoupledOperator(self, points, kappa=kappa)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the solid holds."""
+        parts = {"model": model_content(self.model), "conductor": self.conductor.content()}
+        numbers = {"coupling": self.coupling, "storage": self.storage}
+        return {"format": FORMAT, "version": VERSION} | parts | numbers
+
+
+def load_coupled_solid(path: str | os.PathLike[str]) -> CoupledSolid:
+    """Read what `save` wrote of one; InputError naming what is wrong."""
+    content = read_content(path)
+    try:
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise InputError(f"expected {FORMAT} version {VERSION}")
+        parts = model_from(content["model"]), conductor_from(content["conductor"], f"{path}")
+        return CoupledSolid(*parts, float(content["coupling"]), float(content["storage"]))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: not a readable coupled solid ({error})") from None
+
+
+class CoupledOperator:
+    """A coupled solid on a lattice.
+
+    Args:
+        material: the solid.
+        points: a lattice; its interior is what is free, of u and of φ.
+        kappa: conductivity, as of DiffusionOperator.
+        neighbour: with broken bonds, shape [N, B]; those of the lattice by default.
+
+    ``op(u)`` takes u₁, u₂, φ of all nodes, shape [N, 3], and returns what loads and source are in
+    the steady state, [I, 3].
+
+    Raises InputError for kernels that change sign and leave one of the two with eigenvalues below
+    zero, and as DiffusionOperator.
     """
 
     def __init__(
         self,
-        model: Model,
-        body: Body,
-        diffusion: DiffusionOperator,
+        material: CoupledSolid,
+        points: PointsLike,
         *,
-        coupling: float,
-        storage: float,
+        kappa: Conductivity | None = None,
         neighbour: np.ndarray | None = None,
     ) -> None:
-        if not np.array_equal(body.x, diffusion.points.x):
-            raise InputError("body: expected the nodes of the diffusion, in the same order")
-        if not (np.isfinite(coupling) and 0 <= storage < np.inf):
-            raise InputError(
-                f"coupling, storage: expected a finite number and one ≥ 0, got {coupling} and "
-                f"{storage}"
-            )
+        self.model, model = material, material.model
+        diffusion = DiffusionOperator(material.conductor, points, kappa=kappa)
+        self.points = diffusion.points
+        body = lattice_body(self.points.x, self.points.spacing, model.horizon)
         table = body.neighbour if neighbour is None else neighbour
         w = bond_weights(model, body.classes)
         rows = diffusion.rows
-        self.rows, self.storage = rows, float(storage)
+        self.rows = rows
         self.free = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
         theta = dilatation_matrix(body, w, table)
         self._solid = cut_matrix(body, w, table, model.mu, model.lam - model.mu)[self.free]
         if (w < 0).any():
             check_cut(self._solid[:, self.free])
         diffusion.inner()  # refuses one that would grow
-        self._pull = sp.csr_array(coupling * theta.T)[self.free]
-        self._squeeze = sp.csr_array(-coupling * theta[rows])
+        self._pull = sp.csr_array(material.coupling * theta.T)[self.free]
+        self._squeeze = sp.csr_array(-material.coupling * theta[rows])
         self._flux = diffusion.matrix()
 
-    def step(
-        self,
-        before: tuple[np.ndarray, np.ndarray],
-        given: tuple[np.ndarray, np.ndarray],
-        dt: float,
-        *,
-        b: np.ndarray,
-        source: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """u, shape [N, 2], and φ, shape [N], one step later; dt = inf solves the steady state.
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        u = np.asarray(u, dtype=float)
+        force = self._solid @ u[:, :2].ravel() + self._pull @ u[:, 2]
+        return np.column_stack([force.reshape(-1, 2), self._flux @ u[:, 2]])
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """Loads and source on the interior nodes, [I, 3]."""
+        loads: np.ndarray = np.asarray(b, dtype=float)[self.rows]
+        return loads
+
+    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The derivative along v, which is that of v for every u."""
+        return self(v)
+
+    def energy(self, u: np.ndarray) -> None:
+        """None: what diffuses is lost."""
+
+    def stress(self, u: np.ndarray) -> None:
+        """None."""
+
+    def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+        """The steady state.
 
         Args:
-            before: u and φ of all nodes before the step.
-            given: u and φ after it, of which the nodes off the interior are taken.
-            dt: step.
-            b: body force density, shape [N, 2].
-            source: g, shape [N].
+            b: loads and source, shape [N, 3], read on the interior; None for none.
+            u: displacement and φ, same shape, read off the interior.
+            solver: Direct().
+
+        Raises InputError for other shapes, or a solve that loses its digits.
+        """
+        refuse_solver(solver, (Direct,), "a coupled solid")
+        given = np.array(u, dtype=float)
+        load = np.zeros_like(given) if b is None else np.asarray(b, dtype=float)
+        solved = self.step(0 * given, given, np.inf, b=load)
+        return Solution(solved, self.points, self, self.load(load), "lu")
+
+    def march(
+        self,
+        b: ArrayLike | Callable[[float], ArrayLike] | None,
+        u: ArrayLike,
+        *,
+        step: float,
+        steps: int,
+        collar: Callable[[float], ArrayLike] | None = None,
+    ) -> Motion:
+        """By backward Euler, from displacement and φ of all nodes, shape [N, 3].
+
+        Args:
+            b: loads and source, [N, 3], or these at a time; None for none.
+            u: at the start.
+            step: Δt > 0.
+            steps: number of steps.
+            collar: fields of all nodes at a time, [N, 3], of which those off the interior are
+                taken; unchanged by default.
+
+        Returns a motion whose history u is the fields at the start and after every step.
 
         Raises InputError for a step not > 0, other shapes, or a solve that loses its digits.
         """
-        if not dt > 0:
-            raise InputError(f"step: expected a number > 0, got {dt}")
-        count = self._flux.shape[1]
-        fields = {"b": (b, (count, 2)), "source": (source, (count,))}
-        for name, pair in (("before", before), ("given", given)):
-            fields |= {f"{name} u": (pair[0], (count, 2)), f"{name} φ": (pair[1], (count,))}
-        for name, (field, shape) in fields.items():
+        check_steps(step, steps)
+        kept = [np.array(u, dtype=float)]
+        for number in range(1, steps + 1):
+            time, now = number * step, kept[-1]
+            load = b(time) if callable(b) else (0 * now if b is None else b)
+            given = now if collar is None else collar(time)
+            kept.append(self.step(now, given, step, b=load))
+        return Motion(step * np.arange(steps + 1), kept[-1], None, {"u": np.stack(kept)})
+
+    def step(self, before: ArrayLike, given: ArrayLike, dt: float, *, b: ArrayLike) -> np.ndarray:
+        """u₁, u₂, φ one step later, shape [N, 3]; dt = inf solves the steady state.
+
+        Args:
+            before: of all nodes before the step.
+            given: after it, of which the nodes off the interior are taken.
+            dt: step.
+            b: loads and source.
+
+        Raises InputError for other shapes, or a solve that loses its digits.
+        """
+        shape = (len(self.points.x), 3)
+        for name, field in (("u", before), ("collar", given), ("b", b)):
             if np.shape(field) != shape:
                 raise InputError(f"{name}: expected shape {list(shape)}, got {np.shape(field)}")
-        rate = 1 / dt
-        u, phi = np.array(given[0], dtype=float).ravel(), np.array(given[1], dtype=float)
-        u[self.free], phi[self.rows] = 0, 0
-        store = sp.csr_array(
-            (np.full(len(self.rows), self.storage * rate), (range(len(self.rows)), self.rows)),
-            shape=self._flux.shape,
-        )
+        old, after, load = (np.array(field, dtype=float) for field in (before, given, b))
+        after[self.rows] = 0
+        u, phi, rate, rows = after[:, :2].ravel(), after[:, 2].copy(), 1 / dt, self.rows
+        rates = np.full(len(rows), self.model.storage * rate)
+        store = sp.csr_array((rates, (range(len(rows)), rows)), shape=self._flux.shape)
         lower, flux = rate * self._squeeze, self._flux + store
         system = sp.block_array(
             [
-                [self._solid[:, self.free], self._pull[:, self.rows]],
-                [lower[:, self.free], flux[:, self.rows]],
+                [self._solid[:, self.free], self._pull[:, rows]],
+                [lower[:, self.free], flux[:, rows]],
             ],
             format="csc",
         )
-        old_u, old_phi = np.ravel(before[0]), np.asarray(before[1])
-        memory = lower @ old_u + store @ old_phi
+        memory = lower @ old[:, :2].ravel() + store @ old[:, 2]
         right = np.concatenate(
             [
-                np.ravel(b)[self.free] - self._solid @ u - self._pull @ phi,
-                source[self.rows] + memory - lower @ u - flux @ phi,
+                load[rows, :2].ravel() - self._solid @ u - self._pull @ phi,
+                load[rows, 2] + memory - lower @ u - flux @ phi,
             ]
         )
         x = splu(sp.csc_matrix(system)).solve(right)
         if not np.linalg.norm(system @ x - right) <= RESIDUAL * np.linalg.norm(right):
             raise InputError("coupled: the solve lost its digits, or what is given is not finite")
-        u[self.free], phi[self.rows] = x[: len(self.free)], x[len(self.free) :]
-        return u.reshape(-1, 2), phi
+        after[rows] = np.column_stack([x[: len(self.free)].reshape(-1, 2), x[len(self.free) :]])
+        return after

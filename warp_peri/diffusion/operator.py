@@ -1,4 +1,4 @@
-"""Nonlocal diffusion on any points: conductivity of bonds, operator, matrix, gradient (D1–D3)."""
+"""Nonlocal diffusion on any points: conductivity of bonds, operator, states, gradient (D1–D4)."""
 
 from __future__ import annotations
 
@@ -9,20 +9,26 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
 
 from warp_peri.damage.stability import negative_eigenvalues
 from warp_peri.diffusion.conductor import Conductor
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.points.families import Families, families_of
-from warp_peri.points.points import Points
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.series import mean_inverse
+from warp_peri.points.unit_names import check_same
+from warp_peri.statics.settings import Direct, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
 
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
-SAMPLES = 32
-"""Places along a bond at which a field of conductivity is read."""
 ROUNDING = 1e-10
 """Eigenvalues so far below zero, over the largest diagonal, count as zero."""
+RESIDUAL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -53,16 +59,18 @@ class DiffusionOperator:
             function of positions [..., 2], taken in series along each bond (D2). By default the
             law's.
 
-    ``op(phi)`` takes φ on all nodes, shape [N], and returns L φ on the interior, [I].
+    ``op(phi)`` takes φ on all nodes, shape [N] or [S, N], and returns L φ on the interior, [I] or
+    [S, I].
 
     Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
     """
 
     def __init__(
-        self, law: Conductor, points: Points, *, kappa: Conductivity | None = None
+        self, law: Conductor, points: PointsLike, *, kappa: Conductivity | None = None
     ) -> None:
-        self.law, self.points = law, points
-        families = families_of(points, law.horizon, bond_based=True)
+        self.model, self.points = law, nodes_of(points)
+        check_same(law.units, self.points.units)
+        families = families_of(self.points, law.horizon, bond_based=True)
         bond, self._owner = _bonds_of(families)
         self.neighbour = families.neighbour[bond]
         self.r, weight = _lengths_and_weights(families, bond, self._owner)
@@ -88,6 +96,8 @@ class DiffusionOperator:
         self._links = (ints(self.rows), ints(row), ints(self.neighbour), floats(self.v))
 
     def __call__(self, phi: np.ndarray) -> np.ndarray:
+        if np.ndim(phi) == 2:
+            return np.stack([self(one) for one in phi])
         out = zeros(len(self.rows))
         inputs = (*self._links, floats(self.kappa), self._field(phi))
         launch_slices(kernels.flux, len(self.rows), inputs, (out,))
@@ -125,6 +135,115 @@ class DiffusionOperator:
                 )
         return matrix
 
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """The source on the interior nodes, [..., I]."""
+        return np.asarray(b, dtype=float)[..., self.rows]
+
+    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The derivative along v, which is L v for every φ."""
+        return self(v)
+
+    def energy(self, u: np.ndarray) -> np.ndarray | None:
+        """h² (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
+        if self.points.spacing == 0:
+            return None
+        u, inside = np.asarray(u, dtype=float), self.points.interior
+        own, collar = (self(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
+        density = u[..., self.rows] * (own / 2 + collar)
+        return np.asarray(self.points.spacing**2 * density.sum(axis=-1))
+
+    def stress(self, u: np.ndarray) -> None:
+        """None: there is a flux instead."""
+
+    def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+        """φ with L φ = b on the interior, given on all other nodes.
+
+        Args:
+            b: source, shape [N] or [S, N], read on the interior; None for none.
+            u: φ, same shape, read off the interior.
+            solver: Direct().
+
+        Raises InputError for other shapes, values that are not finite, and when the matrix is
+        singular, as of a piece that nothing touches, or has eigenvalues below zero (`inner`).
+        """
+        refuse_solver(solver, (Direct,), "diffusion")
+        phi = np.array(u, dtype=float)
+        load = self.load(self._checked("b", np.zeros_like(phi) if b is None else b, phi.shape))
+        self._checked("u", phi, phi.shape)
+        matrix, inner, left = self.matrix(), self.inner(), 0.0
+        count = len(self.points.x)
+        try:
+            factors = splu(inner)
+        except RuntimeError as error:
+            raise InputError(f"diffusion: the problem has no one solution ({error})") from None
+        for field, source in zip(phi.reshape(-1, count), load.reshape(-1, len(self.rows))):
+            field[self.rows] = 0
+            right = source - matrix @ field
+            x = factors.solve(right)
+            size = np.linalg.norm(right)
+            off = np.linalg.norm(inner @ x - right)
+            if not off <= RESIDUAL * size:
+                raise InputError("diffusion: the solve lost its digits")
+            field[self.rows] = x
+            left = max(left, float(off / size) if size else 0.0)
+        return Solution(phi, self.points, self, load, "lu", measured=left)
+
+    def march(
+        self,
+        b: ArrayLike | None,
+        u: ArrayLike,
+        *,
+        step: float,
+        steps: int,
+        collar: Callable[[float], np.ndarray] | None = None,
+    ) -> Motion:
+        """∂φ/∂t = −L φ + b by Crank–Nicolson.
+
+        Args:
+            b: source, shape [N], read on the interior; None for none.
+            u: φ at the start, shape [N].
+            step: Δt > 0, any length is stable: L + Lᵗ is looked at where the kernel changes sign.
+            steps: number of steps.
+            collar: φ of all nodes at a time, of which those off the interior are taken; unchanged
+                by default.
+
+        Returns a motion whose history u is φ at the start and after every step, [steps + 1, N].
+
+        Raises InputError for other shapes, a step not > 0, a number of steps below 0, and as
+        `inner`.
+        """
+        check_steps(step, steps)
+        shape, rows = (len(self.points.x),), self.rows
+        now = self._checked("u", np.array(u, dtype=float), shape, whole=True)
+        source = self.load(self._checked("b", np.zeros(shape) if b is None else b, shape))
+        matrix, gain = self.matrix(), step * source
+        factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * self.inner()))
+        kept = [now]
+        for number in range(1, steps + 1):
+            later = now.copy()
+            if collar is not None:
+                later = self._checked("collar", np.array(collar(number * step)), shape)
+            later[rows] = 0
+            right = now[rows] - step / 2 * (matrix @ now + matrix @ later) + gain
+            later[rows] = factors.solve(right)
+            now = later
+            kept.append(now)
+        return Motion(step * np.arange(steps + 1), now, None, {"u": np.stack(kept)})
+
+    def _checked(
+        self, name: str, values: ArrayLike, shape: tuple[int, ...], *, whole: bool = False
+    ) -> np.ndarray:
+        """Values of this shape; finite on the interior (b), off it (φ), or everywhere."""
+        field, count = np.asarray(values, dtype=float), len(self.points.x)
+        if field.shape != shape or field.shape[-1:] != (count,) or field.ndim > 2:
+            raise InputError(
+                f"{name}: expected shape [{count}] or [S, {count}], got {list(field.shape)}"
+            )
+        read = self.points.interior if name == "b" else ~self.points.interior
+        if not np.isfinite(field if whole else field[..., read]).all():
+            raise InputError(f"{name}: expected finite values where they are given")
+        return field
+
     def gradient(self, phi: np.ndarray, seed: np.ndarray) -> DiffusionGradient:
         """Derivatives of seed · L φ, seed of shape [I]."""
         count, bonds = len(self.rows), len(self.v)
@@ -136,12 +255,21 @@ class DiffusionOperator:
         by_phi[self.rows] += own.numpy()
         on_all = np.zeros(len(self._kept))
         on_all[self._kept] = by_v.numpy()
-        basis = self.law.basis(self._r_all)
-        K, weight, m = basis @ self.law.D, self._weight_all, self._volume
+        basis = self.model.basis(self._r_all)
+        K, weight, m = basis @ self.model.D, self._weight_all, self._volume
         pulled = np.bincount(self._owner_all, on_all * K * weight, count) / m
         by_K = 4 * weight / m[self._owner_all] * (on_all - self._r_all**2 * pulled[self._owner_all])
         return DiffusionGradient(
             by_phi, by_kappa.numpy(), by_K @ basis, float(-(by_K * K) @ np.log(self._r_all))
+        )
+
+
+def check_steps(step: float, steps: int) -> None:
+    """Raise InputError for what is no step of time, or no number of them."""
+    if not (0 < step < np.inf and isinstance(steps, (int, np.integer)) and steps >= 0):
+        raise InputError(
+            f"step: expected a number > 0 and a whole number of steps ≥ 0, got {step} and {steps}; "
+            "`solve` finds the state at rest"
         )
 
 
@@ -179,12 +307,13 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
         xi = points.x[far] - points.x[near]
         if points.box is not None:
             xi -= np.asarray(points.box) * np.rint(xi / points.box)
-        resistance = np.zeros(len(near))
-        for place in (np.arange(SAMPLES) + 0.5) / SAMPLES:
+
+        def along(place: float) -> np.ndarray:
             values = np.asarray(kappa(points.x[near] + place * xi), dtype=float)
             _check(values)
-            resistance += 1 / values
-        return SAMPLES / resistance
+            return np.broadcast_to(values, len(near))
+
+        return np.asarray(1 / mean_inverse(along))
     values = np.asarray(kappa, dtype=float)
     if values.shape not in ((), (len(points.x),)):
         raise InputError(

@@ -5,10 +5,8 @@ Lengths in the channel's width, time in t0, stress in η/t0.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,64 +17,15 @@ from warp_peri.kernels.flow import particles as kernels
 from warp_peri.launch import DEVICE, empty, ints, launch, zeros
 from warp_peri.points.scattered import neighbours
 
+if TYPE_CHECKING:
+    from warp_peri.flow.channel_run import ChannelFlow
+
 REACH = 3.0
 """Of the bell, in smoothing lengths."""
 SKIN = 0.25
 """By how much neighbours are looked for further, in spacings."""
 SHARP = 1 / 3
 """Cancels the third moments of the weight of differences."""
-
-
-@dataclass(frozen=True)
-class ChannelFlow:
-    """What is printed for the channel, unless said.
-
-    Args:
-        De: relaxation time over t0.
-        Re: Reynolds number.
-        sound: artificial speed of sound Cs.
-        force: body force along x.
-        across: particles from wall to wall.
-        length: of the period along x, in widths.
-        smoothing: length of the bell, in spacings.
-        solvent: its viscosity β over that of the polymer (Oldroyd-B and the like).
-
-    Raises InputError for numbers that are not positive or not finite, fewer than 10 particles
-    across or no whole number of them, or a period shorter than twice the reach.
-    """
-
-    De: float
-    Re: float = 1e-2
-    sound: float = 10.0
-    force: float = 12.0
-    across: int = 30
-    length: float = 0.6
-    smoothing: float = 1.5
-    solvent: float = 0.0
-
-    def __post_init__(self) -> None:
-        numbers = (self.De, self.Re, self.sound, self.length, self.smoothing)
-        positive = all(math.isfinite(n) and n > 0 for n in numbers) and self.solvent >= 0
-        finite = math.isfinite(self.solvent) and math.isfinite(self.force)
-        if not (positive and finite and self.across >= 10 and self.across == int(self.across)):
-            raise InputError(
-                f"channel: expected numbers above 0 and 10 particles across, got {self}"
-            )
-        reach = (REACH * self.smoothing + SKIN) / self.across
-        if not 2 * reach < self.length:
-            raise InputError(f"channel: expected a period above {2 * reach:.3g}, got {self.length}")
-
-    @property
-    def spacing(self) -> float:
-        """Between particles at the start."""
-        return 1 / self.across
-
-    @property
-    def longest_step(self) -> float:
-        """Δt beyond which sound, shear waves or the solvent's diffusion outrun a spacing."""
-        wave = self.sound**2 / self.Re + 2 / (self.De * self.Re)
-        diffusion = 4 * self.solvent / (self.Re * self.spacing**2)
-        return 1 / (math.sqrt(wave) / self.spacing + diffusion)
 
 
 class Particles:

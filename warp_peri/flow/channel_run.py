@@ -1,7 +1,8 @@
-"""Runs of the channel: records, checkpoints, files for ParaView."""
+"""The channel and its runs: records, checkpoints, files for ParaView."""
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,77 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from warp_peri.contract import taken
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file, write_text
-from warp_peri.flow.channel import ChannelFlow, Particles
-from warp_peri.flow.closure import Stress, check_time_step, key_of
+from warp_peri.flow.channel import REACH, SKIN, Particles
+from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
+
+
+@dataclass(frozen=True)
+class ChannelFlow:
+    """What is printed for the channel, unless said.
+
+    Args:
+        De: relaxation time over t0.
+        Re: Reynolds number.
+        sound: artificial speed of sound Cs.
+        force: body force along x.
+        across: particles from wall to wall.
+        length: of the period along x, in widths.
+        smoothing: length of the bell, in spacings.
+        solvent: its viscosity β over that of the polymer (Oldroyd-B and the like).
+
+    Raises InputError for numbers that are not positive or not finite, fewer than 10 particles
+    across or no whole number of them, or a period shorter than twice the reach.
+    """
+
+    De: float
+    Re: float = 1e-2
+    sound: float = 10.0
+    force: float = 12.0
+    across: int = 30
+    length: float = 0.6
+    smoothing: float = 1.5
+    solvent: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = (self.De, self.Re, self.sound, self.length, self.smoothing)
+        positive = all(math.isfinite(n) and n > 0 for n in numbers) and self.solvent >= 0
+        finite = math.isfinite(self.solvent) and math.isfinite(self.force)
+        if not (positive and finite and self.across >= 10 and self.across == int(self.across)):
+            raise InputError(
+                f"channel: expected numbers above 0 and 10 particles across, got {self}"
+            )
+        reach = (REACH * self.smoothing + SKIN) / self.across
+        if not 2 * reach < self.length:
+            raise InputError(f"channel: expected a period above {2 * reach:.3g}, got {self.length}")
+
+    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+        """From rest, of a law, of dumbbells or of what `in_cells` takes.
+
+        The options are those of run_channel: `until`, `dt`, `every`, `checkpoint`, `progress`. The
+        histories, by particle, are x and u [T, N, 2], stress [T, N, 4] and density [T, N]; the
+        details are a ChannelRecord.
+        """
+        (how,) = taken(options, "move", run_channel)
+        run = run_channel(self, in_cells(material, self.De, Particles(self).fluid), **how)
+        history = {"u": run.v, "x": run.x, "stress": run.sigma, "density": run.rho}
+        return Motion(run.t, run.v[-1], None, history, run)
+
+    @property
+    def spacing(self) -> float:
+        """Between particles at the start."""
+        return 1 / self.across
+
+    @property
+    def longest_step(self) -> float:
+        """Δt beyond which sound, shear waves or the solvent's diffusion outrun a spacing."""
+        wave = self.sound**2 / self.Re + 2 / (self.De * self.Re)
+        diffusion = 4 * self.solvent / (self.Re * self.spacing**2)
+        return 1 / (math.sqrt(wave) / self.spacing + diffusion)
 
 
 @dataclass(frozen=True)
@@ -82,9 +149,9 @@ class ChannelRecord:
 def run_channel(
     flow: ChannelFlow,
     stress: Stress,
+    *,
     until: float,
     dt: float,
-    *,
     every: int = 10,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,

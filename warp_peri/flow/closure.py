@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import Law
@@ -147,6 +148,22 @@ class CoupledDumbbells:
             parts[name] = state[first : first + part.size].astype(part.dtype).reshape(part.shape)
             first += part.size
         self.dumbbells.restore(parts)
+
+
+def in_cells(material: Any, De: float, n: int) -> Stress:
+    """What a flow of n cells asks for: a law or as many ensembles of dumbbells in them.
+
+    What is in the cells of a flow already, as a Closure, is given back as it is. Raises InputError
+    for what is none of them.
+    """
+    if hasattr(material, "rate"):
+        return Closure(material, De, n)
+    if hasattr(material, "moments"):
+        if material.ensembles != n:
+            raise InputError(f"dumbbells: expected {n} ensembles, got {material.ensembles}")
+        return CoupledDumbbells(material, De)
+    offered(material, "advance", "move", "a law, Dumbbells or a Closure for a flow")
+    return material  # type: ignore[no-any-return]
 
 
 def key_of(stress: Stress) -> str:

@@ -93,4 +93,4 @@ def corrected_run(
     """The flow again, with what the law lacks added."""
     closure = Closure(law, flow.De, flow.cells)
     fluid = Corrected(closure, missing, until / (len(missing) - 1))
-    return run_plane(flow, fluid, until, dt, every=every)
+    return run_plane(flow, fluid, until=until, dt=dt, every=every)

@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from warp_peri.contract import taken
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file, write_text
-from warp_peri.flow.closure import Stress, check_time_step, key_of
+from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.flow.planar import shear
 
 
@@ -65,6 +67,17 @@ class PlaneFlow:
             return wave
         return 1 / (1 / wave + 2 * self.solvent / (self.Re * dy**2))
 
+    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+        """From rest, of a law, of dumbbells or of what `in_cells` takes.
+
+        The options are those of run_plane: `until`, `dt`, `every`, `checkpoint`, `progress`. The
+        histories are u [T, cells + 1] on faces and stress [T, cells, 4] in cells; the details are
+        Profiles.
+        """
+        (how,) = taken(options, "move", run_plane)
+        run = run_plane(self, in_cells(material, self.De, self.cells), **how)
+        return Motion(run.t, run.u[-1], None, {"u": run.u, "stress": run.stress}, run)
+
     @property
     def faces(self) -> np.ndarray:
         """Where u is, shape [cells + 1]."""
@@ -96,9 +109,9 @@ def _save(checkpoint: str | os.PathLike[str], kept: dict[str, Any]) -> None:
 def run_plane(
     flow: PlaneFlow,
     stress: Stress,
+    *,
     until: float,
     dt: float,
-    *,
     every: int = 1,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,

@@ -7,7 +7,7 @@ to any stress, K s + s Kᵗ + K + Kᵗ, is taken as known and the rest is learne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
+from warp_peri.flow.law_content import law_content
 from warp_peri.flow.pairs import Pairs
 from warp_peri.flow.planar import IDENTITY, carried
 from warp_peri.flow.rate_march import RateMarch
@@ -42,11 +43,19 @@ class RateLaw:
         processes: of the rates of s_xx, s_xy, s_yy.
         kinematics: whether K s + s Kᵗ + K + Kᵗ is added to what they give.
         outside: "warn", "refuse" or "allow" states far from the data.
+        provenance: what it was learned from; plain values, for its file.
     """
 
     processes: tuple[GaussianProcess, GaussianProcess, GaussianProcess]
     kinematics: bool
     outside: str = "warn"
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds; tables are made again."""
+        return law_content(
+            "rate", self.processes, self.outside, self.provenance, kinematics=self.kinematics
+        )
 
     @property
     def name(self) -> str:
@@ -94,7 +103,7 @@ class RateLaw:
 
     def tabulated(self) -> TabulatedRateLaw:
         """The same law by tables, of the additive kernel. Raises InputError for another."""
-        return TabulatedRateLaw(self.processes, self.kinematics, self.outside)
+        return TabulatedRateLaw(self.processes, self.kinematics, self.outside, self.provenance)
 
 
 @dataclass(frozen=True)

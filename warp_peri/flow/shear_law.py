@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
+from warp_peri.flow.law_content import law_content
 from warp_peri.flow.pairs import start_pairs
 from warp_peri.flow.planar import IDENTITY
 from warp_peri.flow.protocols import Ensembles
@@ -22,11 +24,19 @@ class ShearLaw:
         process: of the rate, or of what is left of it.
         kinematics: whether K_xy is added: what shear does to a fluid whose s_yy is zero.
         outside: "warn", "refuse" or "allow" states far from the data.
+        provenance: what it was learned from; plain values, for its file.
     """
 
     process: GaussianProcess
     kinematics: bool
     outside: str = "warn"
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds; tables are made again."""
+        return law_content(
+            "shear", (self.process,), self.outside, self.provenance, kinematics=self.kinematics
+        )
 
     @property
     def name(self) -> str:

@@ -8,7 +8,7 @@ dumbbells are exact: the function is zero.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud, Gradients
 from warp_peri.flow.gaussian_process import GaussianProcess, condensed
+from warp_peri.flow.law_content import law_content
 from warp_peri.flow.planar import (
     IDENTITY,
     carried,
@@ -65,11 +66,23 @@ class SpringLaw:
         process: with the inputs of `invariants`.
         outside: "warn", "refuse" or "allow" states and gradients far from the data.
         gradients: those of the data; None where they are not known.
+        provenance: what it was learned from; plain values, for its file.
     """
 
     process: GaussianProcess
     outside: str = "warn"
     gradients: Gradients | None = None
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds; tables are made again."""
+        spring = (self.process,)
+        return self.with_gradients(law_content("spring", spring, self.outside, self.provenance))
+
+    def with_gradients(self, content: dict[str, Any]) -> dict[str, Any]:
+        """The content of a file, with the velocity gradients of the data."""
+        known = None if self.gradients is None else list(astuple(self.gradients))
+        return content | {"gradients": known}
 
     @property
     def name(self) -> str:
@@ -124,7 +137,9 @@ class SpringLaw:
 
     def tabulated(self, shape: tuple[int, int, int] = (64, 48, 32)) -> TabulatedSpringLaw:
         """The same law by a table."""
-        return TabulatedSpringLaw(self.process, self.outside, self.gradients, shape)
+        return TabulatedSpringLaw(
+            self.process, self.outside, self.gradients, self.provenance, shape
+        )
 
 
 @dataclass(frozen=True)

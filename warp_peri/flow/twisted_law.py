@@ -10,7 +10,7 @@ the spring alone leaves is learned with it (F39). The state has eight components
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.gaussian_process import GaussianProcess, condensed
+from warp_peri.flow.law_content import law_content
 from warp_peri.flow.laws import FENEP
 from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame, trace
 from warp_peri.flow.protocols import Ensembles
@@ -60,6 +61,15 @@ class TwistedSpringLaw:
     process: GaussianProcess
     excess: GaussianProcess
     b: float
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the law holds; tables are made again."""
+        base = self.spring_law
+        processes = (base.process, self.process, self.excess)
+        return base.with_gradients(
+            law_content("twisted", processes, base.outside, self.provenance, b=self.b)
+        )
 
     @property
     def name(self) -> str:

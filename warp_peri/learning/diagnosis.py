@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from warp_peri.contract import linear_part, placed
 from warp_peri.errors import InputError
 from warp_peri.learning.response import products
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import noise_loss
 from warp_peri.models.lps import Model
-from warp_peri.operator.lps import NodeOperator
-from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 
 LEAST_SAMPLES = 8
@@ -87,15 +88,16 @@ class Diagnosis:
         )
 
 
-def diagnose(model: Model, samples: Samples, noise: Samples | None = None) -> Diagnosis:
-    """Tell the causes of the residual of a model on the data it was fitted to.
+def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> Diagnosis:
+    """Tell the causes of the residual of a material on the data it was fitted to.
 
     Args:
-        model: the model, certified on their lattice.
+        material: with a linear part, certified on their lattice, or its operator there.
         samples: training samples on a lattice, eight at least.
         noise: fields of noise alone on their nodes.
 
-    Raises InputError for scattered points, too few samples, or no load.
+    Raises InputError for a material without a linear part, scattered points, too few samples, or
+    no load.
     """
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         raise InputError(
@@ -104,7 +106,8 @@ def diagnose(model: Model, samples: Samples, noise: Samples | None = None) -> Di
         )
     (weight,) = sample_weights([samples], normalise=False)
     b = samples.loads[:, samples.interior]
-    operator = NodeOperator(model, samples.points, allow_uncertified=True)
+    model: Model = linear_part(material, "diagnose")
+    operator = placed(material, samples.points, verb="diagnose", allow_uncertified=True)
     grid = _Grid(samples, model.horizon)
     left = (b - operator(samples.u)) @ grid.axes
     size = float((b**2).sum())

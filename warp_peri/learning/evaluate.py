@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import placed
+from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
 ROUNDING = 1e-12
 """What is less than this beside the parts that cancel in it is rounding."""
+USUAL = {"transfer": True, "allow_uncertified": False}
+"""Options that a law without certificates need not know."""
 
 
 def residual_errors(operator: Any, points: Samples) -> np.ndarray:
@@ -68,21 +69,24 @@ def evaluate(
         points = points.obvious()
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
-    options = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-    operator = placed(material, points.points, **options)
+    asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+    options = {name: value for name, value in asked.items() if value != USUAL[name]}
+    operator = placed(material, points.points, verb="evaluate", **options)
+    offered(operator, "product", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
         table: dict[str, Any] = operator.errors(points)
         return table
     residual, load = residual_errors(operator, points)
     solution = operator.rest(points.loads, points.u)
     figures = operator.figures(solution) if hasattr(operator, "figures") else {}
-    return _table(points, residual, load, solution.u, operator.model.linear) | figures
+    home = getattr(getattr(operator.model, "linear", None), "transferred_from", None)
+    return _table(points, residual, load, solution.u, home) | figures
 
 
 def _table(
-    points: Samples, residual: np.ndarray, load: np.ndarray, solved: np.ndarray, model: Model
+    points: Samples, residual: np.ndarray, load: np.ndarray, solved: np.ndarray, home: float | None
 ) -> dict[str, Any]:
-    """Errors of solutions by a linear model, or by a nonlinear one around it."""
+    """Errors of solutions; `home` is the spacing that a transferred model comes from."""
     size = _norms(points.u[:, points.interior])
     if not (size > 0).all():
         raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
@@ -104,8 +108,8 @@ def _table(
         table[f"{key}_samples"] = [None if np.isnan(value) else value for value in values.tolist()]
         if key in ("E_res", "E_u"):
             table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if some.any() else None
-    if model.transferred_from is not None:
-        table["transferred_from"] = model.transferred_from
+    if home is not None:
+        table["transferred_from"] = home
     return table
 
 

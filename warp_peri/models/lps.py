@@ -20,6 +20,7 @@ from warp_peri.models.solid import Solid
 from warp_peri.points.arrays import is_number
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
+from warp_peri.shown import as_table, error_rows, in_rows, proven_rows
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike
@@ -52,7 +53,7 @@ _KEYS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Model:
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9).
 
@@ -284,6 +285,26 @@ class Model:
             "errors": self.errors,
             "versions": self.versions,
         }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length, stress = symbols(self.units)
+        kernels = "K" if np.array_equal(self.D, self.dilatation) else "K, K of dilatation"
+        rows = [
+            ("λ, μ", f"{self.lam:.4g}, {self.mu:.4g} {stress}"),
+            ("E, ν", f"{self.E:.4g} {stress}, {self.nu:.3g}"),
+            ("horizon", f"{self.horizon:g} {length}"),
+            (kernels, f"degree {self.degree}, α = {self.alpha:.3g}"),
+        ]
+        spacings = (f"{h:g} {length}" for h in self.certified_on)
+        rows.append(("certified on", ", ".join(spacings) or "no lattice"))
+        return rows + proven_rows(self.certificate) + error_rows(self.errors)
+
+    def __repr__(self) -> str:
+        return in_rows("Model", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""

@@ -23,7 +23,8 @@ from warp_peri.models.lps import (
 )
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
-from warp_peri.points.unit_names import Units, factors
+from warp_peri.points.unit_names import Units, factors, symbols
+from warp_peri.shown import as_table, error_rows, in_rows
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
@@ -39,7 +40,7 @@ _OPTIONAL = {"sha256", "gradient", "axis"}
 _KEYS = {"format", "version", "kind", "linear", "smoothing", *_OPTIONAL, *CUBIC, *_RECORDS}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NonlinearModel:
     """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
 
@@ -195,6 +196,23 @@ class NonlinearModel:
         own = {name: getattr(self, name) for name in (*CUBIC, "proven", "errors")}
         return self.linear.summary() | {"format": f"model, nonlinear, {self.form} form"} | own
 
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, those of the linear solid last."""
+        length, stress = symbols(self.units)
+        constants = ", ".join(f"{getattr(self, name):.4g}" for name in CUBIC)
+        rows = [("form", self.form), (", ".join(CUBIC), f"{constants} {stress}")]
+        for spacing, figures in self.proven.items():
+            if figures.get("strain"):
+                unique = f"one solution up to |H| = {figures['strain']:.2%}"
+                rows.append((f"proven on {spacing} {length}", unique))
+        return rows + error_rows(self.errors) + self.linear.rows()
+
+    def __repr__(self) -> str:
+        return in_rows("NonlinearModel", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
+
     def content(self) -> dict[str, Any]:
         """What the file of the model holds."""
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "kind": KIND}
@@ -205,6 +223,25 @@ class NonlinearModel:
             content["gradient"] = list(self.gradient)
         content["sha256"] = content_hash(content)
         return content
+
+
+def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Ψ of (N3) [stress] at displacement gradients of shape [..., 2, 2].
+
+    `numbers` are λ, μ, t3, tq2, Re and Im of q3 e^(−6ia), as NonlinearModel.numbers_at.
+    """
+    lam, mu, t3, tq2, *turned = numbers
+    small = (H + H.swapaxes(-1, -2)) / 2
+    square = H.swapaxes(-1, -2) @ H / 2
+    E = small + square
+    trace, added = (np.trace(of, axis1=-2, axis2=-1) for of in (small, square))
+    # of the harmonic part only what the square adds: the linear solid has the rest
+    density = lam / 2 * added * (2 * trace + added)
+    density += mu * (square * (2 * small + square)).sum(axis=(-2, -1))
+    t = trace + added
+    q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
+    cubic = t3 * t**3 + tq2 * t * np.abs(q) ** 2 + (complex(*turned) * q**3).real
+    return np.asarray(density + cubic)
 
 
 def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
@@ -250,10 +287,10 @@ def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
 
 def load_nonlinear(path: str | os.PathLike[str]) -> NonlinearModel:
     """Read the file of a nonlinear model; InputError as for load_model."""
-    model = load_any(path)
-    if not isinstance(model, NonlinearModel):
+    model: Any = load_any(path)
+    if model.linear is model:
         raise InputError(f"{path}: kind: expected a nonlinear model, got a linear one")
-    return model
+    return model  # type: ignore[no-any-return]
 
 
 def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
@@ -261,9 +298,9 @@ def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
     content = read_content(path)
     nonlinear = isinstance(content, dict) and content.get("kind") == KIND
     try:
-        model = nonlinear_from(content) if nonlinear else model_from(content)
+        if nonlinear:
+            solid = nonlinear_from(content)
+            return replace(solid, linear=replace(solid.linear, file=Path(path)))
+        return replace(model_from(content), file=Path(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if isinstance(model, Model):
-        return replace(model, file=Path(path))
-    return replace(model, linear=replace(model.linear, file=Path(path)))

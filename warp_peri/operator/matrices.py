@@ -45,19 +45,22 @@ def matrices(
     points: PointsLike,
     *,
     quadrature_degree: int = DEGREE,
+    bonds: Bonds | None = None,
 ) -> Matrices:
     """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
 
+    `bonds` are those of the points with this model's horizon, where they are made already.
+
     Raises InputError for a point set that does not carry the horizon.
     """
-    points = on_nominal_lattice(model, points)
-    bonds = Bonds(
-        points,
-        model.horizon,
-        bond_based=model.bond_based,
-        quadrature_degree=quadrature_degree,
-    )
-    check_volumes(bonds, model)
+    if bonds is None:
+        bonds = Bonds(
+            on_nominal_lattice(model, points),
+            model.horizon,
+            bond_based=model.bond_based,
+            quadrature_degree=quadrature_degree,
+        )
+        check_volumes(bonds, model)
     alpha = floats(np.array([model.alpha]))
     tables = [
         table for D in (model.D, model.dilatation) for table in influence(bonds, alpha, floats(D))

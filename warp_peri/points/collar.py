@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.points.families import HORIZON_TOLERANCE, lattice_steps
+from warp_peri.points.families import HORIZON_TOLERANCE
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 
 

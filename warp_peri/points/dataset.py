@@ -9,10 +9,11 @@ from typing import Any
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_name, is_positive
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import Units
+from warp_peri.points.unit_names import Units, symbols
+from warp_peri.shown import as_table, in_rows
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Named sets of samples of one material.
 
@@ -75,3 +76,21 @@ class Dataset:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.sets)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, the sets one after the other."""
+        length = symbols(self.units)[0]
+        rows = [
+            ("thickness", f"{self.thickness:g} {length}"),
+            ("density", f"{self.density:g} kg/m³"),
+        ]
+        for name, samples in self.sets.items():
+            (_, count), (_, nodes), *_ = samples.rows()
+            rows.append((name, f"{count} samples on nodes: {nodes}"))
+        return rows
+
+    def __repr__(self) -> str:
+        return in_rows("Dataset", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())

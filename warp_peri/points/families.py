@@ -21,6 +21,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.launch import ints, launch_slices, zeros
 from warp_peri.points import scattered
+from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.quadrature import DEGREE, quadrature_weights
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
@@ -29,16 +30,9 @@ HORIZON_TOLERANCE = 1e-6
 """The ball is closed: a bond belongs to the family when r ≤ δ (1 + this); on a lattice, whose
 spacing has a tolerance of its own, 1 + twice this."""
 
-LATTICE_TOLERANCE = 1e-6
-"""Largest distance of a node from its lattice position, in spacings."""
-
 COLLAR = "interior nodes need complete families out to twice the horizon"
 LARGEST_REACH = 100
 """Largest horizon in spacings: a family of 31 000 bonds."""
-
-EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
-"""The table of lattice places around the nodes may be so much larger than their number, or so
-large; beyond that the nodes are too far apart to be one body."""
 
 BOND_COLLAR = "interior nodes need complete families"
 AT_EDGES = "Free edges and holes: Body(mesh, …), whose elements take what an edge cuts"
@@ -231,12 +225,6 @@ class _Build:
 def _lattice_families(points: PointsLike, horizon: float, degree: int) -> _Build:
     """On a lattice: one pattern of bonds for all nodes."""
     classes = bond_classes(points.spacing, horizon, degree=degree)
-    places = np.prod(np.ptp(points.x, axis=0) / points.spacing + 1)
-    if places > max(SMALL_TABLE, EMPTY_SHARE * len(points.x)):
-        raise InputError(
-            f"points: {len(points.x)} nodes spread over {places:.1e} lattice places; expected one "
-            "body"
-        )
     grid, axes, table, lacking = _lattice_table(points, classes)
     row = _numbered(np.arange(len(points.x) + 1, dtype=np.int64) * len(classes.steps))
     neighbour = table.reshape(-1)
@@ -286,38 +274,14 @@ def squared_reach(ratio: float) -> int:
     return math.floor((ratio * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
 
 
-def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the nodes of a lattice from its corner, shape [N, 2] int32, and its axes as columns.
-
-    Raises InputError naming points off the lattice.
-    """
-    h = points.spacing
-    axes = _axes(points.x, h)
-    x = points.x @ axes  # coordinates along the lattice
-    grid = np.rint((x - x[0]) / h).astype(np.int32)
-    off = np.abs(x - x[0] - h * grid).max(axis=1) > LATTICE_TOLERANCE * h
-    if off.any():
-        worst, unit = float(np.abs(x - x[0] - h * grid).max()), _unit(points)
-        raise InputError(
-            f"points: expected a square lattice of spacing {h} {unit}; off it: "
-            f"{scattered.listed(np.flatnonzero(off))}, by up to {worst:.2g} {unit}, where "
-            f"{LATTICE_TOLERANCE * h:.1g} {unit} ({LATTICE_TOLERANCE:g} spacings) are allowed: are "
-            "positions rounded?"
-        )
-    return grid - grid.min(0), axes
-
-
 def _lattice_table(
     points: PointsLike, classes: BondClasses
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
-    h, box = classes.spacing, points.box
+    h, box, size = classes.spacing, points.box, None
     grid, axes = lattice_steps(points)
     reach = int(np.abs(classes.steps).max())
-    if box is None:
-        size = grid.max(0) + 1 + 2 * reach
-        grid += reach
-    else:
+    if box is not None:
         if not np.array_equal(axes, np.eye(2)):
             raise InputError("box: expected a lattice along the axes, got a rotated one")
         fits = np.shape(box) == (2,) and np.isfinite(box).all()
@@ -327,21 +291,9 @@ def _lattice_table(
                 f"box: expected two whole multiples of {h} above {2 * reach * h} "
                 f"{_unit(points)}, got {box}"
             )
-        grid %= size
-    number = np.full(size, -1, dtype=np.int32)
-    number[tuple(grid.T)] = nodes = np.arange(len(grid))
-    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
-    if len(twice):
-        raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
-    table = zeros(len(grid), len(classes.steps), dtype=wp.int32)
-    lacking = zeros(len(grid), dtype=wp.int32)
-    launch_slices(
-        kernels.lattice_neighbours,
-        len(grid),
-        (ints(grid), ints(classes.steps), ints(number)),
-        (table, lacking),
-    )
-    return grid, axes, table.numpy(), lacking.numpy() > 0
+    table = neighbour_table(grid, classes.steps, size)
+    lacking = np.asarray(np.any(table < 0, axis=1))
+    return grid, axes, table, lacking
 
 
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
@@ -360,22 +312,6 @@ def _break(row: np.ndarray, neighbour: np.ndarray, outside: np.ndarray) -> None:
     broken = ints(neighbour)
     launch_slices(kernels.break_bonds, len(outside), links, (broken,))
     neighbour[:] = broken.numpy()
-
-
-def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
-    """Directions of the lattice as columns, from the mean angle of nearest-neighbour bonds."""
-    row, neighbour, _ = scattered.neighbours(x, spacing * (1 + LATTICE_TOLERANCE))
-    step = (x[neighbour] - np.repeat(x, np.diff(row), axis=0)) @ (1, 1j)
-    step = step[step != 0]  # a point given twice says nothing
-    if len(step) == 0:
-        raise InputError(
-            f"points: expected a square lattice of spacing {spacing}, but no two "
-            "points are that close"
-        )
-    angle = np.angle((step**4).sum()) / 4  # the fourth power is blind to quarter turns
-    if abs(angle) < 1e-12:
-        return np.eye(2)
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def _unit(points: PointsLike) -> str:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_name
 from warp_peri.points.points import Points
+from warp_peri.points.unit_names import symbols
+from warp_peri.shown import as_table, in_rows
 
 FIELDS = ("x", "u", "b", "interior", "outside")
 """Names that no array of samples may bear."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
     """Samples of one body on one set of points.
 
@@ -89,6 +91,51 @@ class Samples:
         if self.b is None:
             raise InputError("b: expected loads, got samples whose loads are not known (b=None)")
         return self.b
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length, stress = symbols(self.points.units)
+        kind = f"a lattice of {self.spacing:g} {length}" if self.spacing else "scattered"
+        nodes = f"{len(self.x)}, {np.count_nonzero(self.interior)} of them interior, {kind}"
+        rows = [("samples", str(len(self))), ("nodes", nodes)]
+        if self.box is not None:
+            rows.append(("periods", " × ".join(f"{side:g}" for side in self.box) + f" {length}"))
+        if self.axis is not None:
+            rows.append(("axis", f"{self.axis:g}°"))
+        rows.append(("u", f"up to {np.abs(self.u).max(initial=0.0):.3g} {length}"))
+        known = "not known"
+        if self.b is not None:
+            largest = np.abs(self.b[:, self.interior]).max(initial=0.0)
+            known = f"up to {largest:.3g} {stress}/{length}"
+        return [*rows, ("b", known), *((name, "by sample") for name in self.arrays)]
+
+    def __repr__(self) -> str:
+        return in_rows("Samples", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
+
+    def to_xarray(self) -> Any:
+        """u, b and the other arrays as an xarray.Dataset over sample, node and component.
+
+        Positions and the interior are coordinates, units are attributes. Raises InputError without
+        xarray.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise InputError("xarray is not installed: pip install 'warp_peri[view]'") from None
+        length, stress = self.points.units
+        fields = ("sample", "node", "component")
+        held: dict[str, Any] = {"u": (fields, self.u, {"units": length})}
+        if self.b is not None:
+            held["b"] = (fields, self.b, {"units": f"{stress}/{length}"})
+        for name, values in self.arrays.items():
+            axes = ("sample", *(f"{name}_{axis}" for axis in range(1, np.ndim(values))))
+            held[name] = (axes, values)
+        places: dict[str, Any] = {"x": (("node", "component"), self.x, {"units": length})}
+        places["interior"] = ("node", self.interior)
+        return xarray.Dataset(held, coords=places, attrs={"spacing": self.spacing})
 
 
 PointsLike: TypeAlias = Points | Samples

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
+from warp_peri.contract import linear_part, offered
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
@@ -95,18 +96,23 @@ class Certificate:
         return figures
 
 
-def certify(model: Model, *, spacing: float, points: PointsLike | None = None) -> Certificate:
-    """Compute the certificate of a model on a lattice.
+def certify(
+    material: Any, *, spacing: float | None = None, points: PointsLike | None = None
+) -> Certificate:
+    """Compute the certificate of a linear solid, or of a material's linear part, on a lattice.
 
     Args:
-        model: the model.
-        spacing: h [Å].
+        material: a Model, a material with a linear part, or the operator of either.
+        spacing: h [Å]; of an operator that of its points, by default.
         points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
             interior nodes, Φ with the dilatation of interior nodes only.
 
-    Raises InputError when the horizon is below one spacing, or the points have another spacing or
-    do not carry the horizon.
+    Raises InputError for a material without a linear part, when the horizon is below one spacing,
+    or the points have another spacing or do not carry the horizon.
     """
+    model: Model = linear_part(material, "certify")
+    if spacing is None:
+        spacing = offered(material, "points", "certify", "a spacing, or an operator").spacing
     if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
         raise InputError(
             f"spacing: expected that of the points, {points.spacing:g} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -19,27 +20,36 @@ class MatrixProblem:
     """L u = b on the unknown nodes, u given on the collar (theory.md, 29).
 
     Args:
-        L: the operator on the interior nodes [TPa/Å²], shape [2 I, 2 N].
-        interior: unknown nodes, shape [N] bool.
+        L: the rows of the operator that belong to unknowns, of d components a node [TPa/Å²]:
+            shape [d I, d N].
+        interior: unknown nodes, shape [N] bool, or components of them, [N, d].
+        factorise: of the unknowns' matrix; RuntimeError for one that is singular.
     """
 
-    def __init__(self, L: sp.csr_array, interior: np.ndarray) -> None:
-        self.unknown = np.repeat(interior, 2)
+    def __init__(
+        self,
+        L: sp.csr_array,
+        interior: np.ndarray,
+        *,
+        factorise: Callable[[sp.csc_array], Any] = splu,
+    ) -> None:
+        self.unknown = np.repeat(interior.ravel(), L.shape[1] // interior.size)
+        self.factorise, self.left, self.components = factorise, 0.0, L.shape[1] // len(interior)
         self.stiffness = sp.csc_array(L[:, self.unknown])
         self.collar = sp.csr_array(L[:, ~self.unknown])
         # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
-        self.rounding = np.finfo(float).eps * abs(L).sum(axis=1).max()
+        self.rounding = np.finfo(float).eps * np.max(abs(L).sum(axis=1), initial=0.0)
 
     @property
     def nodes(self) -> int:
         """Number of unknown nodes I."""
-        return int(self.stiffness.shape[0]) // 2
+        return int(self.stiffness.shape[0] // self.components)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
         """b − L u of the collar [TPa/Å], one column a sample: shape [2 I, S].
 
         Args:
-            b: load, shape [S, N, 2].
+            b: load, shape [S, N, d].
             u: displacement, same shape; that of the collar counts.
         """
         load, held = (field.reshape(len(field), len(self.unknown)) for field in (b, u))
@@ -49,7 +59,7 @@ class MatrixProblem:
     def factors(self) -> Any:
         """L_II factorised; InputError where it is singular."""
         try:
-            return splu(self.stiffness)
+            return self.factorise(self.stiffness)
         except RuntimeError as error:
             raise InputError(
                 f"the operator on these {self.nodes} nodes is singular: the model is "
@@ -59,15 +69,17 @@ class MatrixProblem:
     def check(self, solution: np.ndarray, right: np.ndarray) -> None:
         """Raise InputError unless every column of the solution has a small residual."""
         wrong = np.linalg.norm(self.stiffness @ solution - right, axis=0)
+        size = np.linalg.norm(right, axis=0)
+        self.left = float(np.max(wrong / np.where(size > 0, size, np.inf), initial=0.0))
         wrong = np.maximum(wrong, self.rounding * np.linalg.norm(solution, axis=0))
-        if not (wrong <= RESIDUAL * np.linalg.norm(right, axis=0)).all():
+        if not (wrong <= RESIDUAL * size).all():
             raise InputError(
                 "the operator on these nodes is singular to working precision: "
                 f"the residual of the solve is {wrong.max():.1e}"
             )
 
     def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Displacement [Å], shape [S, N, 2]: u on the collar, the solution elsewhere.
+        """Displacement [Å], shape [S, N, d]: u on the collar, the solution elsewhere.
 
         Raises InputError for an operator that is singular, or nearly.
         """

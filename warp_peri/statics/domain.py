@@ -9,7 +9,8 @@ import scipy.fft
 import torch
 
 from warp_peri.operator.stencil import Torus
-from warp_peri.points.families import BondClasses, bond_classes, families_of, lattice_steps
+from warp_peri.points.families import BondClasses, bond_classes, families_of
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
-from warp_peri.launch import known_device
+from warp_peri.launch import DEVICE, known_device
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
 from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -74,11 +75,7 @@ class PlacedLPS(LPSOperator):
         """h² (½ u_I·L u_I + u_I·L u_C) [stress · area], shape [...]; on lattices."""
         if self.carrier is not None or self.points.spacing == 0:
             return None
-        u = np.asarray(u, dtype=float)
-        inside = self.points.interior[:, None]
-        inner = u[..., self.points.interior, :]
-        own, collar = (self(np.where(m, u, 0.0)) for m in (inside, ~inside))
-        return np.asarray(self.points.spacing**2 * (inner * (own / 2 + collar)).sum(axis=(-2, -1)))
+        return linear_energy(self, self.points, u)
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """σ [TPa] at the interior nodes, [..., I, 2, 2]; None on scattered points."""
@@ -154,7 +151,9 @@ class PlacedLPS(LPSOperator):
     def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
         """The solution of the assembled problem."""
         model, nodes = self.model, self.nodes
-        parts = matrices(model, nodes, quadrature_degree=degree)
+        mine = degree == self.quadrature_degree and self.device == DEVICE
+        own = self.bonds if mine else None
+        parts = matrices(model, nodes, quadrature_degree=degree, bonds=own)
         problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
         answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
         stiffness, allowed = problem.stiffness, self.allowed
@@ -213,6 +212,15 @@ class PlacedLPS(LPSOperator):
         inside = torch.from_numpy(self.points.interior).to(b.device)
         told = self._told(answer, b[..., inside, :].detach().cpu().numpy(), method, records)
         return told if parameters is None else replace(told, proven=None)
+
+
+def linear_energy(operator: Any, points: Points, u: np.ndarray) -> np.ndarray:
+    """h² (½ u_I·L u_I + u_I·L u_C) [stress · area] of a linear operator, shape [...]."""
+    u = np.asarray(u, dtype=float)
+    inside = points.interior[:, None]
+    own, collar = (operator(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
+    inner = u[..., points.interior, :]
+    return np.asarray(points.spacing**2 * (inner * (own / 2 + collar)).sum(axis=(-2, -1)))
 
 
 def checked_fields(

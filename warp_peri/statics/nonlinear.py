@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,7 +22,7 @@ from scipy.optimize import NoConvergence, newton_krylov
 from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
-from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.models.nonlinear import NonlinearModel, energy_density
 from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
@@ -31,7 +32,7 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
-from warp_peri.statics.lps import checked_fields
+from warp_peri.statics.lps import checked_fields, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.transfer.nonlinear import nonlinear_for
@@ -119,11 +120,19 @@ class PlacedThirdOrder(NonlinearOperator):
         return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative at u along v, of one field [N, 2]: shape [I, 2]."""
-        return np.asarray((self.tangent(u) @ np.ravel(v)).reshape(-1, 2))
+        """The derivative at u along v, shape [..., I, 2]."""
+        fields, along = (np.reshape(field, (-1, *self.points.x.shape)) for field in (u, v))
+        rates = [self.tangent(f) @ np.ravel(a) for f, a in zip(fields, along, strict=True)]
+        return np.reshape(rates, (*np.shape(u)[:-2], -1, 2))
 
-    def energy(self, u: np.ndarray) -> None:
-        """None: the filtered form has no energy."""
+    def energy(self, u: np.ndarray) -> np.ndarray | None:
+        """Of the linear solid, and h² Σ Ψ(H) (N1) [stress · area]; None for the filtered form."""
+        if self.model.smoothing is not None:
+            return None
+        H, _ = self.gradients(u)
+        own = energy_density(H, self.numbers.numpy()).sum(axis=-1)
+        linear = linear_energy(self.straight, self.points, u)
+        return np.asarray(linear + self.points.spacing**2 * own)
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """σ of the linear solid and P of Ψ [TPa] at the interior nodes, [..., I, 2, 2] (N2)."""
@@ -186,11 +195,8 @@ class _Solver:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
         self.linear = linear_solver(operator, points, LINEAR_SHARE * tolerance)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="spacing: the model is certified")
-            self.clipped = NonlinearOperator(
-                operator.model, points, radius=self.proven, allow_uncertified=True
-            )
+        self.clipped = copy(operator)
+        self.clipped.radius = self.proven
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.

@@ -18,13 +18,11 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
-from warp_peri.points.samples import PointsLike
 from warp_peri.stability.solvability import lanczos_start, smallest_eigenvalue
 from warp_peri.tissue.factors import positive_factors
 from warp_peri.tissue.laplacian import laplacian
 from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.tissue.solid import HyperelasticSolid, Term
-from warp_peri.tissue.stretch_range import warn_beyond
+from warp_peri.tissue.solid import Term
 from warp_peri.tissue.tangent import TangentPattern
 
 DIRECT = 12_000
@@ -385,25 +383,6 @@ class StaticProblem:
             tol=1e-2, maxiter=2000,
         )  # fmt: skip
         return float(values[0]) * self.softest
-
-
-def solve_hyperelastic(
-    solid: HyperelasticSolid,
-    points: PointsLike,
-    b: np.ndarray | None,
-    u: np.ndarray,
-    *,
-    thickness: np.ndarray | None = None,
-) -> Equilibrium:
-    """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments.
-
-    A thickness of every node, shape [N], makes the sheet uneven, (H18). Warns of stretches beyond
-    the data that the solid was learned from.
-    """
-    op = HyperelasticOperator(solid.dictionary, points, thickness=thickness)
-    found = StaticProblem(op).solve(solid.coefficients, b, u)
-    warn_beyond(solid, op, found.u)
-    return found
 
 
 def _inverse(factor: Any) -> LinearOperator:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import check_same
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import HyperelasticSolid
@@ -20,6 +21,7 @@ def hyperelastic_errors(
     truth: np.ndarray | None = None,
     solve: bool = True,
     thickness: np.ndarray | None = None,
+    operator: HyperelasticOperator | None = None,
 ) -> dict[str, Any]:
     """Relative ℓ2 errors on the interior, (30) and (31), as means over samples and one by one.
 
@@ -30,16 +32,20 @@ def hyperelastic_errors(
             samples where none is given. Displacement on the collar is read from the samples.
         solve: whether E_u is asked for.
         thickness: of every node of the samples, shape [N]; an even sheet where none is given.
+        operator: of the solid's dictionary on these samples, where there is one already.
 
     Returns:
         E_res where there are loads; E_u over the samples that were solved, not_solved, their
         number, and left_branch, the number of those that (Equilibrium.followed) another branch may
         hold; residuals and displacements with the errors of every sample, NaN where not solved.
 
+    Raises InputError for samples in other units than the solid.
+
     Warns of fields, solved where that is asked for, that are stretched beyond the data that the
     solid was learned from.
     """
-    op = HyperelasticOperator(solid.dictionary, samples, thickness=thickness)
+    check_same(solid.units, samples.points.units)
+    op = operator or HyperelasticOperator(solid.dictionary, samples, thickness=thickness)
     inner, errors_of, fields = op.interior, {}, samples.u
     if samples.b is not None:
         left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]

@@ -62,11 +62,6 @@ class HyperelasticOperator:
         thickness: np.ndarray | None = None,
         dtype: Any = wp.float64,
     ) -> None:
-        if points.axis:
-            raise InputError(
-                "axis: directions of a hyperelastic solid are told from the x axis of the points; "
-                f"expected none or 0°, got {points.axis:g}°"
-            )
         self.dictionary, self.points, self.scalar = dictionary, nodes_of(points), dtype
         self.bonds = lattice_bonds(self.points, dictionary.reach)
         self.interior = np.flatnonzero(points.interior)
@@ -136,7 +131,7 @@ class HyperelasticOperator:
         """The bonds as the kernels read them."""
         bonds, h, C = self.bonds, self.bonds.spacing, self.bonds.classes
         real = np.float64 if self.scalar == wp.float64 else np.float32
-        xi = h * bonds.steps
+        xi = h * bonds.steps  # strains and their weights are told in the frame of the lattice
         square = (xi**2).sum(axis=1)
         short = np.zeros((C, 3))
         near = (bonds.steps[:C] ** 2).sum(axis=1) <= SHORT_REACH**2 + 1e-9
@@ -154,7 +149,7 @@ class HyperelasticOperator:
         lattice.neighbour = ints(bonds.neighbour)
         lattice.whole = ints(bonds.whole)
         lattice.apex = ints(self.apexes.astype(int))
-        lattice.xi = floats(xi.astype(real), self.of.vec)
+        lattice.xi = floats(bonds.xi.astype(real), self.of.vec)
         lattice.inverse = floats((1 / square).astype(real), self.scalar)
         lattice.weight = floats(np.tile(weight, (2, 1)).astype(real), self.of.six)
         lattice.unit = floats(self.unit.astype(real), wp.types.vector(3, self.scalar))

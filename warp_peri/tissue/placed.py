@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
+from warp_peri.points.unit_names import check_same
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium, StaticProblem
@@ -16,6 +17,7 @@ from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import HyperelasticSolid
 from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue.stretch_range import warn_beyond
 
 
 class PlacedSheet:
@@ -30,14 +32,15 @@ class PlacedSheet:
         energies: the operator of its dictionary, for any coefficients.
 
     ``op(u)`` takes u [length], shape [N, 2] or [S, N, 2], and returns minus the internal force
-    density on interior nodes. Raises InputError for points that are no lattice, or whose collar is
-    too narrow.
+    density on interior nodes. Raises InputError for points that are no lattice, in other units, or
+    whose collar is too narrow.
     """
 
     def __init__(
         self, model: HyperelasticSolid, points: PointsLike, *, thickness: np.ndarray | None = None
     ) -> None:
         self.model, self.points, self.thickness = model, nodes_of(points), thickness
+        check_same(model.units, self.points.units)
         self.energies = HyperelasticOperator(model.dictionary, self.points, thickness=thickness)
 
     def __call__(self, u: Any) -> Any:
@@ -65,7 +68,7 @@ class PlacedSheet:
 
     def errors(self, samples: Samples) -> dict[str, Any]:
         """For `evaluate`: as hyperelastic_errors, samples that are not solved told apart."""
-        return hyperelastic_errors(self.model, samples, thickness=self.thickness)
+        return hyperelastic_errors(self.model, samples, operator=self.energies)
 
     def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The stable equilibrium under a load, displacement given on the collar.
@@ -76,8 +79,9 @@ class PlacedSheet:
             solver: Newton(tolerance).
 
         The details of the solution are an Equilibrium for each sample, with the smallest
-        eigenvalue of its tangent. Raises NoEquilibrium where
-        none was found, naming the sample; InputError for arrays that do not fit.
+        eigenvalue of its tangent. Warns of stretches beyond the data that the solid was learned
+        from. Raises NoEquilibrium where none was found, naming the sample; InputError for arrays
+        that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         given = np.array(u, dtype=float)
@@ -94,8 +98,10 @@ class PlacedSheet:
         fields = given.reshape(-1, *given.shape[-2:])
         for number, (force, field) in enumerate(zip(load.reshape(fields.shape), fields)):
             found.append(self._one(problem, number, None if b is None else force, field))
+        answer = np.stack([one.u for one in found])
+        warn_beyond(self.model, self.energies, answer)
         return Solution(
-            np.stack([one.u for one in found]).reshape(given.shape),
+            answer.reshape(given.shape),
             self.points,
             self,
             self.load(load),

@@ -13,7 +13,16 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
-from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
+from warp_peri.points.unit_names import (
+    USUAL,
+    Units,
+    check_units,
+    factors,
+    symbols,
+    unit_content,
+    units_of,
+)
+from warp_peri.shown import as_table, in_rows
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike, Samples
@@ -61,6 +70,8 @@ GUARANTEED = {
     "quadratic 12,12",
 }
 """Kinds that are convex near rest and stress-free there: a positive coefficient is safe."""
+MOST_SHOWN = 8
+"""Energies that a solid shows of itself."""
 POSITIVE_BONDS = {"square", "tension", "tension_cube", "log", "compression"}
 
 
@@ -214,7 +225,7 @@ class Dictionary:
         return replace(self, terms=tuple(terms))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HyperelasticSolid:
     """A dictionary with its coefficients.
 
@@ -263,6 +274,39 @@ class HyperelasticSolid:
         from warp_peri.tissue.placed import PlacedSheet
 
         return PlacedSheet(self, points, thickness=thickness)
+
+    def in_units(self, units: Units) -> HyperelasticSolid:
+        """The same solid with its numbers in other units; records stay as they are.
+
+        Raises InputError for units that are not known, or that no factor leads to.
+        """
+        length, stress = factors(self.units, units)
+        if self.units == tuple(units):
+            return self
+        return replace(
+            self,
+            coefficients=self.coefficients * stress,
+            spacing=self.spacing * length,
+            provenance={**self.provenance, "units_before": list(self.units)},
+            units=check_units(units),
+        )
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, energies by the size of their coefficients."""
+        length, stress = symbols(self.units)
+        stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
+        rows = [("learned on", f"{self.spacing:g} {length}"), ("stretch of the data", stretch)]
+        rows.append(("energies", f"{len(self.dictionary)}"))
+        order = np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]
+        labels, values = self.dictionary.labels, self.coefficients
+        rows += [(labels[n], f"{values[n]:.4g} {stress}") for n in order if values[n]]
+        return rows
+
+    def __repr__(self) -> str:
+        return in_rows("HyperelasticSolid", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     @property
     def horizon(self) -> float:

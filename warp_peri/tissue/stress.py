@@ -23,7 +23,7 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
     u = np.asarray(u, float)
     E, G, _ = op.states(u, c)
     i, j, k = op.bonds.pairs
-    xi = op.bonds.spacing * op.bonds.steps[k]
+    xi = op.bonds.xi[k]
     Y = xi + u[j] - u[i]
     square = (xi**2).sum(axis=1)
     s = ((Y**2).sum(axis=1) / square - 1) / 2

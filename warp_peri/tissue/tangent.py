@@ -49,7 +49,7 @@ class TangentPattern:
         window: Any = Window()
         window.shift, window.centre = ints(steps @ stride), reach * side + reach
         window.near, window.linked = (ints(np.concatenate([p, p + C])) for p in (near, linked))
-        place = np.rint((op.points.x - op.points.x.min(axis=0)) / op.bonds.spacing).astype(int)
+        place = op.bonds.grid - op.bonds.grid.min(axis=0)
         number = np.full(place.max(axis=0) + 1 + 2 * reach, -1)
         number[tuple((place[interior] + reach).T)] = np.arange(len(interior))
         offsets = reached(steps, near, np.union1d(near, linked))

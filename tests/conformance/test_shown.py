@@ -1,0 +1,68 @@
+"""What a person sees of a material or of data: constants with units, errors, what is proven."""
+
+import importlib.util
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.conformance.test_laws import LAWS, solved_samples
+
+SEEN = {
+    "LPS": ("λ, μ 0.3, 0.8 TPa", "3 Å", "One solution.", "certified on 1 Å"),
+    "third order, energy": ("t3, tq2, q3", "-0.5, -6.8, 1.04 TPa", "|H| = 3.00%", "λ, μ"),
+    "hyperelastic": ("0.1 Å", "bond (", "TPa", "stretch of the data not known"),
+}
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_a_material_shows_what_it_is(name):
+    material = LAWS[name].material()
+    text, table = repr(material), material._repr_html_()
+    assert text.splitlines()[0] == type(material).__name__
+    for part in SEEN[name]:
+        assert part in " ".join(text.split())
+    assert table.startswith("<table>")
+    assert table.count("<tr>") == len(text.splitlines()) - 1
+    other = repr(material.in_units(("nm", "GPa")))
+    assert "GPa" in other
+    assert "TPa" not in other
+
+
+def test_errors_are_shown_where_there_are_any():
+    model = replace(LAWS["LPS"].material(), errors={"test": {"E_res": 0.021, "E_u": 0.0042}})
+    assert "errors on test E_res 2.10%, E_u 0.42%" in " ".join(repr(model).split())
+
+
+def samples():
+    law = LAWS["LPS"]
+    points = law.points(4)
+    made = solved_samples(law, law.material().on(points), points)
+    return replace(made, arrays={"wave_vector": np.ones((2, 2))})
+
+
+def test_data_show_their_size():
+    shown = repr(samples())
+    assert "256, 16 of them interior, a lattice of 1 Å" in shown
+    assert "TPa/Å" in shown
+    assert "b" in repr(replace(samples(), b=None)).split("not known")[0]
+    data = wp.Dataset({"train": samples(), "test": samples()}, 3.35, 2200.0)
+    assert "train      2 samples on nodes: 256" in repr(data)
+    assert "3.35 Å" in data._repr_html_()
+
+
+@pytest.mark.skipif(importlib.util.find_spec("xarray") is not None, reason="xarray is there")
+def test_without_xarray_the_extra_is_named():
+    with pytest.raises(wp.InputError, match=r"pip install 'warp_peri\[view\]'"):
+        samples().to_xarray()
+
+
+def test_samples_for_xarray():
+    pytest.importorskip("xarray")
+    made = samples()
+    table = made.to_xarray()
+    assert table["u"].dims == ("sample", "node", "component")
+    assert table["b"].attrs["units"] == "TPa/angstrom"
+    assert np.array_equal(table["u"].values, made.u)
+    assert np.array_equal(table["interior"].values, made.interior)

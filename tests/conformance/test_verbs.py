@@ -1,0 +1,93 @@
+"""Verbs that take every material for which they mean something, and ask of points once."""
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.conformance.test_laws import LAWS, solved_samples
+from warp_peri.choice import Scene
+from warp_peri.operator import bonds, gradient_sweeps
+from warp_peri.statics import nonlinear as third_order
+from warp_peri.tissue import operator as tissue
+from warp_peri.transfer import operator as transferred
+
+pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
+
+
+def of(name, side=4):
+    law = LAWS[name]
+    material, points = law.material(), law.points(side)
+    op = material.on(points)
+    return material, op, solved_samples(law, op, points)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_errors_are_those_of_the_operator(name):
+    material, op, samples = of(name)
+    of_material, of_operator = wp.evaluate(material, samples), wp.evaluate(op, samples)
+    assert of_material.keys() == of_operator.keys()
+    assert of_material["E_u"] == of_operator["E_u"] < 1e-8
+
+
+def counted(monkeypatch, module, name):
+    """How often a function of a module is called from now on."""
+    calls, function = [], getattr(module, name)
+
+    def call(*arguments, **options):
+        calls.append(name)
+        return function(*arguments, **options)
+
+    monkeypatch.setattr(module, name, call)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("name", "resolved", "linked"),
+    [
+        ("LPS", (transferred, "model_for"), ((bonds, "families_of"),)),
+        (
+            "third order, energy",
+            (third_order, "nonlinear_for"),
+            ((gradient_sweeps, "families_of"), (bonds, "families_of")),
+        ),
+        ("hyperelastic", None, ((tissue, "lattice_bonds"),)),
+    ],
+)
+def test_a_material_is_placed_once(name, resolved, linked, monkeypatch):
+    """The linear part of a third-order solid has bonds of its own, made once as well."""
+    material, op, samples = of(name)
+    asked = counted(monkeypatch, *resolved) if resolved else ["none to resolve"]
+    made = [counted(monkeypatch, *place) for place in linked]
+    op = material.on(samples.points)
+    wp.evaluate(op, samples)
+    wp.solve(op, wp.Dirichlet(samples.points, samples.b, samples.u))
+    assert len(asked) == 1
+    assert [len(calls) for calls in made] == [1] * len(linked)
+
+
+def test_a_linear_part_is_certified_and_its_material_diagnosed():
+    material, op, _ = of("LPS, two functions")
+    expected = wp.certify(material, spacing=1.0)
+    assert wp.certify(op) == expected
+    cubic, on, samples = of("third order, energy")
+    many = wp.Samples(samples.points, *(np.tile(f, (4, 1, 1)) for f in (samples.u, samples.b)))
+    assert wp.certify(cubic, spacing=1.0) == wp.certify(on) == wp.certify(cubic.linear, spacing=1)
+    assert wp.diagnose(cubic, many).residual < 1e-12
+    assert wp.diagnose(cubic.linear, many).residual > 1e-3
+
+
+def test_what_a_verb_does_not_mean_is_refused_by_name():
+    solid, _, samples = of("hyperelastic")
+    scene = Scene(size=(10.0, 10.0), shortest_wave=5.0)
+    many = wp.Samples(samples.points, *(np.tile(f, (4, 1, 1)) for f in (samples.u, samples.b)))
+    for verb, call in {
+        "certify": lambda: wp.certify(solid, spacing=0.1),
+        "diagnose": lambda: wp.diagnose(solid, many),
+        "choose_model": lambda: wp.choose_model(tolerance=0.1, scene=scene, model=solid),
+    }.items():
+        with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticSolid"):
+            call()
+    with pytest.raises(wp.InputError, match="evaluate: expected a material.*, got Points"):
+        wp.evaluate(samples.points, samples)
+    with pytest.raises(wp.InputError, match="evaluate: transfer: not among .* HyperelasticSolid"):
+        wp.evaluate(solid, samples, transfer=False)

@@ -1,0 +1,32 @@
+"""Materials and operators as the contract's protocols: mypy holds them to it."""
+
+from warp_peri.contract import Law, Material, Operator, Problem
+from warp_peri.learning.laws import LPS, ThirdOrder
+from warp_peri.models.lps import Model
+from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.points.points import Points
+from warp_peri.problems import Body, Dirichlet, Periodic
+from warp_peri.statics.lps import PlacedLPS
+from warp_peri.statics.nonlinear import PlacedThirdOrder
+from warp_peri.tissue.placed import PlacedSheet
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
+
+
+def materials(one: Model, two: NonlinearModel, three: HyperelasticSolid) -> list[Material]:
+    return [one, two, three]
+
+
+def operators(one: PlacedLPS, two: PlacedThirdOrder, three: PlacedSheet) -> list[Operator]:
+    return [one, two, three]
+
+
+def problems(one: Dirichlet, two: Periodic, three: Body) -> list[Problem]:
+    return [one, two, three]
+
+
+def laws(one: LPS, two: ThirdOrder, three: Dictionary) -> list[Law]:
+    return [one, two, three]
+
+
+def placed(material: Material, points: Points) -> Operator:
+    return material.on(points)

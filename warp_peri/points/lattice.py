@@ -1,0 +1,112 @@
+"""Square lattices, straight or turned: their axes, the steps of their nodes, who is where."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from warp_peri.errors import InputError
+from warp_peri.kernels import neighbours as kernels
+from warp_peri.launch import ints, launch_slices, zeros
+from warp_peri.points import scattered
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import symbols
+
+LATTICE_TOLERANCE = 1e-6
+"""Largest distance of a node from its lattice position, in spacings."""
+
+EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
+"""The table of lattice places around the nodes may be so much larger than their number, or so
+large; beyond that the nodes are too far apart to be one body."""
+
+
+def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the nodes of a lattice from its corner, shape [N, 2] int32, and its axes as columns.
+
+    Raises InputError naming points off the lattice, and for nodes too far apart to be one body.
+    """
+    x, h = points.x, points.spacing
+    _refuse_far(x, h)
+    return _steps(x, h, _axes(x, h), " " + symbols(nodes_of(points).units)[0])
+
+
+def straight_steps(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """As lattice_steps; the axes are exactly those of x where the nodes lie along them.
+
+    Raises InputError as lattice_steps does.
+    """
+    _refuse_far(x, spacing)
+    place = (x - x.min(axis=0)) / spacing
+    grid = np.rint(place)
+    if np.abs(place - grid).max() <= LATTICE_TOLERANCE:
+        return grid.astype(np.int32), np.eye(2)
+    return _steps(x, spacing, _axes(x, spacing), "")
+
+
+def neighbour_table(
+    grid: np.ndarray, steps: np.ndarray, size: np.ndarray | None = None
+) -> np.ndarray:
+    """The node at each step of a family from each node, −1 where there is none: [N, B] int32.
+
+    Args:
+        grid: lattice steps of the nodes, shape [N, 2].
+        steps: bond vectors of a family in lattice steps, shape [B, 2].
+        size: periods in lattice steps, more than twice the longest step; None without.
+
+    Raises InputError for nodes given twice.
+    """
+    if size is None:
+        reach = int(np.abs(steps).max())
+        grid = grid - grid.min(axis=0) + reach
+        size = grid.max(axis=0) + 1 + reach
+    else:
+        grid = grid % size
+    number = np.full(size, -1, dtype=np.int32)
+    number[tuple(grid.T)] = nodes = np.arange(len(grid))
+    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
+    if len(twice):
+        raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
+    table = zeros(len(grid), len(steps), dtype=wp.int32)
+    lattice = (ints(grid), ints(steps), ints(number))
+    launch_slices(kernels.lattice_neighbours, len(grid), lattice, (table,))
+    found: np.ndarray = table.numpy()
+    return found
+
+
+def _refuse_far(x: np.ndarray, spacing: float) -> None:
+    places = np.prod(np.ptp(x, axis=0) / spacing + 1)
+    if places > max(SMALL_TABLE, EMPTY_SHARE * len(x)):
+        raise InputError(
+            f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
+        )
+
+
+def _steps(x: np.ndarray, h: float, axes: np.ndarray, unit: str) -> tuple[np.ndarray, np.ndarray]:
+    x = x @ axes  # coordinates along the lattice
+    grid = np.rint((x - x[0]) / h).astype(np.int32)
+    off = np.abs(x - x[0] - h * grid).max(axis=1)
+    far = np.flatnonzero(off > LATTICE_TOLERANCE * h)
+    if len(far):
+        raise InputError(
+            f"points: expected a square lattice of spacing {h}{unit}; off it: "
+            f"{scattered.listed(far)}, by up to {float(off.max()):.2g}{unit}, where "
+            f"{LATTICE_TOLERANCE * h:.1g}{unit} ({LATTICE_TOLERANCE:g} spacings) are allowed: are "
+            "positions rounded?"
+        )
+    return grid - grid.min(0), axes
+
+
+def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Directions of the lattice as columns, from the mean angle of nearest-neighbour bonds."""
+    row, neighbour, _ = scattered.neighbours(x, spacing * (1 + LATTICE_TOLERANCE))
+    step = (x[neighbour] - np.repeat(x, np.diff(row), axis=0)) @ (1, 1j)
+    step = step[step != 0]  # a point given twice says nothing
+    if len(step) == 0:
+        raise InputError(
+            f"points: expected a square lattice of spacing {spacing}, but no two "
+            "points are that close"
+        )
+    angle = np.angle((step**4).sum()) / 4  # the fourth power is blind to quarter turns
+    if abs(angle) < 1e-12:
+        return np.eye(2)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
