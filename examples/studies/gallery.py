@@ -172,8 +172,9 @@ def page() -> str:
     lines = [
         "# Gallery",
         "",
-        "Every figure is made by the commands under it, from the root of the repository;",
-        "`python examples/studies/gallery.py` puts them here.",
+        "Look here to see what the library does before you read how. Every figure is made by the",
+        "commands under it, from the root of the repository; `python examples/studies/gallery.py`",
+        "puts them here.",
     ]
     for figure in FIGURES:
         lines += ["", f"## {figure.title}", "", figure.shows, ""]

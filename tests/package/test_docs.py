@@ -1,16 +1,16 @@
 """The snippets of the pages run as they are printed."""
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support.problems import lattice, manufactured
+import warp_peri
+from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
-from warp_peri.models.lps import load_model
 from warp_peri.models.shapes import InfluenceFunction, exponential
-from warp_peri.points.dataset_file import load_dataset
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 HORIZON = 12.5
@@ -40,12 +40,12 @@ def test_csv_files_of_fields_become_a_data_set_that_trains(points, tmp_path, mon
         np.savetxt(name, rows, delimiter=",", header="x,y,u_x,u_y,b_x,b_y", comments="")
     (snippet,) = snippets("own_data.md")
     exec(compile(snippet, "own_data.md", "exec"), {})
-    loaded = load_dataset("mine.h5")["train"]
+    loaded = warp_peri.load("mine.h5")["train"]
     assert loaded.interior.sum() == 13**2
     np.testing.assert_allclose(loaded.u, points.u, rtol=1e-12)
     line = "train mine.h5 --horizon 20 --influence exponential --out runs/mine --json"
     assert main(line.split()) == 0
-    model = load_model("runs/mine/model.json")
+    model = warp_peri.load("runs/mine/model.json")
     assert (model.lam, model.mu) == pytest.approx((0.2, 0.3), rel=1e-5)
     assert model.provenance["influence"]["parameters"]["length"] == pytest.approx(9.0, rel=1e-5)
 
@@ -56,5 +56,72 @@ def test_the_page_on_influence_functions(points, tmp_path, monkeypatch, capsys):
     for snippet in snippets("influence.md"):
         exec(compile(snippet, "influence.md", "exec"), names)
     assert "Every static problem" in capsys.readouterr().out
-    assert load_model("model.json").certified_on == (5.0,)
+    assert warp_peri.load("model.json").certified_on == (5.0,)
     assert names["certificate"].holds
+
+
+@pytest.mark.parametrize("page", ["learning.md", "lattices.md"])
+def test_the_pages_on_learning_and_lattices(page, capsys):
+    model = kernel("1/r", HORIZON, spacing=5.0)
+    train = manufactured(model, lattice(8, HORIZON, 5.0), 8, wave_number=0.2)
+    names = {"model": model, "train": train, "points": train.points}
+    (snippet,) = snippets(page)
+    exec(compile(snippet, page, "exec"), names)
+    printed = capsys.readouterr().out
+    assert "(4.0,)" in printed if page == "lattices.md" else "certificate" in printed.lower()
+
+
+def test_the_api_lists_every_public_name():
+    """Each `:::` of the page with its members; a public module without members has its __all__."""
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    shown = set()
+    for block in page.split("\n::: ")[1:]:
+        path, options = block.split("\n\n")[0].split("\n", 1)
+        members = re.search(r"members: \[(.*)\]", options)
+        module = import_module(path)
+        names = members[1].split(", ") if members else getattr(module, "__all__", vars(module))
+        for name in names:
+            assert getattr(module, name, None) is not None, f"{path}.{name}"
+            shown.add(getattr(module, name) if callable(getattr(module, name)) else name)
+    for module in (warp_peri, *(getattr(warp_peri, name) for name in warp_peri._MODULES)):
+        for name in getattr(module, "__all__", ()):
+            assert getattr(module, name) in shown, f"{module.__name__}.{name}"
+
+
+def test_every_page_is_in_the_index_and_in_the_menu():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    menu = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in DOCS.glob("*.md"):
+        if page.name != "index.md":
+            assert f"]({page.name})" in index, page.name
+        assert f": {page.name}\n" in menu, page.name
+
+
+def test_every_page_opens_with_a_picture_under_its_title():
+    for page in {*DOCS.glob("*.md")} - {DOCS / "gallery.md"}:
+        title, picture, *_ = page.read_text(encoding="utf-8").split("\n\n")
+        assert title.startswith("# "), page.name
+        path = re.fullmatch(r"!\[.+\]\((\S+)\)", picture)
+        assert path, page.name
+        assert (DOCS / path[1]).stat().st_size <= 200_000, path[1]
+
+
+def test_the_readme_fits_on_one_page():
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    assert len(readme.split()) <= 900
+    for target in re.findall(r"\]\(([^)#:]+)\)", readme):
+        assert (DOCS.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", ["growth.md", "reliability.md"])
+def test_what_a_page_names_is_there(page):
+    """Paths of the repository, and dotted names of the package."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    paths = re.findall(r"`((?:[\w.]+/)+[\w.]*)`", text)
+    assert paths
+    for path in paths:
+        places = (DOCS.parent / path, DOCS.parent / "warp_peri" / path)
+        assert any(place.exists() for place in places) or "X" in path, path
+    for name in re.findall(r"`(warp_peri(?:\.\w+)+)`", text):
+        module, last = name.rsplit(".", 1)
+        assert hasattr(import_module(module), last), name

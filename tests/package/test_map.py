@@ -1,4 +1,4 @@
-"""The README's map: every wing is there, in the order of the floors, and its use runs."""
+"""The map of docs/growth.md: every wing is there, in the order of the floors, and its use runs."""
 
 import re
 import shlex
@@ -13,10 +13,10 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 from warp_peri.points.dataset_file import save_dataset
 
-README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
+PAGE = (ROOT.parent / "docs" / "growth.md").read_text(encoding="utf-8")
 USES = {
     wing: re.findall(r"`([^`]*)`", use)
-    for wing, use in re.findall(r"^\| `([a-z]+)/` \|[^|]*\|(.*)\|$", README, re.M)
+    for wing, use in re.findall(r"^\| `([a-z]+)/` \|[^|]*\|(.*)\|$", PAGE, re.M)
 }
 
 

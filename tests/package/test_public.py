@@ -3,8 +3,10 @@
 import ast
 import os
 import pickle
+import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -33,7 +35,8 @@ def test_every_public_name_is_there_and_documented():
     for name in warp_peri.__all__:
         assert getattr(warp_peri, name).__doc__, name
     assert sorted(warp_peri.__all__) == warp_peri.__all__
-    assert set(warp_peri.__all__) | {"stress", "export", "dumps"} <= set(dir(warp_peri))
+    assert len(warp_peri.__all__) <= 30
+    assert {*warp_peri.__all__, *warp_peri._MODULES, "__version__"} == set(dir(warp_peri))
 
 
 def test_every_public_name_is_what_type_checkers_see():
@@ -52,9 +55,25 @@ def test_every_public_name_is_what_type_checkers_see():
         assert pickle.loads(pickle.dumps(value)) is value
 
 
+def test_every_public_module_is_what_type_checkers_see():
+    seen = [
+        alias.name
+        for node in ast.walk(FACE)
+        if isinstance(node, ast.ImportFrom) and node.module == "warp_peri"
+        for alias in node.names
+    ]
+    assert tuple(seen) == warp_peri._MODULES
+    for name in seen:
+        module = getattr(warp_peri, name)
+        assert module is sys.modules[f"warp_peri.{name}"]
+        assert module.__doc__, name
+        for public in getattr(module, "__all__", ()):
+            assert getattr(module, public).__doc__, f"{name}.{public}"
+
+
 def test_the_package_alone_loads_neither_torch_nor_warp():
     code = (
-        "import sys, warp_peri; before = set(sys.modules); warp_peri.load_dataset; "
+        "import sys, warp_peri; before = set(sys.modules); warp_peri.load; "
         "print(*({'torch', 'warp', 'numpy'} & before), *({'torch', 'warp'} & set(sys.modules)))"
     )
     assert fresh(code) == ""
@@ -72,15 +91,17 @@ def test_help_and_info_load_neither_torch_nor_warp(words):
 
 
 def test_functions_stay_functions_when_their_modules_come_first():
-    """`solve` names a function, and in its wing the module that it stands in."""
+    """`sweep` names a function, and in its wing the module that it stands in."""
     code = (
-        "import warp_peri, warp_peri.learning.sweep\n"
+        "import warp_peri, warp_peri.learning.sweep, warp_peri.learning.fit\n"
         "for name in warp_peri.__all__:\n"
         "    assert callable(getattr(warp_peri, name)), name\n"
-        "from warp_peri import equilibrium, solvability, solve, sweep\n"
-        "print(solve.__module__, sweep.__module__, warp_peri.stress.__name__)"
+        "from warp_peri import fit\n"
+        "from warp_peri.methods import sweep\n"
+        "from warp_peri.proofs import solvability, uniqueness\n"
+        "print(fit.__module__, *map(callable, (sweep, solvability, uniqueness)))"
     )
-    assert fresh(code) == "warp_peri.statics.lps warp_peri.learning.sweep warp_peri.stress"
+    assert fresh(code) == "warp_peri.learning.laws True True True"
 
 
 def test_no_kernel_is_compiled_by_resolving_every_name(tmp_path):
@@ -124,19 +145,35 @@ def test_kernels_refuse_to_be_imported_under_another_name(name):
     assert "ImportError: import warp_peri.kernels, not kernels" in process.stderr
 
 
+@pytest.mark.parametrize("name", sorted(warp_peri._NOW))
+def test_a_name_of_before_says_what_it_became(name):
+    assert not {name} & {*warp_peri.__all__, *warp_peri._MODULES}
+    with pytest.raises(AttributeError, match=rf"warp_peri\.{name} is now ") as raised:
+        getattr(warp_peri, name)
+    assert "\n" not in str(raised.value)
+
+
+def test_what_names_became_is_there():
+    """Every name with a dot that the messages send to."""
+    for name, now in warp_peri._NOW.items():
+        for path in re.findall(r"^[a-z]\w*(?:\.\w+)+", now):
+            if path.split(".")[0] in ("model", "material", "solution", "operator"):
+                continue
+            *modules, last = path.split(".")
+            assert hasattr(import_module(".".join(["warp_peri", *modules])), last), (name, path)
+
+
 @pytest.mark.parametrize(
-    ("name", "option"),
+    ("call", "message"),
     [
-        ("LPSOperator", "box"),
-        ("LPSOperator", "outside"),
-        ("solve", "box"),
-        ("solve", "outside"),
-        ("solve", "tolerance"),
-        ("solvability", "outside"),
-        ("velocity_verlet", "box"),
-        ("equilibrium", "lam"),
+        (lambda: warp_peri.fit(None, 20.0), "what follows the samples is now a law"),
+        (lambda: warp_peri.fit(None, horizon=20.0), "horizon is now part of the law"),
+        (lambda: warp_peri.solve(None, None, 1, 2), "what follows the material is now one value"),
+        (lambda: warp_peri.solve(None, 3), "expected a problem: Dirichlet"),
+        (lambda: warp_peri.move(None, 3), "expected a problem that moves"),
+        (lambda: warp_peri.save("x.json", 3), "expected a data set or a material, got int"),
     ],
 )
-def test_an_option_that_moved_names_where_it_is(name, option):
-    with pytest.raises(warp_peri.InputError, match=rf"{option} is now part of \w+"):
-        getattr(warp_peri, name)(**{option: None})
+def test_a_call_of_before_says_what_is_given_now(call, message):
+    with pytest.raises(warp_peri.InputError, match=message):
+        call()

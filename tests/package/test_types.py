@@ -51,11 +51,11 @@ def test_the_script_passes(complaints):
 @pytest.mark.parametrize(
     ("right", "wrong", "message"),
     [
-        ("load_model(folder", "laod_model(folder", 'Module has no attribute "laod_model"'),
+        ("warp_peri.load(folder", "warp_peri.laod(folder", 'Module has no attribute "laod"'),
         ("set_threads(1)", 'set_threads("1")', 'incompatible type "str"; expected "int"'),
         ("method, str)", "method, int)", 'Expression is of type "str", not "int"'),
         ("operator(tensor), torch.Tensor", "operator(tensor), np.ndarray", 'of type "Tensor"'),
-        ("train, horizon=HORIZON,", "train,", 'No overload variant of "fit"'),
+        ("            HORIZON,\n            warp_peri.Bernstein(1),", "", "horizon"),
     ],
 )
 def test_a_mistake_is_seen(right, wrong, message, complaints):

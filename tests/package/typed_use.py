@@ -14,7 +14,6 @@ import torch
 import warp_peri
 from warp_peri import methods, proofs, transfers
 from warp_peri.choice import Choice, Scene
-from warp_peri.launch import set_threads
 from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.nonlinear import NonlinearFit
 from warp_peri.learning.result import Fit
@@ -152,6 +151,13 @@ def body(model: warp_peri.Model, path: Path) -> float:
     return assert_type(gradient, BodyGradient).along(traction={"right": (1.0, 0.0)})
 
 
+def cracked(points: warp_peri.Points, u: np.ndarray) -> float:
+    """A cut body at rest."""
+    solid = warp_peri.Model(lam=0.3, mu=0.3, alpha=1.0, D=np.ones(1), horizon=HORIZON)
+    problem = warp_peri.Cracked(points, u=u, cracks=[[(-1.0, 0.5), (1.0, 0.5)]])
+    return assert_type(warp_peri.solve(solid, problem), warp_peri.Solution).residual
+
+
 def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Atoms to nodes."""
     omega = warp_peri.atoms.smoothing_matrix(atoms, nodes, radius=3.0)
@@ -162,13 +168,14 @@ def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def main(folder: Path) -> None:
-    set_threads(1)
+    warp_peri.set_threads(1)
     learn(folder)
     model: warp_peri.Model = warp_peri.load(folder / "model.json")
     data: warp_peri.Dataset = warp_peri.load(folder / "data.h5")
     test = data["test"]
     nonlinear(data["train"], folder)
     print(use(model, test))
+    print(cracked(test.points, test.u[0]))
     fine = assert_type(transfers.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
     print(fine.transferred_from, model.on(test).model.horizon)
     print(transfers.one_kernel(model, horizon=3 * SPACING).certified_on)

@@ -35,7 +35,7 @@ LARGEST_REACH = 100
 """Largest horizon in spacings: a family of 31 000 bonds."""
 
 BOND_COLLAR = "interior nodes need complete families"
-AT_EDGES = "Free edges and holes: solve_body, whose elements take what an edge cuts"
+AT_EDGES = "Free edges and holes: Body(mesh, …), whose elements take what an edge cuts"
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
     message = (
         f"outside: with these bonds broken the operator on {symmetric.shape[0] // 2} nodes is not "
         f"positive definite: the smallest eigenvalue of its symmetric part is "
-        f"{smallest:.2g}, and its solutions may be wrong; solve_body does without broken bonds"
+        f"{smallest:.2g}, and its solutions may be wrong; Body(mesh, …) does without broken bonds"
     )
     if not allowed:
         raise InputError(message)
