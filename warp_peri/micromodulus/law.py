@@ -20,12 +20,25 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
+from warp_peri.micromodulus.operator import Operator
 from warp_peri.points.arrays import checked, is_positive
-from warp_peri.points.unit_names import STRESSES, USUAL, Units, check_units, factors
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples, nodes_of
+from warp_peri.points.unit_names import (
+    STRESSES,
+    USUAL,
+    Units,
+    check_same,
+    check_units,
+    factors,
+    symbols,
+)
 
 FORMAT, VERSION = "warp_peri.micromodulus", 1
 LARGEST_FILE = 2**26
 """Bytes of a file that are read at most."""
+SAME_SPACING = 1e-6
+"""Relative, of spacings that are taken as the same."""
 BROKEN = 1e-8
 """Relative, that tensors may break a symmetry they are said to have."""
 
@@ -225,6 +238,46 @@ class Micromodulus:
             tensors=self.tensors * (stress / length**2),
             units=check_units(units),
             certificate=proof,
+        )
+
+    def on(
+        self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
+    ) -> Operator:
+        """The operator on nodes of the law's own spacing, its steps along their axes.
+
+        A turned lattice turns the crystal with it; `learning.transferred` is for a crystal that
+        stays, and for other spacings.
+
+        Args:
+            points: lattice nodes with a collar, or periodic, in the law's units.
+            method: "rows", "fft" or "auto".
+            dtype: float64 or float32.
+
+        Raises InputError for another spacing or other units, and for nodes whose bonds are cut:
+        the law is not objective there, and the message says how far from it.
+        """
+        nodes = nodes_of(points)
+        check_same(self.units, nodes.units)
+        if not abs(nodes.spacing / self.spacing - 1) <= SAME_SPACING:
+            raise InputError(
+                f"spacing: the law is for {self.spacing:g}, the points have {nodes.spacing:g}; "
+                "transferred(law, spacing) fits another"
+            )
+        traction = self.surface_traction()
+        unit = symbols(self.units)[1]
+        why = (
+            f": a law of micromodulus tensors is not objective there (a turned face feels up to "
+            f"{traction:.3g} {unit} per radian); give a collar {self.horizon:g} wide"
+        )
+        return Operator(
+            nodes,
+            self.spacing,
+            self.steps,
+            self.tensors,
+            self.tensor(),
+            method=method,
+            dtype=dtype,
+            why=why,
         )
 
     def _stress(self, unit: str | None) -> float:
