@@ -20,7 +20,6 @@ from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.micromodulus.sweeps import (
     ByRows,
     convolved,
-    entries,
     inverse,
     torus_shape,
     torus_symbol,
@@ -59,7 +58,7 @@ def torus_inverse(
 
     def apply(r: np.ndarray) -> np.ndarray:
         z = convolved(table, r.astype(np.float32), torus)
-        return (z[(slice(None), *inside)] * mask).astype(np.float64)
+        return np.asarray(z[(slice(None), *inside)] * mask, dtype=np.float64)
 
     return apply
 

@@ -20,9 +20,11 @@ from warp_peri.points.unit_names import STRESSES
 
 STEP = 2e-3
 """Displacement of finite differences [Å]."""
+NEGLIGIBLE = 1e-9
+"""Of the largest Φ: smaller ones are rounding, and what they sum up to goes to the atom itself."""
 NEAREST = 1e-5
 """Images whose distances differ by less, relative, count as equally near."""
-LONG = 1e-3
+LONG = 4e-3
 """|k| [1/Å] of the waves that elastic constants are read from."""
 LARGEST_FILE = 2**31
 SOFT = 1e-7
@@ -156,7 +158,7 @@ def from_supercell(
     shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
     pairs, vectors, values = [], [], []
     for i in range(n):
-        strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > 0)
+        strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > NEGLIGIBLE * np.abs(phi).max())
         fraction = (X[strong] - X[displaced[i]]) @ np.linalg.inv(box)
         near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
         far = np.linalg.norm(near, axis=2)
@@ -165,7 +167,9 @@ def from_supercell(
         share = 1 / tie.sum(axis=1)
         pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
         vectors.append(near[row, image])
-        values.append(phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None])
+        shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
+        shared[strong[row] == displaced[i]] -= shared.sum(axis=0)  # translations cost nothing
+        values.append(shared)
     return ForceConstants(
         cell,
         x,

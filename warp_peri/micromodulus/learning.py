@@ -24,7 +24,7 @@ from warp_peri.micromodulus.groups import (
     CANDIDATES,
     LEAST,
     Symmetry,
-    canonical,
+    orbit_grid,
     checked_orientation,
     point_group,
     shared_with_nodes,
@@ -43,6 +43,8 @@ WAVES, LARGEST_WAVE = 400, 2.0
 """Waves that a symbol is matched on, and their largest |k| h."""
 LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
 """Long waves among the rows, their |k| h, and what they weigh together."""
+ENOUGH = 3
+"""Numbers for each elastic constant from which holding the constants costs short waves little."""
 ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
 """Of a grid on the rest of the zone."""
 
@@ -157,7 +159,7 @@ def fit_symbol(
     turn = checked_orientation(orientation, d)
     shared = shared_with_nodes(point_group(symmetry, d), turn)
     bonds = family(horizon / spacing, shared)
-    R, y = wave_rows(target, spacing, bonds, largest_wave)
+    R, y = wave_rows(target, spacing, bonds, shared, largest_wave)
     learned = _solve(R, y, bonds, shared, tensor, spacing)
     found = {"loss": learned.loss, "cuts": learned.cuts, "numbers": len(bonds.basis)}
     found |= {"moduli_held": tensor is not None, "largest_wave": largest_wave / spacing}
@@ -176,16 +178,18 @@ def _dimension(target: Callable[[np.ndarray], np.ndarray]) -> int:
 
 
 def wave_rows(
-    target: Callable[[np.ndarray], np.ndarray], spacing: float, bonds: Family, largest_wave: float
+    target: Callable[[np.ndarray], np.ndarray],
+    spacing: float,
+    bonds: Family,
+    shared: np.ndarray,
+    largest_wave: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows D₀⁻¹ D e − e: waves up to the largest, long ones, and lightly the rest of the zone."""
     d = bonds.dimension
     number = np.arange(WAVES)
     size = largest_wave * (0.02 + 0.98 * ((number * 0.6180339887) % 1))
     spread = directions(WAVES, d)
-    none = np.array([np.eye(d), -np.eye(d)])
-    grid = np.array(list(np.ndindex((2 * ZONE_INTERVALS[d] + 1,) * d))) - ZONE_INTERVALS[d]
-    grid = grid[canonical(grid.astype(float), none)] * (np.pi / ZONE_INTERVALS[d])
+    grid = orbit_grid(ZONE_INTERVALS[d], shared, d)
     blocks = (
         (size[:, None] * spread, 1.0),
         (LONGEST * directions(LONG_WAVES, d), np.sqrt(LONG_WEIGHT)),
@@ -210,7 +214,7 @@ def from_phonons(
     *,
     symmetry: Symmetry = "auto",
     orientation: Any = None,
-    hold_moduli: bool = False,
+    hold_moduli: bool | None = None,
     largest_wave: float = LARGEST_WAVE,
     units: Units = USUAL,
 ) -> Micromodulus:
@@ -221,7 +225,8 @@ def from_phonons(
         spacing, horizon: of the nodes and of the longest bond, in the unit of length.
         symmetry: "auto" asks spglib.
         orientation: the crystal's axes in those of the nodes.
-        hold_moduli: hold the elastic constants exactly; without, long waves weigh four times.
+        hold_moduli: hold the elastic constants exactly, or let long waves weigh four times; None
+            holds them where a family has ENOUGH numbers for each.
         units: of the law.
 
     Returns a law with its certificate. Raises InputError for a crystal that is not stable.
@@ -236,10 +241,12 @@ def from_phonons(
         D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
         return np.asarray(turn @ D @ turn.T) * (length**2 / stress)
 
-    tensor = None
-    if hold_moduli:
-        shared = allowed_tensors(name, point_group(name, d), np.eye(d))
-        tensor = turned(atoms.elastic(shared), turn) / stress
+    group = point_group(name, d)
+    allowed = allowed_tensors(name, group, np.eye(d))
+    if hold_moduli is None:
+        numbers = len(family(horizon / spacing, shared_with_nodes(group, turn)).basis)
+        hold_moduli = numbers >= ENOUGH * len(allowed)
+    tensor = turned(atoms.elastic(allowed), turn) / stress if hold_moduli else None
     return fit_symbol(
         target,
         spacing,

@@ -108,8 +108,11 @@ class Operator:
         for step, weight in zip(self.steps, xi @ inverse):
             ahead, behind = (
                 planes[
-                    (slice(None), slice(None))
-                    + tuple(slice(r + s * g, n - r + s * g) for s, n in zip(step, nodes.wide))
+                    (
+                        slice(None),
+                        slice(None),
+                        *(slice(r + s * g, n - r + s * g) for s, n in zip(step, nodes.wide)),
+                    )
                 ]
                 for g in (1, -1)
             )

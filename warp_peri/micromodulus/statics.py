@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.coarse import Filter, entries, multigrid, sine, torus_inverse
+from warp_peri.micromodulus.coarse import Filter, multigrid, sine, torus_inverse
 from warp_peri.micromodulus.operator import Operator
 
 METHODS = ("auto", "fft", "sine", "multigrid", "cg")
@@ -76,9 +76,8 @@ def _product(operator: Operator) -> Callable[[np.ndarray], np.ndarray]:
     around = [(0, 0), *[(nodes.reach,) * 2] * nodes.dimension]
 
     def product(field: np.ndarray) -> np.ndarray:
-        if nodes.periodic:
-            field = np.pad(field, around, mode="wrap")
-        return operator.pull(field[None])[0]
+        wide = np.pad(field, around, mode="wrap") if nodes.periodic else field
+        return np.asarray(operator.pull(wide[None])[0])
 
     return product
 
@@ -101,7 +100,7 @@ def _preconditioner(operator: Operator, method: str) -> tuple[Filter, str]:
     if method == "sine" and not box:
         raise InputError("method: sine is for boxes of nodes; try multigrid")
     if method == "cg":
-        middle = 2 * float(entries(tensors).sum(axis=0)[0])
+        middle = 2 * float(tensors[:, 0, 0].sum())
         return (lambda r: r * (h2 / middle)), method
     if method == "fft":
         inner = torus_inverse(nodes, steps, tensors)

@@ -55,7 +55,7 @@ class ByRows:
         core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
         mask[nodes.core] = core
         self.places = int(mask.size)
-        self.pieces = wp.array(_pieces(mask.ravel(), lanes), dtype=wp.vec2i, device=DEVICE)
+        self.pieces: Any = wp.array(_pieces(mask.ravel(), lanes), dtype=wp.vec2i, device=DEVICE)
         self.core = (slice(None), slice(None), *nodes.core)
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
@@ -128,7 +128,7 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
     for sign in (1, -1):
         for step, c in zip(sign * steps, flat):
             stencil[(slice(None), *(step % torus))] -= c
-    stencil[(slice(None), *([0] * len(torus)))] += 2 * flat.sum(axis=0)
+    stencil.reshape(len(stencil), -1)[:, 0] += 2 * flat.sum(axis=0)
     axes = tuple(range(1, len(torus) + 1))
     wave = scipy.fft.rfftn(stencil, axes=axes, workers=threads(), overwrite_x=True)
     return np.ascontiguousarray(wave.real)
