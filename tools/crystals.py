@@ -56,7 +56,7 @@ def structure(name: str, a: float) -> ase.Atoms:
     return ase.build.bulk(name, RECIPES[name].structure, a=a, cubic=True)
 
 
-def session(name: str, positions: np.ndarray, box: np.ndarray | None) -> SolidSession:
+def session(name: str, positions: np.ndarray, box: list[float] | None) -> SolidSession:
     """Atoms of a crystal in LAMMPS."""
     recipe = RECIPES[name]
     return SolidSession(
@@ -71,7 +71,7 @@ def lattice_parameter(name: str) -> float:
 
     def energy(a: float) -> float:
         atoms = structure(name, a).repeat(repeats)
-        with session(name, atoms.positions, np.diag(atoms.cell)) as lammps:
+        with session(name, atoms.positions, list(np.diag(atoms.cell))) as lammps:
             return lammps.energy() / len(atoms)
 
     for _ in range(2):
@@ -86,7 +86,7 @@ def force_constants(name: str, a: float) -> ForceConstants:
     """Of the cubic cell, by finite differences on a supercell."""
     cell = structure(name, a)
     supercell = cell.repeat(RECIPES[name].repeats)
-    with session(name, supercell.positions, np.diag(supercell.cell)) as lammps:
+    with session(name, supercell.positions, list(np.diag(supercell.cell))) as lammps:
         lammps.forces(supercell.positions)
         phi = finite_differences(lammps.nearby_forces, supercell.positions, range(len(cell)))
     return from_supercell(cell, supercell, phi, range(len(cell)))

@@ -24,8 +24,8 @@ from warp_peri.micromodulus.groups import (
     CANDIDATES,
     LEAST,
     Symmetry,
-    orbit_grid,
     checked_orientation,
+    orbit_grid,
     point_group,
     shared_with_nodes,
 )
@@ -44,7 +44,7 @@ WAVES, LARGEST_WAVE = 400, 2.0
 LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
 """Long waves among the rows, their |k| h, and what they weigh together."""
 ENOUGH = 3
-"""Numbers for each elastic constant from which holding the constants costs short waves little."""
+"""Numbers for each equation that holds moduli, from which holding them costs short waves little."""
 ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
 """Of a grid on the rest of the zone."""
 
@@ -244,8 +244,8 @@ def from_phonons(
     group = point_group(name, d)
     allowed = allowed_tensors(name, group, np.eye(d))
     if hold_moduli is None:
-        numbers = len(family(horizon / spacing, shared_with_nodes(group, turn)).basis)
-        hold_moduli = numbers >= ENOUGH * len(allowed)
+        moments = family(horizon / spacing, shared_with_nodes(group, turn)).moments()
+        hold_moduli = len(moments) >= ENOUGH * np.linalg.matrix_rank(bracket_rows(moments))
     tensor = turned(atoms.elastic(allowed), turn) / stress if hold_moduli else None
     return fit_symbol(
         target,
@@ -300,3 +300,66 @@ def _law(
         spacing, bonds.steps, tensors, units, symmetry, turn, provenance={"fit": record}
     )
     return law.certified()
+
+
+SAME = 1e-6
+"""Relative, of spacings, and of rotations that leave the crystal as it is on its nodes."""
+
+
+def transferred(
+    law: Micromodulus,
+    spacing: float,
+    *,
+    rotation: Any = None,
+    horizon: float | None = None,
+    largest_wave: float = LARGEST_WAVE,
+) -> Micromodulus:
+    """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
+
+    Args:
+        law: to be carried over.
+        spacing: of the new nodes.
+        rotation: by which the crystal is turned on its nodes, [d, d], or degrees in the plane:
+            C(Rξ) is R C(ξ) Rᵗ, so that its symbol is R D(Rᵗ k) Rᵗ.
+        horizon: of the new law; as many spacings as the old one.
+        largest_wave: |k| times the larger spacing up to which waves weigh fully.
+
+    Returns a law with its certificate. Raises InputError where the symbol is not positive.
+    """
+    d = law.dimension
+    turn = checked_orientation(rotation, d)
+    orientation = turn @ law.orientation
+    still = shared_with_nodes(turn[None], np.eye(d)).any()
+    if still and abs(spacing / law.spacing - 1) < SAME and horizon is None:
+        steps = np.rint(law.steps @ turn.T).astype(int)
+        tensors = turn @ law.tensors @ turn.T
+        same = Micromodulus(
+            law.spacing, steps, tensors, law.units, law.symmetry, orientation,
+            provenance=law.provenance,
+        )  # fmt: skip
+        return same.certified()
+
+    def target(k: np.ndarray) -> np.ndarray:
+        # beyond the zone of coarser nodes their symbol repeats; the local limit goes on there
+        near = _inside(k @ turn, law.spacing)
+        D = law.symbol(near) * ((k**2).sum(axis=1) / (near**2).sum(axis=1))[:, None, None]
+        return np.asarray(turn @ D @ turn.T)
+
+    wanted = law.horizon / law.spacing * spacing if horizon is None else horizon
+    return fit_symbol(
+        target,
+        spacing,
+        wanted,
+        symmetry=law.symmetry,
+        orientation=orientation,
+        tensor=turned(law.tensor(), turn),
+        units=law.units,
+        largest_wave=largest_wave * min(1.0, spacing / law.spacing),
+        record={"from": "a law on other nodes", "spacing": law.spacing},
+    )
+
+
+def _inside(k: np.ndarray, spacing: float) -> np.ndarray:
+    """Wave vectors drawn back along themselves to |k| h = LARGEST_WAVE."""
+    size = np.linalg.norm(k, axis=1, keepdims=True) * spacing
+    return np.asarray(k * np.minimum(1.0, LARGEST_WAVE / np.maximum(size, 1e-300)))
