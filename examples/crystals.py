@@ -70,7 +70,7 @@ def judged(
     held_out: dict[str, Waves],
     seen: Samples | None,
 ) -> dict[str, dict[str, float | None]]:
-    """E_u and E_res [%] on every kind of unseen load; None for one that a rival cannot be put to."""
+    """E_u and E_res [%] on every kind of unseen load; None where a rival cannot be put to it."""
     table: dict[str, dict[str, float | None]] = {"E_u": {}, "E_res": {}}
     for name, loads in held_out.items():
         table["E_res"][name], table["E_u"][name] = loads.errors(symbol)

@@ -192,6 +192,8 @@ def _whole_zone(
         blocks = np.array_split(cells, -(-len(cells) // AT_ONCE))
         margin = curved * half**2 + slack
         left = np.concatenate([_failed(steps, tensors, c, b, half, margin) for b in blocks])
+        if len(left) and float(ratios(steps, tensors, left)[0].min()) < c:
+            return False, seen  # the middle of a cell shows that it is not so
         half /= 2
         cells = (left[:, None, :] + half * corners).reshape(-1, d)
     return False, seen

@@ -6,6 +6,7 @@ C(−ξ) = C(ξ) whatever the crystal, so that every group here contains the inv
 from __future__ import annotations
 
 import itertools
+import warnings
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -161,10 +162,12 @@ def group_of_structure(
         ) from None
     given: Any = (np.asarray(cell, dtype=float), fractions, species)
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
-    small: Any = spglib.standardize_cell(
-        given, to_primitive=True, no_idealize=True, symprec=precision
-    )
-    found = None if small is None else spglib.get_symmetry(small, symprec=precision)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
+        small: Any = spglib.standardize_cell(
+            given, to_primitive=True, no_idealize=True, symprec=precision
+        )
+        found = None if small is None else spglib.get_symmetry(small, symprec=precision)
     if found is None:
         raise InputError("symmetry: spglib finds none of this structure; name the group")
     edges = np.asarray(small[0], dtype=float).T

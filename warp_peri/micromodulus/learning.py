@@ -270,14 +270,15 @@ def _solve(
 ) -> Learned:
     """The numbers in units of stress, of tensors C h²: rows are in stress over length²."""
     moments = bonds.moments()
+    size = np.abs(moments).max()  # rows that vanish by symmetry are rounding beside it
     R = R / spacing**2
     if tensor is None:
         p = np.linalg.lstsq(R, y)[0]
         estimate = np.tensordot(p, moments, 1)
-        equal = huang_rows(moments), np.zeros(len(huang_rows(moments)))
+        equal = huang_rows(moments) / size, np.zeros(len(huang_rows(moments)))
     else:
         estimate = brackets_from_elastic(tensor)
-        equal = bracket_rows(moments), bracket_rows(estimate[None])[:, 0]
+        equal = bracket_rows(moments) / size, bracket_rows(estimate[None])[:, 0] / size
     soft = np.linalg.eigvalsh(acoustic(estimate, directions(400, bonds.dimension)))[:, 0].min()
     if not soft > 0:
         raise InputError(

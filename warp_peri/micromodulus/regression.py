@@ -92,7 +92,8 @@ def learn(
         R, y: rows of the fit, shape [n, P] and [n].
         bonds: the family and its basis.
         group: of the nodes, which says how much of the zone is looked at.
-        equal: A and a, shape [E, P] and [E]; dependent rows are allowed.
+        equal: A and a, shape [E, P] and [E], the largest entries of A around 1; rows that depend on
+            others or vanish are allowed.
         floor: ζ in the units of p.
 
     Raises InputError for equalities that contradict one another, more numbers than the rows can
@@ -146,7 +147,7 @@ def _particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
     U, size, V = np.linalg.svd(A)
-    rank = int((size > DEPENDENT * max(size[0], 1e-300)).sum())
+    rank = int((size > DEPENDENT).sum())
     p0 = V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank])
     if np.abs(A @ p0 - a).max() > 1e-6 * max(np.abs(a).max(), 1e-300):
         raise InputError(
