@@ -31,13 +31,15 @@ from scipy.spatial import cKDTree
 import warp_peri
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
-from warp_peri import Bernstein, Model, Points, Samples, ThroughLattice, on_lattice
+from warp_peri import Bernstein, Model, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json, write_text
+from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer import cache as kept
 from warp_peri.transfer.lattice import new_lattice
 from warp_peri.transfer.shared_kernel import one_kernel
 from warp_peri.transfer.waves import dispersion, rings, wave_errors
+from warp_peri.transfers import on_lattice
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))
 """Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
@@ -58,10 +60,10 @@ class SmoothedAtoms:
     def at(self, x: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
         """u [Å] and b [TPa/Å] at nodes, each of shape [S, N, 2]."""
         body, _, samples = self.read(name)
-        omega = warp_peri.smoothing_matrix(
+        omega = warp_peri.atoms.smoothing_matrix(
             samples[0].reference, x, radius=SMOOTHING_RADIUS, box=body.box, density=True
         )
-        return warp_peri.coarse_grain(
+        return warp_peri.atoms.coarse_grain(
             omega,
             displacement=np.stack([sample.displacement for sample in samples]),
             force=np.stack([sample.force for sample in samples]),
@@ -157,8 +159,10 @@ def scattered(
     figures = operator.figures()
     row |= {"asymmetry": figures.asymmetry, "smallest_eigenvalue": figures.smallest_eigenvalue}
     row |= {"condition": figures.condition, "sigma_min": figures.smallest_singular_value}
-    carried = warp_peri.onto_lattice(Samples(points, *atoms.at(points.x, "train")), spacing=5.0)
-    learned = warp_peri.fit(carried, 20.0, Bernstein(10)).model
+    carried = warp_peri.transfers.onto_lattice(
+        Samples(points, *atoms.at(points.x, "train")), spacing=5.0
+    )
+    learned = warp_peri.fit(carried, warp_peri.LPS(20.0, Bernstein(10))).material
     row["learned_disks"] = 100 * warp_peri.evaluate(learned, data["test"])["E_u"]
     return row
 
@@ -186,7 +190,9 @@ def measure(
     """All tables; `part` keeps each as it is finished."""
     atoms = SmoothedAtoms(cache)
     nodes = lattice(5.0)
-    rich = functools.cache(lambda: warp_peri.fit(data["train"], 25.0, Bernstein(15)).model)
+    rich = functools.cache(
+        lambda: warp_peri.fit(data["train"], warp_peri.LPS(25.0, Bernstein(15))).material
+    )
     return {
         "home": part("home", lambda: {"horizon": model.horizon, **errors(model, atoms, nodes)}),
         "lattices": [
@@ -280,7 +286,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "any_lattice")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args(arguments)
-    model, data = warp_peri.load_model(given.model), warp_peri.load_dataset(given.data)
+    model, data = warp_peri.load(given.model), warp_peri.load(given.data)
     with locked(given.out), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # each transfer would say so
         part = functools.partial(kept_part, given.out / "parts")

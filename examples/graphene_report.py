@@ -23,7 +23,8 @@ from warp_peri.learning.run import Run
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.samples import Samples
-from warp_peri.statics.solve import solve
+from warp_peri.problems import Dirichlet
+from warp_peri.solving import solve
 
 PAPER = {
     "You et al. 2021, LPS": {
@@ -64,8 +65,8 @@ def save_figure(figure: Figure, path: Path) -> None:
 def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = None) -> None:
     """influence.png, with a band where the noise is known, and loss.png."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(fit.model, spacing=spacing, ax=ax, sure=sure)
-    ax.set_title(f"Influence function, δ = {fit.model.horizon:g} Å, M = {fit.model.degree}")
+    plots.influence_function(fit.material, spacing=spacing, ax=ax, sure=sure)
+    ax.set_title(f"Influence function, δ = {fit.material.horizon:g} Å, M = {fit.material.degree}")
     save_figure(figure, folder / "influence.png")
 
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
@@ -83,7 +84,7 @@ def draw_disks(
     worst: bool = False,
 ) -> None:
     """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
-    solved = solve(model, points, points.loads, points.u, allow_uncertified=True)
+    solved = solve(model, Dirichlet(points, points.loads, points.u), allow_uncertified=True).u
     errors, inside = table["E_u_samples"], points.interior
     samples = [int(np.argmax(errors))] if worst else list(range(len(points)))
     rows = len(samples)
@@ -131,7 +132,9 @@ def draw(folder: Path, run: Run, sets: Mapping[str, Samples], spacing: float) ->
     draw_fit(folder, run.fit, spacing, run.sure)
     if "test" in sets:
         for name, worst in (("disks.png", False), ("disk.png", True)):
-            draw_disks(folder / name, run.fit.model, sets["test"], run.tables["test"], worst=worst)
+            draw_disks(
+                folder / name, run.fit.material, sets["test"], run.tables["test"], worst=worst
+            )
     if "wave_number" in sets["train"].arrays:
         draw_waves(folder / "waves.png", sets["train"], run.tables["train"])
 
@@ -142,7 +145,7 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
     `provenance` is that of the data: their temperature, and the potential's own constants.
     """
     fit = run.fit
-    model, figures = fit.model, fit.certificate.figures()
+    model, figures = fit.material, fit.certificate.figures()
     numbers = {
         "E_res": run.mean("E_res"),
         "E_u": run.mean("E_u"),

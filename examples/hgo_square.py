@@ -84,15 +84,17 @@ def learn(samples: Samples, stiffness: float) -> dict[str, tuple[HyperelasticSol
         with_families(with_directions(dictionary, read), read) for dictionary in (FREE, SAFE)
     )
     ways = {
-        "free signs": lambda: fit_energy(samples, free, stable=stable).solid,
-        "guaranteed": lambda: fit_energy(samples, safe, positive=True, stable=stable).solid.sparse,
+        "free signs": lambda: fit_energy(samples, free, stable=stable).material,
+        "guaranteed": lambda: (
+            fit_energy(samples, safe, positive=True, stable=stable).material.sparse
+        ),
         "read out": lambda: (
             (
                 fit_energy(samples, with_corners(read.dictionary), positive=True, stable=stable)
-            ).solid.sparse
+            ).material.sparse
         ),
-        "rival: bonds only": lambda: fit_energy(samples, BONDS).solid,
-        "rival: no fibres": lambda: fit_energy(samples, ISOTROPIC, stiffness=RIVAL).solid,
+        "rival: bonds only": lambda: fit_energy(samples, BONDS).material,
+        "rival: no fibres": lambda: fit_energy(samples, ISOTROPIC, stiffness=RIVAL).material,
     }
     models = {}
     for name, way in ways.items():

@@ -68,7 +68,7 @@ def learn(train: Samples, degree: int, *, progress: bool) -> Fits:
     mark = ", uneven" if degree else ""
     wide = fit_displacement(train, ROSE, thickness=degree, most_steps=6, progress=progress)
     fits = {f"eight directions{mark}": (wide, time.process_time() - began)}
-    dictionary, start = families(wide.solid)
+    dictionary, start = families(wide.material)
     if len(dictionary.terms) > len(MATRIX):
         few = fit_displacement(
             train, dictionary, moving=True, start=start, thickness=degree, most_steps=20,
@@ -88,7 +88,9 @@ def choose(train: Samples, fibres: bool, *, progress: bool) -> tuple[dict[str, f
     errors, candidates = {}, CANDIDATES | (FIBROUS if fibres else {})
     for name, (dictionary, degree) in candidates.items():
         fit = real_fit(rest, dictionary, degree, progress=progress)
-        errors[name] = float(hyperelastic_errors(fit.solid, left, thickness=of(fit, left))["E_u"])
+        errors[name] = float(
+            hyperelastic_errors(fit.material, left, thickness=of(fit, left))["E_u"]
+        )
     best = min(errors, key=lambda name: errors[name])
     fits: Fits = {}
     for name, work in ((best, (*candidates[best], np.inf)), (HELD, (PLAIN, DEGREE, LEAST))):
@@ -115,8 +117,8 @@ def of(fit: DisplacementFit, frames: Samples) -> np.ndarray | None:
 
 def held_out(fit: DisplacementFit, test: Samples, truth: np.ndarray) -> dict[str, Any]:
     """Errors of a fit on frames it never saw."""
-    errors = hyperelastic_errors(fit.solid, test, truth=truth, thickness=of(fit, test))
-    solid = fit.solid
+    errors = hyperelastic_errors(fit.material, test, truth=truth, thickness=of(fit, test))
+    solid = fit.material
     first = solid.dictionary.first_term
     energies = zip(solid.dictionary.labels[first:], solid.coefficients[first:])
     report = {
@@ -183,7 +185,7 @@ def other_sheet(
     own, other = measured(folder, given)
     report: dict[str, Any] = {}
     for name, fit in fits.items():
-        uneven = fit_thickness(own, fit.solid, DEGREE, progress=not given.json)
+        uneven = fit_thickness(own, fit.material, DEGREE, progress=not given.json)
         report[f"{folder.name}, {name}"] = held_out(
             replace(fit, thickness=None), other, other.u
         ) | {"own thickness": held_out(uneven, other, other.u)}
@@ -255,8 +257,8 @@ def main() -> None:
         report |= other_sheet({name: fit for name, (fit, _) in fits.items()}, folder, given)
     report["rivals"] = rival_errors(train, test, truth, given.rivals)
     report["rivals"][INTERPOLATED] = interpolated_errors(test, truth)
-    report["words"] = export(fits[best][0].solid, given.out)
-    draw(fits[best][0].solid, test, truth, report, given.out, of(fits[best][0], test))
+    report["words"] = export(fits[best][0].material, given.out)
+    draw(fits[best][0].material, test, truth, report, given.out, of(fits[best][0], test))
     report = blank(plain(report))
     write_json(given.out / "errors.json", report)
     if given.json:

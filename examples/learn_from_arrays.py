@@ -26,11 +26,11 @@ u, b = wave * a[:, None], wave * force[:, None]
 points = warp_peri.Points(x, interior=np.abs(x).max(axis=1) <= 40, spacing=5.0)
 samples = warp_peri.Samples(points, u, b)
 seen, unseen = (warp_peri.Samples(points, u[s], b[s]) for s in (slice(0, 24), slice(24, None)))
-fit = warp_peri.fit(seen, horizon=12.5, kernel=warp_peri.Bernstein(3))
+fit = warp_peri.fit(seen, warp_peri.LPS(horizon=12.5, kernel=warp_peri.Bernstein(3)))
 numbers = {
-    "lambda": fit.model.lam,
-    "mu": fit.model.mu,
-    "E_u on loads it never saw": warp_peri.evaluate(fit.model, unseen)["E_u"],
+    "lambda": fit.material.lam,
+    "mu": fit.material.mu,
+    "E_u on loads it never saw": warp_peri.evaluate(fit.material, unseen)["E_u"],
     "statement": fit.certificate.statement,
 }
 
@@ -38,6 +38,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     print(json.dumps(numbers, indent=None if parser.parse_args().json else 1, ensure_ascii=False))
-    plots.influence_function(fit.model, spacing=5.0, ax=plt.figure().add_subplot())
+    plots.influence_function(fit.material, spacing=5.0, ax=plt.figure().add_subplot())
     PICTURE.parent.mkdir(exist_ok=True)
     plt.savefig(PICTURE)

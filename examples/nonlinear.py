@@ -22,9 +22,11 @@ from matplotlib.figure import Figure
 
 import warp_peri
 from examples.train_graphene import DATA, make_data
-from warp_peri import Bernstein, Conditions, Dataset, Nonlinear, Optimum, Smoothing
+from warp_peri import Bernstein, Dataset
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json
+from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.methods import Conditions, Optimum, Smoothing
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
 OUT = ROOT / "runs" / "nonlinear"
@@ -38,19 +40,22 @@ SETS = ("train", "val", "test", "val_4", "test_4", "val_6", "test_6")
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """Every form, and the linear solid beside them; what metrics.json holds."""
-    data = warp_peri.load_dataset(given.data or make_data(-1, 10.0))
-    larger = warp_peri.load_dataset(strained_file(given))
+    data = warp_peri.load(given.data or make_data(-1, 10.0))
+    larger = warp_peri.load(strained_file(given))
     truth = larger.provenance.get("truth", {})
     train, kernel = data["train"], Bernstein(given.degree, two_functions=True)
     begin = time.perf_counter()
     options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
     options["conditions"] = Conditions(zeta=given.zeta)
-    linear = warp_peri.fit(train, given.horizon, kernel, **options).model
+    linear = warp_peri.fit(train, warp_peri.LPS(given.horizon, kernel, **options)).material
     numbers: dict[str, Any] = {"truth": truth, "horizon": given.horizon}
     numbers["linear"] = {"seconds": time.perf_counter() - begin, **errors(linear, data, larger)}
     for name, form in FORMS.items():
-        learned = warp_peri.fit(train, given.horizon, kernel, nonlinear=form, **options)
-        model = learned.model
+        learned = warp_peri.fit(
+            train,
+            warp_peri.ThirdOrder(warp_peri.LPS(given.horizon, kernel, **options), form.smoothing),
+        )
+        model = learned.material
         table = errors(model, data, larger)
         guarantee = model.proven.get(f"{train.spacing:g}", {})
         numbers[name] = {

@@ -26,7 +26,7 @@ from tools.statics import Statics
 from warp_peri.cli.main import main as warp_peri
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.models.lps import load_model
+from warp_peri.storage import load
 
 ELEMENTS = ("B", "N")
 CELLS = (39, 23)
@@ -88,7 +88,7 @@ def run(out: Path) -> dict[str, dict[str, float]]:
     potential = potential_file("BNC.tersoff")
     bond = bond_length(potential, elements=ELEMENTS)
     truth = elastic_constants(bond, potential=potential, elements=ELEMENTS)
-    learned = load_model(model / "model.json")
+    learned = load(model / "model.json")
     return {
         "learned": {"lambda": learned.lam, "mu": learned.mu, "E": learned.E, "nu": learned.nu},
         "lattice statics": truth,

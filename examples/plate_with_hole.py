@@ -112,9 +112,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "plate_with_hole")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
-    model = warp_peri.load_model(args.model)
+    model = warp_peri.load(args.model)
     if not model.is_certified_on(args.spacing) or args.horizon != model.horizon:
-        model = warp_peri.on_lattice(model, spacing=args.spacing, horizon=args.horizon)
+        model = warp_peri.transfers.on_lattice(model, spacing=args.spacing, horizon=args.horizon)
     coupling = Coupling(spacing=args.spacing, overlap=args.overlap)
     if args.three_holes:
         numbers, solution = solve_three_holes(model, coupling)

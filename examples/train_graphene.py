@@ -24,6 +24,7 @@ from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.learning import methods
 from warp_peri.learning.options import METHODS
+from warp_peri.learning.result import Fit
 from warp_peri.learning.run import train
 from warp_peri.learning.sweep import sweep
 from warp_peri.models.nonlinear import CUBIC, NonlinearModel
@@ -39,7 +40,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     """The whole main job; returns what metrics.json holds."""
     begin = time.perf_counter()
     path = data_file(given)
-    data = warp_peri.load_dataset(path)
+    data = warp_peri.load(path)
     sets = sets_at(data, given.spacing)
     seconds = {"data": time.perf_counter() - begin}
     trained = train(
@@ -49,7 +50,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         sets,
         noise=noise_at(data, given.spacing),
         method=methods.named(given.method, seed=given.seed),
-        conditions=warp_peri.Conditions(given.conditions),
+        conditions=warp_peri.methods.Conditions(given.conditions),
         allow_uncertified=True,
         progress=True,
     )
@@ -89,14 +90,17 @@ def nonlinear_row(
     begin = time.perf_counter()
     model = warp_peri.fit(
         sets["train"],
-        given.horizon,
-        warp_peri.Bernstein(given.degree, two_functions=True),
-        method=warp_peri.Optimum(moduli="isotropic"),
-        conditions=warp_peri.Conditions(given.conditions),
-        normalise=True,
-        nonlinear=warp_peri.Nonlinear(),
+        warp_peri.ThirdOrder(
+            warp_peri.LPS(
+                given.horizon,
+                warp_peri.Bernstein(given.degree, two_functions=True),
+                method=warp_peri.methods.Optimum(moduli="isotropic"),
+                conditions=warp_peri.methods.Conditions(given.conditions),
+                normalise=True,
+            )
+        ),
         progress=False,
-    ).model
+    ).material
     learning = time.perf_counter() - begin
     tables = {role: warp_peri.evaluate(model, points) for role, points in sets.items()}
     errors = {key: {role: tables[role][key] for role in tables} for key in ("E_res", "E_u")}
@@ -151,7 +155,7 @@ def make_data(jobs: int, smoothing_radius: float) -> Path:
 
 def run_sweep(given: argparse.Namespace) -> None:
     """Algorithm 2: every horizon and degree, and the choice."""
-    data = warp_peri.load_dataset(data_file(given))
+    data = warp_peri.load(data_file(given))
     sets = sets_at(data, given.spacing)
     if "val" not in sets:
         raise InputError("the sweep needs a validation set beside the training set")
@@ -196,10 +200,10 @@ def noise_at(data: Dataset, spacing: float) -> Samples | None:
     return data["noise"]
 
 
-def print_certificate(learned: warp_peri.Fit) -> None:
+def print_certificate(learned: Fit) -> None:
     """Print the dense eigenvalues of (4.6) and what they are judged to mean."""
     figures = learned.certificate.figures()
-    print("certificate:", "holds" if learned.model.certified_on else "DOES NOT HOLD")
+    print("certificate:", "holds" if learned.material.certified_on else "DOES NOT HOLD")
     for key, unit in (
         ("symbol_min", "TPa, smallest D(k)/s(k) over the zone"),
         ("symbol_bound", "TPa, the same, proven for the whole zone"),

@@ -29,8 +29,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--allow-uncertified", action="store_true")
     given = parser.parse_args(arguments)
     out = given.out or given.model.parent
-    model = warp_peri.load_model(given.model)
-    points = warp_peri.load_dataset(given.data)[given.set]
+    model = warp_peri.load(given.model)
+    points = warp_peri.load(given.data)[given.set]
     table = warp_peri.evaluate(model, points, allow_uncertified=given.allow_uncertified)
     report.draw_disks(out / f"{given.set}.png", model, points, table)
     write_json(out / f"{given.set}.json", table)

@@ -30,10 +30,9 @@ import warp as wp
 
 from tools import numba_rival, numba_rows, rivals, roofline, solve_study
 from tools.lammps_session import LammpsError, _lammps_class
-from warp_peri import set_threads
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
-from warp_peri.launch import launch_slices
+from warp_peri.launch import launch_slices, set_threads
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence_inputs

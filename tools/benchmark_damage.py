@@ -24,11 +24,11 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 import warp as wp
 
-from warp_peri import Model, set_threads
+from warp_peri import Model
 from warp_peri.damage.lattice_body import lattice_body, rectangle
 from warp_peri.damage.operator import CutOperator
 from warp_peri.errors import exit_status
-from warp_peri.launch import floats, zeros
+from warp_peri.launch import floats, set_threads, zeros
 
 SIZES = ((50, 40, 3.0), (100, 100, 3.0), (400, 160, 3.0), (400, 160, 4.0), (1000, 400, 3.0))
 """Nodes along x and y, and horizon over spacing."""

@@ -37,10 +37,10 @@ GRIP = 10.0
 """Width of what is pulled at each end [Å]."""
 CALM = (10.0, 20.0)
 """Distance from edges below which a wave pushes nothing, and beyond which all of it [Å]."""
-WAVES = (110.0, 80.0)
-"""Lengths of the waves [Å]."""
+WAVES = (110.0, 80.0, 40.0)
+"""Lengths of the waves [Å]; the last ones push edges as well."""
 SEED = 7
-RECIPE = 2
+RECIPE = 3
 """Of the loads: what was made by another is made again."""
 STRAIN = 1e-3
 """Of strips whose edges' stiffness is measured."""
@@ -133,7 +133,9 @@ class Wave:
         return f"wave-{self.number}"
 
     def density(self, plate: Plate, x: np.ndarray) -> np.ndarray:
-        """Body force density [TPa/Å] at the atoms, both of shape [n, 2]; none beside edges.
+        """Body force density [TPa/Å] at the atoms, both of shape [n, 2].
+
+        None beside edges, but of the shortest waves, which push them like everything else.
 
         What pushes or turns the plate as a whole is taken out where the wave pushes, not at edges.
         """
@@ -143,6 +145,8 @@ class Wave:
         size = self.tension * k * np.cos(k * (x @ (np.cos(way), np.sin(way))) + phase)
         s = np.clip((plate.edge_distance(x) - CALM[0]) / (CALM[1] - CALM[0]), 0, 1)
         share = (s**2 * (3 - 2 * s))[:, None]
+        if length == WAVES[-1]:
+            share = np.ones_like(share)
         b = share * size[:, None] * (np.cos(axis), np.sin(axis))
         turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
         motions = [np.broadcast_to((1.0, 0.0), x.shape), np.broadcast_to((0.0, 1.0), x.shape), turn]
@@ -164,7 +168,7 @@ def loads_of(plate: Plate, tension: float = TENSION) -> tuple[Load, ...]:
         if plate.radius
         else (EndsPulled(0, tension),)
     )
-    return (*pulls, Wave(0, tension), Wave(1, tension))
+    return (*pulls, *(Wave(number, tension) for number in range(len(WAVES))))
 
 
 def held_samples(

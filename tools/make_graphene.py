@@ -39,6 +39,8 @@ from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 SPACINGS = {"": 5.0, "_fine": 2.5}
 """Node spacing [Å] by suffix of the set names."""
 
+ZIGZAG = 0.0
+"""Angle of the crystal's zigzag direction from the x axis [degrees]: cells are laid so."""
 REACH = 100.0
 """Nodes lie within it of the origin [Å], along each axis on the sheet and by radius on the disk."""
 
@@ -278,7 +280,7 @@ def on_nodes(
         node_area=spacing**2,
         thickness=THICKNESS,
     )
-    return Samples(Points(x + shift, interior, spacing), u, b)
+    return Samples(Points(x + shift, interior, spacing, axis=ZIGZAG), u, b)
 
 
 def load_record(body: Piece, loads: Sequence[Load]) -> dict[str, np.ndarray]:

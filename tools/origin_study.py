@@ -19,7 +19,7 @@ import numpy as np
 from tools.make_graphene import point_set, read_samples
 from warp_peri.errors import exit_status
 from warp_peri.learning.evaluate import evaluate
-from warp_peri.models.lps import load_model
+from warp_peri.storage import load
 
 FRACTIONS = np.arange(8) / 8
 
@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=root / "data/graphene_0K.cache")
     given = parser.parse_args(arguments)
     body, loads, samples = read_samples(given.cache, "val")
-    model = load_model(given.model)
+    model = load(given.model)
     spacing = model.trained_on[0]
     rows = [0.0, 0.25, 0.5, 0.75]
     print(f"E_res validation [%], nodes {spacing:g} Å; shift along x (across), y (down), in cells")

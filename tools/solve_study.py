@@ -17,9 +17,10 @@ import numpy as np
 import torch
 
 from tools import numba_rival, rivals
-from warp_peri import Model, load_model, set_threads
+from warp_peri import Model, load
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.launch import set_threads
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
@@ -28,7 +29,7 @@ from warp_peri.points.points import Points
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import Domain, domain
 from warp_peri.statics.equilibrium import on_domain
-from warp_peri.statics.solve import STIFF
+from warp_peri.statics.lps import STIFF
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
 TOLERANCE = 1e-8
@@ -94,9 +95,9 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
     system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
     setup = time.perf_counter() - start
     solves = []
-    for load in loads(nodes).values():
+    for force in loads(nodes).values():
         start = time.perf_counter()
-        _, record = system.solve(load, TOLERANCE)
+        _, record = system.solve(force, TOLERANCE)
         solves.append((time.perf_counter() - start, record))
     return Row(
         shape,
@@ -182,7 +183,7 @@ def solve_study(*, quick: bool, model_file: Path | None = None, out: Path | None
     """Measure, print, and with `out` write the table as JSON."""
     set_threads(2)
     torch.set_num_threads(2)
-    model = load_model(model_file or TABLE)
+    model = load(model_file or TABLE)
     sides = SIDES[:2] if quick else SIDES
     cases = [
         (model, shape, side, "sine" if shape == "square" else "multigrid", "learned")

@@ -1,4 +1,10 @@
-"""Linear peridynamic solids learned from molecular data, on NVIDIA Warp.
+"""Continuum laws learned from molecular data and measurement, proven and solved, on NVIDIA Warp.
+
+One pattern for every law:
+
+    fit = warp_peri.fit(samples, warp_peri.LPS(horizon=20.0))
+    solution = warp_peri.solve(fit.material, warp_peri.Dirichlet(points, b, u))
+    warp_peri.save("material.json", fit.material)
 
 The names below are imported on first use, so that neither torch nor Warp is loaded before it is
 needed.
@@ -8,164 +14,159 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from warp_peri import dumps as dumps
+    from warp_peri import atoms as atoms
+    from warp_peri import choice as choice
+    from warp_peri import damage as damage
+    from warp_peri import diffusion as diffusion
     from warp_peri import export as export
+    from warp_peri import flow as flow
+    from warp_peri import methods as methods
+    from warp_peri import plots as plots
+    from warp_peri import proofs as proofs
     from warp_peri import shapes as shapes
-    from warp_peri import stress as stress
-    from warp_peri.choice import Choice, Scene, choose_model
-    from warp_peri.dynamics.verlet import Motion, critical_time_step, velocity_verlet
+    from warp_peri import tissue as tissue
+    from warp_peri import transfers as transfers
+    from warp_peri.choice import choose_model
+    from warp_peri.damage.problems import Cracked
+    from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.launch import set_threads
-    from warp_peri.learning.diagnosis import Diagnosis, diagnose
+    from warp_peri.learning.diagnosis import diagnose
     from warp_peri.learning.evaluate import evaluate
-    from warp_peri.learning.fit import fit
-    from warp_peri.learning.methods import Bernstein, Constrained, TwoStage
-    from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit
-    from warp_peri.learning.result import Fit
-    from warp_peri.learning.sweep import Sweep, sweep
-    from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
-    from warp_peri.models.lps import Model, load_model
-    from warp_peri.models.nonlinear import NonlinearModel, load_nonlinear
-    from warp_peri.models.shapes import InfluenceFunction
-    from warp_peri.models.smoothing import Smoothing
-    from warp_peri.models.solid import Solid
-    from warp_peri.operator.nonlinear import NonlinearOperator
+    from warp_peri.learning.laws import LPS, ThirdOrder, fit
+    from warp_peri.learning.methods import Bernstein
+    from warp_peri.models.lps import Model
     from warp_peri.points.dataset import Dataset
-    from warp_peri.points.dataset_file import load_dataset, save_dataset
-    from warp_peri.points.interpolation import onto_lattice
-    from warp_peri.points.mesh import Mesh, load_mesh
+    from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
     from warp_peri.points.samples import Samples
-    from warp_peri.regression.settings import Optimum
-    from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-    from warp_peri.stability.certificate import Certificate, certify
-    from warp_peri.stability.conditions import Conditions
-    from warp_peri.stability.solvability import Solvability, solvability
-    from warp_peri.stability.uniqueness import Uniqueness, uniqueness
-    from warp_peri.statics.body import BodySolution, Coupling, solve_body
-    from warp_peri.statics.body_gradient import BodyGradient, body_gradient
-    from warp_peri.statics.equilibrium import equilibrium
-    from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
-    from warp_peri.statics.scattered import ThroughLattice
-    from warp_peri.statics.solve import Iteration, solve, solve_periodic
-    from warp_peri.transfer.cache import on_lattice
-    from warp_peri.transfer.operator import LPSOperator
-    from warp_peri.transfer.points import model_for
-    from warp_peri.transfer.shared_kernel import one_kernel
+    from warp_peri.problems import Body, Dirichlet, Periodic
+    from warp_peri.solving import move, solve
+    from warp_peri.stability.certificate import certify
+    from warp_peri.statics.settings import Direct, Krylov, Newton
+    from warp_peri.statics.solution import Solution
+    from warp_peri.storage import load, save
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Bernstein",
-    "BodyGradient",
-    "BodySolution",
-    "Certificate",
-    "Choice",
-    "Conditions",
-    "Constrained",
-    "Coupling",
+    "Body",
+    "Cracked",
     "Dataset",
-    "Diagnosis",
-    "Fit",
-    "InfluenceFunction",
+    "Direct",
+    "Dirichlet",
     "InputError",
-    "Iteration",
-    "LPSOperator",
+    "Krylov",
+    "LPS",
     "Mesh",
     "Model",
     "Motion",
-    "Nonlinear",
-    "NonlinearFit",
-    "NonlinearModel",
-    "NonlinearOperator",
-    "NonlinearRecord",
-    "Optimum",
+    "Newton",
+    "Periodic",
     "Points",
     "Samples",
-    "Scene",
-    "Smoothing",
-    "Solid",
-    "Solvability",
-    "Sweep",
-    "ThroughLattice",
-    "TwoStage",
-    "Uncertainty",
-    "Uniqueness",
-    "body_gradient",
+    "Solution",
+    "ThirdOrder",
     "certify",
     "choose_model",
-    "coarse_grain",
-    "critical_time_step",
     "diagnose",
-    "equilibrium",
     "evaluate",
     "fit",
-    "fit_uncertainty",
-    "load_dataset",
-    "load_mesh",
-    "load_model",
-    "load_nonlinear",
-    "model_for",
-    "on_lattice",
-    "one_kernel",
-    "onto_lattice",
-    "save_dataset",
+    "load",
+    "move",
+    "save",
     "set_threads",
-    "smoothing_matrix",
-    "solvability",
     "solve",
-    "solve_body",
-    "solve_nonlinear",
-    "solve_periodic",
-    "sweep",
-    "uniqueness",
-    "velocity_verlet",
 ]
 
 _NAMES = {
-    "choice": ("Choice", "Scene", "choose_model"),
-    "dynamics.verlet": ("Motion", "critical_time_step", "velocity_verlet"),
+    "choice": ("choose_model",),
+    "damage.problems": ("Cracked",),
+    "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "launch": ("set_threads",),
-    "learning.diagnosis": ("Diagnosis", "diagnose"),
+    "learning.diagnosis": ("diagnose",),
     "learning.evaluate": ("evaluate",),
-    "learning.fit": ("fit",),
-    "learning.methods": ("Bernstein", "Constrained", "TwoStage"),
-    "regression.settings": ("Optimum",),
-    "learning.result": ("Fit",),
-    "learning.nonlinear": ("Nonlinear", "NonlinearFit"),
-    "learning.sweep": ("Sweep", "sweep"),
-    "learning.uncertainty": ("Uncertainty", "fit_uncertainty"),
-    "models.lps": ("Model", "load_model"),
-    "models.nonlinear": ("NonlinearModel", "load_nonlinear"),
-    "models.smoothing": ("Smoothing",),
-    "models.shapes": ("InfluenceFunction",),
-    "models.solid": ("Solid",),
+    "learning.laws": ("LPS", "ThirdOrder", "fit"),
+    "learning.methods": ("Bernstein",),
+    "models.lps": ("Model",),
     "points.dataset": ("Dataset",),
-    "points.dataset_file": ("load_dataset", "save_dataset"),
-    "points.interpolation": ("onto_lattice",),
-    "points.mesh": ("Mesh", "load_mesh"),
+    "points.mesh": ("Mesh",),
     "points.points": ("Points",),
     "points.samples": ("Samples",),
-    "operator.nonlinear": ("NonlinearOperator",),
-    "sources.coarse_graining": ("coarse_grain", "smoothing_matrix"),
-    "stability.certificate": ("Certificate", "certify"),
-    "stability.conditions": ("Conditions",),
-    "stability.solvability": ("Solvability", "solvability"),
-    "stability.uniqueness": ("Uniqueness", "uniqueness"),
-    "statics.body": ("BodySolution", "Coupling", "solve_body"),
-    "statics.body_gradient": ("BodyGradient", "body_gradient"),
-    "statics.equilibrium": ("equilibrium",),
-    "statics.nonlinear": ("NonlinearRecord", "solve_nonlinear"),
-    "statics.scattered": ("ThroughLattice",),
-    "statics.solve": ("Iteration", "solve", "solve_periodic"),
-    "transfer.cache": ("on_lattice",),
-    "transfer.shared_kernel": ("one_kernel",),
-    "transfer.operator": ("LPSOperator",),
-    "transfer.points": ("model_for",),
+    "problems": ("Body", "Dirichlet", "Periodic"),
+    "solving": ("move", "solve"),
+    "stability.certificate": ("certify",),
+    "statics.settings": ("Direct", "Krylov", "Newton"),
+    "statics.solution": ("Solution",),
+    "storage": ("load", "save"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
-_MODULES = ("dumps", "export", "shapes", "stress")
+_MODULES = (
+    "atoms",
+    "choice",
+    "damage",
+    "diffusion",
+    "export",
+    "flow",
+    "methods",
+    "plots",
+    "proofs",
+    "shapes",
+    "tissue",
+    "transfers",
+)
+
+_NOW = {
+    "BodySolution": "Solution, whose details it is",
+    "Certificate": "what certify(…) returns",
+    "Choice": "what choose_model(…) returns",
+    "Conditions": "methods.Conditions",
+    "Constrained": "methods.Constrained",
+    "Coupling": "statics.body.Coupling, in Body(…, coupling=…)",
+    "Fit": "what fit(…) returns",
+    "InfluenceFunction": "shapes.InfluenceFunction",
+    "Iteration": "Krylov(tolerance=…, device=…), in solve(…, solver=…)",
+    "LPSOperator": "model.on(points)",
+    "Nonlinear": "ThirdOrder(LPS(…), smoothing=…)",
+    "NonlinearModel": "what fit(samples, ThirdOrder(…)).material is",
+    "NonlinearOperator": "material.on(points)",
+    "NonlinearRecord": "solution.details",
+    "Optimum": "methods.Optimum",
+    "PointSet": "Points(x, interior, spacing, box, outside), and with fields Samples(points, u, b)",
+    "Scene": "choice.Scene",
+    "Smoothing": "methods.Smoothing",
+    "Solid": "methods.Solid, in solve(…, parameters=…)",
+    "Sweep": "what methods.sweep(…) returns",
+    "ThroughLattice": "model.on(points) of scattered points",
+    "TwoStage": "methods.TwoStage",
+    "body_gradient": "statics.body_gradient.body_gradient(solution.details, …)",
+    "coarse_grain": "atoms.coarse_grain",
+    "critical_time_step": "proofs.critical_time_step",
+    "dumps": "atoms",
+    "equilibrium": "solve(model, Dirichlet(points, b, u), parameters=…) with torch tensors",
+    "fit_uncertainty": "methods.fit_uncertainty",
+    "load_dataset": "load",
+    "load_mesh": "load",
+    "load_model": "load",
+    "load_nonlinear": "load",
+    "model_for": "material.on(points).model",
+    "on_lattice": "transfers.on_lattice",
+    "one_kernel": "transfers.one_kernel",
+    "onto_lattice": "transfers.onto_lattice",
+    "save_dataset": "save",
+    "smoothing_matrix": "atoms.smoothing_matrix",
+    "solvability": "proofs.solvability",
+    "solve_body": "solve(model, Body(mesh, …))",
+    "solve_nonlinear": "solve(material, Dirichlet(points, b, u))",
+    "solve_periodic": "solve(model, Periodic(points, b))",
+    "stress": "solution.stress(), or operator.stress.node_fields for strain and energy",
+    "sweep": "methods.sweep",
+    "uniqueness": "proofs.uniqueness",
+    "velocity_verlet": "move(model, Dirichlet(points, b, u), v=…, density=…, step=…, steps=…)",
+}
+"""What names of earlier versions became."""
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
 
@@ -173,11 +174,8 @@ if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of 
         """A public name or module, imported now (PEP 562)."""
         if name in _MODULES:
             return import_module(f"{__name__}.{name}")
-        if name == "PointSet":
-            raise AttributeError(
-                "warp_peri.PointSet is now warp_peri.Points(x, interior, spacing, box, outside), "
-                "and with fields warp_peri.Samples(points, u, b, arrays)"
-            )
+        if name in _NOW:
+            raise AttributeError(f"warp_peri.{name} is now {_NOW[name]}")
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -14,7 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.unit_names import symbols
-from warp_peri.statics.solve import DIRECT
+from warp_peri.statics.lps import DIRECT
 from warp_peri.transfer.cache import on_lattice
 
 LU_POWER = 1.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, ElementTree, SubElement
 
 import h5py
@@ -14,9 +14,7 @@ import scipy.sparse as sp
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.models.lps import Model
-from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples
@@ -39,7 +37,7 @@ XDMF_TYPES = {
 
 def write_fields(
     folder: str | os.PathLike[str],
-    model: Model | NonlinearModel,
+    model: Any,
     points: Samples,
     u: np.ndarray,
     *,
@@ -246,16 +244,14 @@ def _write_xdmf(
     return [light, heavy]
 
 
-def _samples(
-    model: Model | NonlinearModel, points: Samples, u: np.ndarray
-) -> list[dict[str, np.ndarray]]:
+def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
     piola: np.ndarray | None = None
-    if isinstance(model, NonlinearModel):
-        operator = NonlinearOperator(model, points, allow_uncertified=True)
+    if model.linear is not model:
+        operator = model.on(points, transfer=False, allow_uncertified=True)
         _, P = operator.gradients(u)
-        model, piola = model.linear, P[:, points.interior[operator.sweeps.full]]
-    fields = node_fields(model, points, u)
+        piola = P[:, points.interior[operator.sweeps.full]]
+    fields = node_fields(model.linear, points, u)
     return [
         {
             "displacement": _vector(field),

@@ -72,7 +72,9 @@ def cut_plate(model: warp_peri.Model, spacing: float, radius: float) -> tuple[fl
     exact[away], _ = plate_with_hole(points.x[away], radius, TENSION, long_wave(model, spacing))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        u = warp_peri.solve(model, points, np.zeros_like(exact), exact, allow_uncertified=True)
+        u = warp_peri.solve(
+            model, warp_peri.Dirichlet(points, np.zeros_like(exact), exact), allow_uncertified=True
+        ).u
     said = " ".join(str(warning.message) for warning in caught)
     number = re.search(r"symmetric part is ([-+.e\d]+)", said)
     near = points.interior & (np.hypot(*points.x.T) < radius + LAYER * spacing)
@@ -87,13 +89,13 @@ def refusal(model: warp_peri.Model, spacing: float) -> str:
     """What a solve with cut families says."""
     points = lattice_plate(spacing, model.horizon, RADII[0])
     u = np.zeros_like(points.x)
-    return words(lambda: warp_peri.solve(model, points, u, u))
+    return words(lambda: warp_peri.solve(model, warp_peri.Dirichlet(points, u, u)).u)
 
 
 def coupled_error(model: warp_peri.Model, radius: float) -> float:
     """Error of displacement of the same plate with elements at its edges."""
     mesh = mesh_outline(box(2 * HALF, 2 * HALF), [Circle(radius, size=2.0)], size=8.0)
-    finer = warp_peri.on_lattice(model, spacing=model.certified_on[0] / 2)
+    finer = warp_peri.transfers.on_lattice(model, spacing=model.certified_on[0] / 2)
     stiff = long_wave(finer, finer.certified_on[0])
     sides = ("left", "right", "top", "bottom")
     held = {side: lambda x: plate_with_hole(x, radius, TENSION, stiff)[0] for side in sides}
@@ -109,7 +111,7 @@ def at_home(model: warp_peri.Model, overlap: float | None = None) -> Coupling:
 
 def limits(model: warp_peri.Model) -> list[str]:
     """What is said of a small hole, of hardly any overlap, and of a thin body."""
-    finer = warp_peri.on_lattice(model, spacing=model.certified_on[0] / 2)
+    finer = warp_peri.transfers.on_lattice(model, spacing=model.certified_on[0] / 2)
     plate = box(2 * HALF, 2 * HALF)
     small = mesh_outline(plate, [Circle(5.0, size=2.0)], size=8.0)
     thin = mesh_outline(box(2 * HALF, 30.0), size=4.0)

@@ -77,7 +77,9 @@ def sign_changing(data: Dataset) -> Entry:
     # Fits of one horizon and degree, so that nothing but the conditions differs.
     case = next(case for case in sorted(models, key=lambda case: smallest[case]) if unsafe[case])
     free, degree, ratio = models[case], DEGREES[case[0]], RATIOS[case[1]]
-    kept = warp_peri.fit(train, horizon=free.horizon, kernel=warp_peri.Bernstein(degree)).model
+    kept = warp_peri.fit(
+        train, warp_peri.LPS(horizon=free.horizon, kernel=warp_peri.Bernstein(degree))
+    ).material
     errors = {
         f"{RATIOS[column]:g}, {DEGREES[row]}": displacement_error(model, test)
         for (row, column), model in models.items()
@@ -112,7 +114,7 @@ def sign_changing(data: Dataset) -> Entry:
         ),
         [
             f"certificate: {certificate.statement}",
-            words(lambda: warp_peri.solve(free, test, test.loads, test.u)),
+            words(lambda: warp_peri.solve(free, warp_peri.Dirichlet(test, test.loads, test.u)).u),
         ],
         figure,
         {

@@ -38,8 +38,8 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
     for horizon in (12.5, 20.0):
         for name, sets in (("5 Å", both[:1]), ("5 and 2.5 Å", both)):
             model = warp_peri.fit(
-                sets, horizon=horizon, kernel=warp_peri.Bernstein(12), normalise=True
-            ).model
+                sets, warp_peri.LPS(horizon=horizon, kernel=warp_peri.Bernstein(12), normalise=True)
+            ).material
             first = first or model
             label = f"δ = {horizon:g} Å, trained on {name}"
             table[label] = []
@@ -65,8 +65,12 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
         [
             words(lambda: warp_peri.evaluate(model, disks[0])),
             words(
-                lambda: warp_peri.solve(
-                    model, disks[0], disks[0].loads, disks[0].u, allow_uncertified=True
+                lambda: (
+                    warp_peri.solve(
+                        model,
+                        warp_peri.Dirichlet(disks[0], disks[0].loads, disks[0].u),
+                        allow_uncertified=True,
+                    ).u
                 )
             ),
         ],
@@ -215,10 +219,12 @@ def large_degrees(data: Dataset) -> Entry:
     errors, swings = [], []
     r = np.linspace(train.spacing, horizon, 2000)
     for degree in tqdm(tried, desc="high degrees"):
-        fit = warp_peri.fit(train, horizon=horizon, kernel=warp_peri.Bernstein(degree))
+        fit = warp_peri.fit(
+            train, warp_peri.LPS(horizon=horizon, kernel=warp_peri.Bernstein(degree))
+        )
         errors.append(fit.history[-1].E_res_train)
-        at_bonds = np.abs(fit.model.influence(classes.r)).max()
-        swings.append(float(np.abs(fit.model.influence(r)).max() / at_bonds))
+        at_bonds = np.abs(fit.material.influence(classes.r)).max()
+        swings.append(float(np.abs(fit.material.influence(r)).max() / at_bonds))
     worst, widest = int(np.argmax(condition)), int(np.argmax(swings))
     return Entry(
         *written(

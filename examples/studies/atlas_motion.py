@@ -20,15 +20,16 @@ from tools.loads import WaveLoad, atom_force
 from tools.make_graphene import point_set
 from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
-from warp_peri import LPSOperator
 from warp_peri.dynamics import verlet
-from warp_peri.dynamics.verlet import INERTIA, critical_time_step, velocity_verlet
+from warp_peri.dynamics.verlet import INERTIA, critical_time_step
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.problems import Dirichlet
+from warp_peri.solving import move
 
 DENSITY = 2147.0
 """Of graphene [kg/m³] where no data set gives one."""
@@ -108,7 +109,7 @@ def critical_step(model: Model) -> Entry:
 
 def largest_growth(model: Model, points: Points, u: np.ndarray, step: float) -> float:
     """How much a displacement grows in 400 steps, stable or not."""
-    operator = LPSOperator(model, points)
+    operator = model.on(points)
     body = verlet.Inert(operator, points.interior, DENSITY, 0 * u[points.interior])
     state = body.state(u, 0 * u[points.interior])
     for _ in range(400):
@@ -119,7 +120,7 @@ def largest_growth(model: Model, points: Points, u: np.ndarray, step: float) -> 
 def one_step(model: Model, points: Points, step: float) -> None:
     """A step from rest, refused where it is too long."""
     rest = 0 * points.x
-    velocity_verlet(model, points, rest, rest, density=DENSITY, step=step, steps=1)
+    move(model, Dirichlet(points, None, rest), density=DENSITY, step=step, steps=1)
 
 
 def draw_growth(growth: Mapping[str, Sequence[float]]) -> Figure:
@@ -142,8 +143,8 @@ def energy_drift(model: Model, steps: int) -> Entry:
     points = Points(spacing * nodes, np.ones(len(nodes), bool), spacing, box=box)
     u = np.random.default_rng(0).normal(size=points.x.shape)
     step = 0.9 * critical_time_step(model, spacing=spacing, density=DENSITY)
-    motion = velocity_verlet(
-        model, points, u, 0 * u, density=DENSITY, step=step, steps=steps,
+    motion = move(
+        model, Dirichlet(points, None, u), density=DENSITY, step=step, steps=steps,
         every=max(1, steps // 1000),
     )  # fmt: skip
     figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
@@ -153,7 +154,11 @@ def energy_drift(model: Model, steps: int) -> Entry:
     cloud = Points(points.x + 0.1 * u, points.interior, 0.0)
     return Entry(
         *written("energy", drift=motion.drift, steps=steps, side=side),
-        [words(lambda: velocity_verlet(model, cloud, u, u, density=DENSITY, step=step, steps=1))],
+        [
+            words(
+                lambda: move(model, Dirichlet(cloud, None, u), density=DENSITY, step=step, steps=1)
+            )
+        ],
         figure,
         {"steps": steps, "drift": motion.drift},
     )
@@ -330,7 +335,13 @@ def large_strains(model: Model) -> Entry:
             if ends
             else "",
         ),
-        [words(lambda: warp_peri.solve(model, points, points.loads, points.u))],
+        [
+            words(
+                lambda: (
+                    warp_peri.solve(model, warp_peri.Dirichlet(points, points.loads, points.u)).u
+                )
+            )
+        ],
         draw_strains(table),
         {"loads": table, "ends": ends},
     )

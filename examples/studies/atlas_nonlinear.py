@@ -17,17 +17,11 @@ from tools.loads import TEST, VALIDATION, Load
 from tools.make_graphene import graphene_bodies, point_set
 from tools.make_strained import strained, strained_file
 from tools.samples import Piece, Sample, _statics, read_sample, write_record
-from warp_peri import (
-    Bernstein,
-    Dataset,
-    Model,
-    Nonlinear,
-    NonlinearModel,
-    Optimum,
-    Samples,
-    Smoothing,
-)
+from warp_peri import Bernstein, Dataset, Model, Samples
 from warp_peri.errors import InputError
+from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.methods import Optimum, Smoothing
+from warp_peri.models.nonlinear import NonlinearModel
 
 STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12)
 """Largest bond strains; from the last on the load grows until atoms fail."""
@@ -46,11 +40,15 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     train, kernel = data["train"], Bernstein(10, two_functions=True)
     options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
     filtered = Nonlinear(Smoothing())
-    energy = warp_peri.fit(train, 20.0, kernel, nonlinear=Nonlinear(), **options).model
+    energy = warp_peri.fit(
+        train, warp_peri.ThirdOrder(warp_peri.LPS(20.0, kernel, **options))
+    ).material
     models: dict[str, Model | NonlinearModel] = {
-        "linear": warp_peri.fit(train, 20.0, kernel, **options).model,
+        "linear": warp_peri.fit(train, warp_peri.LPS(20.0, kernel, **options)).material,
         "energy form": energy,
-        "filtered form": warp_peri.fit(train, 20.0, kernel, nonlinear=filtered, **options).model,
+        "filtered form": warp_peri.fit(
+            train, warp_peri.ThirdOrder(warp_peri.LPS(20.0, kernel, **options), filtered.smoothing)
+        ).material,
     }
     errors: dict[str, list[float]] = {name: [] for name in models}
     with warnings.catch_warnings():

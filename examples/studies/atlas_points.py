@@ -76,7 +76,7 @@ def scattered_points() -> Entry:
             rows=rows_of([name, *cells(row)] for name, row in rows.items()),
         ),
         [
-            words(lambda: warp_peri.LPSOperator(model, base)),
+            words(lambda: model.on(base)),
             words(lambda: families_of(replace(base, x=twice), HORIZON)),
             words(lambda: families_of(perturbed(6, 2.0, 0.5, 0), 2.0)),
         ],
@@ -97,7 +97,7 @@ def solid() -> Model:
 
 def figures_of(points: Points) -> tuple[float, float, float, float]:
     """Smallest eigenvalue, asymmetry, share of negative weights, and error against elasticity."""
-    figures = warp_peri.solvability(solid(), points)
+    figures = warp_peri.proofs.solvability(solid(), points)
     h = np.pi / NUMBER
     error = elastic_error(replace(points, x=h * points.x), LAM, HORIZON * h)
     return figures.symmetric_min, figures.asymmetry, figures.negative_weights, error

@@ -69,7 +69,7 @@ def quiet_solve(model: Model, points: Points, b: np.ndarray, u: np.ndarray) -> n
     """solve, certified or not."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return warp_peri.solve(model, points, b, u, allow_uncertified=True)
+        return warp_peri.solve(model, warp_peri.Dirichlet(points, b, u), allow_uncertified=True).u
 
 
 def lame_parameters(data: Dataset) -> Entry:
@@ -118,10 +118,12 @@ def kernels_by_conditions(train: Samples) -> Kernels:
     for kind in ("direct", "paper"):
         model = warp_peri.fit(
             train,
-            horizon=HORIZON,
-            kernel=warp_peri.Bernstein(10),
-            conditions=warp_peri.Conditions(kind),
-        ).model
+            warp_peri.LPS(
+                horizon=HORIZON,
+                kernel=warp_peri.Bernstein(10),
+                conditions=warp_peri.methods.Conditions(kind),
+            ),
+        ).material
         kernels[f"conditions '{kind}'"] = (model.alpha, model.D)
     return kernels
 
@@ -199,7 +201,7 @@ def single_precision() -> Entry:
         rough[precision] = float(np.linalg.norm(force(u) - exact) / np.linalg.norm(exact))
     lost = shifts[int(np.argmax(np.array(errors["float32"]) > 0.01))]
     model = Model(-0.2, MU, 1.0, np.ones(1), horizon, certified_on=(1.0,))
-    operator = warp_peri.LPSOperator(model, points)
+    operator = model.on(points)
     return Entry(
         *written(
             "float32", rough_single=rough["float32"], rough_double=rough["float64"], lost=lost

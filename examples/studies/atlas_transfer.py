@@ -13,6 +13,7 @@ import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
 from warp_peri.models.lps import Model
 from warp_peri.points.points import Points
+from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.lattice import home_of, new_lattice
 from warp_peri.transfer.waves import dispersion, rings, wave_errors
 
@@ -62,7 +63,7 @@ def transfers(model: Model) -> Entry:
             words(lambda: new_lattice(model, spacing=SPACINGS[0], shortest_wave=10.0)),
             words(lambda: new_lattice(model, spacing=SPACINGS[-1], tolerance=1e-3)),
             words(lambda: through(model, 8)),
-            words(lambda: warp_peri.LPSOperator(model, nodes(20), allow_uncertified=True)),
+            words(lambda: model.on(nodes(20), allow_uncertified=True)),
         ],
         draw(curves, 2 * np.pi / home.largest),
         {"wavelength": WAVELENGTHS, "error": curves},
@@ -82,11 +83,11 @@ def nodes(half: int, interior: float = 20.0) -> Points:
     return Points(x, np.abs(x).max(axis=1) <= interior, 0.0)
 
 
-def through(model: Model, half: int) -> warp_peri.ThroughLattice:
+def through(model: Model, half: int) -> ThroughLattice:
     """The operator on scattered nodes whose collar is as wide as `half` leaves."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the transfer says so
-        return warp_peri.ThroughLattice(model, nodes(half))
+        return ThroughLattice(model, nodes(half))
 
 
 def draw(curves: Mapping[str, np.ndarray], shortest: float) -> Figure:

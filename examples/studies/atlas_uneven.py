@@ -41,7 +41,7 @@ def frames(uneven: float, waves: range) -> Samples:
 def error(fit: DisplacementFit, test: Samples, *, own: bool = True) -> float:
     """Of the solved displacement [%], as thick as was learned or, where not `own`, even."""
     thickness = fit.thickness.at(test.x) if own and fit.thickness is not None else None
-    return 100 * float(hyperelastic_errors(fit.solid, test, thickness=thickness)["E_u"])
+    return 100 * float(hyperelastic_errors(fit.material, test, thickness=thickness)["E_u"])
 
 
 def uneven_as_even() -> Entry:

@@ -14,7 +14,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from warp_peri import Bernstein, Optimum, TwoStage
+from warp_peri import Bernstein
+from warp_peri.methods import Optimum, TwoStage
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -28,7 +29,7 @@ from examples.train_graphene import DATA, make_data
 from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_json, write_text
-from warp_peri.learning.fit import fit
+from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.margins import DenseMargins
 from warp_peri.learning.result import Fit
 from warp_peri.models.lps import Model
@@ -51,7 +52,7 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
         "Algorithm 1 as printed (ReLU)": {"method": TwoStage(parametrisation="relu")},
         "Algorithm 1, projected bounds": {"method": TwoStage()},
         "constrained, direct": {},
-        "constrained, paper's (i), (iii)": {"conditions": warp_peri.Conditions("paper")},
+        "constrained, paper's (i), (iii)": {"conditions": warp_peri.methods.Conditions("paper")},
         "constrained, isotropic": {"method": Optimum(moduli="isotropic")},
         "constrained, true moduli held": {"method": Optimum(moduli=moduli)},
         "two functions": {"kernel": Bernstein(10, two_functions=True)},
@@ -66,7 +67,7 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
         learned = fit(data["train"], **({"horizon": 20.0, "kernel": Bernstein(10)} | options))
         row = {"fit": name, "seconds": time.perf_counter() - begin}
         sets = {role: data[role] for role in ("train", "val", "test")}
-        rows.append(row | _numbers(learned) | _errors(learned.model, sets))
+        rows.append(row | _numbers(learned) | _errors(learned.material, sets))
     return rows
 
 
@@ -79,10 +80,10 @@ def two_grids(data: Dataset, unseen: Samples) -> list[dict[str, Any]]:
         learned = fit(both, horizon=horizon, kernel=Bernstein(10))
         row = {"fit": f"δ = {horizon:g} Å", "seconds": time.perf_counter() - begin}
         row |= _numbers(learned)
-        third = warp_peri.certify(learned.model, spacing=unseen.spacing)
+        third = warp_peri.certify(learned.material, spacing=unseen.spacing)
         row["c on the unseen grid"] = third.symbol_bound
         sets = {"h = 5 Å": data["test"], "h = 2.5 Å": data["test_fine"], "h = 4 Å": unseen}
-        rows.append(row | _errors(learned.model, sets))
+        rows.append(row | _errors(learned.material, sets))
     return rows
 
 
@@ -91,8 +92,8 @@ def _numbers(learned: Fit) -> dict[str, Any]:
     reached = list(learned.starts.values())
     spread = float(np.ptp(reached) / min(reached)) if reached else None
     return {
-        "lambda": learned.model.lam,
-        "mu": learned.model.mu,
+        "lambda": learned.material.lam,
+        "mu": learned.material.mu,
         "moduli": learned.moduli,
         "c": [certificate.symbol_bound for certificate in learned.certificates],
         "spread of the starts": spread,
@@ -175,7 +176,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "compare_fits")
     given = parser.parse_args(arguments)
-    data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     body, loads, samples = read_samples(DATA.with_suffix(".cache"), "test")
     unseen = point_set(body, loads, samples, spacing=UNSEEN_SPACING)
     single, double = one_grid(data), two_grids(data, unseen)

@@ -56,7 +56,7 @@ def fits(train: Samples) -> dict[str, tuple[int, Fit]]:
     cases["table, 9 knots"] = (len(KNOTS) - 1, values)
     cases["Bernstein, M = 10"] = (DEGREE + 1, warp_peri.Bernstein(DEGREE))
     return {
-        name: (count, warp_peri.fit(train, HORIZON, kernel))
+        name: (count, warp_peri.fit(train, warp_peri.LPS(HORIZON, kernel)))
         for name, (count, kernel) in tqdm(cases.items(), desc="fits")
     }
 
@@ -65,11 +65,11 @@ def row(name: str, count: int, fit: Fit, data: Dataset) -> dict[str, Any]:
     """Errors [%] and constants of one fit."""
     out: dict[str, Any] = {"shape": name, "parameters": count}
     for role in SETS:
-        errors = warp_peri.evaluate(fit.model, data[role])
+        errors = warp_peri.evaluate(fit.material, data[role])
         out |= {f"{key} {role}": 100 * errors[key] for key in ("E_res", "E_u")}
-    out |= {"mu": fit.model.mu, "E": fit.model.E, "c": fit.certificate.symbol_bound}
+    out |= {"mu": fit.material.mu, "E": fit.material.E, "c": fit.certificate.symbol_bound}
     if fit.influence is not None:
-        out["learned"] = fit.model.provenance["influence"]
+        out["learned"] = fit.material.provenance["influence"]
     return out
 
 
@@ -95,7 +95,7 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
     r = np.linspace(classes.r[0], HORIZON, 500)
     left.axhline(0, color="0.7", linewidth=0.8)
     for number, name in enumerate(("gaussian", "damped wave", "Bernstein, M = 10")):
-        model, color = learned[name][1].model, f"C{number}"
+        model, color = learned[name][1].material, f"C{number}"
         bonds = classes.r**2 * kernel_values(model, classes, classes.r)
         if name.startswith("Bernstein"):  # between the bonds its polynomial is not determined
             left.plot(classes.r, bonds, "x", color=color, label=f"{name}, at the bonds")
@@ -139,7 +139,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence_shapes")
     given = parser.parse_args(arguments)
-    data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     learned = fits(data["train"])
     rows = [row(name, count, fit, data) for name, (count, fit) in learned.items()]
     write_json(given.out / "metrics.json", {"fits": rows})

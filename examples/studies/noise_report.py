@@ -22,7 +22,8 @@ from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.statics.solve import solve
+from warp_peri.problems import Dirichlet
+from warp_peri.solving import solve
 
 Row = dict[str, Any]
 
@@ -164,7 +165,7 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
     figure, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")
     ax.axhline(0, color="0.7", linewidth=0.8)
     for number, (factor, fit) in enumerate(fits.items()):
-        model = fit.model
+        model = fit.material
         classes = bond_classes(model.trained_on[0], model.horizon)
 
         def values(m: Model, classes: Any = classes) -> np.ndarray:
@@ -197,7 +198,8 @@ def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: Samples) -> Non
         with warnings.catch_warnings():
             # Models beside the fit carry no certificate, and small loads taught it.
             warnings.filterwarnings("ignore", message="(spacing|strain):")
-            return solve(m, first, first.loads, first.u, allow_uncertified=True)[0, line, 0]
+            problem = Dirichlet(first, first.loads, first.u)
+            return solve(m, problem, allow_uncertified=True).u[0, line, 0]
 
     lower, upper = sure.band(model, along, 0.9)
     figure, axes = plt.subplots(2, 1, figsize=(7, 5.5), layout="constrained", sharex=True)

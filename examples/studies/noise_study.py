@@ -31,9 +31,9 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import sweep
-from warp_peri.models.lps import load_model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.storage import load
 
 FACTORS = (1.0, 0.25, 0.1)
 HORIZON, DEGREE = 20.0, 10
@@ -59,31 +59,33 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
                     continue
                 fit = warp_peri.fit(
                     own["train"],
-                    horizon=HORIZON,
-                    kernel=warp_peri.Bernstein(DEGREE),
-                    normalise=True,
-                    loss=loss,
+                    warp_peri.LPS(
+                        horizon=HORIZON,
+                        kernel=warp_peri.Bernstein(DEGREE),
+                        normalise=True,
+                        loss=loss,
+                    ),
                     noise=own["noise"],
                 )
                 chosen.setdefault((reduction, factor), fit)
                 row: dict[str, Any] = {"reduction": reduction, "factor": factor}
                 row["loss"] = fit.loss.name
                 row |= {"default": loss == DEFAULT, "reason": fit.loss.reason}
-                row |= constants(fit.model, deviations(fit, own))
+                row |= constants(fit.material, deviations(fit, own))
                 row["c"] = fit.certificate.symbol_bound
-                row["certified"] = bool(fit.model.certified_on)
-                rows.append(row | against(fit.model, own, data["shared", factor], cold))
+                row["certified"] = bool(fit.material.certified_on)
+                rows.append(row | against(fit.material, own, data["shared", factor], cold))
                 bar.update()
     rows.sort(key=lambda row: (-row["factor"], REDUCTIONS.index(row["reduction"])))
     return rows, chosen
 
 
-def deviations(fit: Fit, own: Dataset) -> warp_peri.Uncertainty:
+def deviations(fit: Fit, own: Dataset) -> warp_peri.methods.Uncertainty:
     """What the noise of its data makes of a fit."""
-    return warp_peri.fit_uncertainty(fit, own["train"], own["noise"])
+    return warp_peri.methods.fit_uncertainty(fit, own["train"], own["noise"])
 
 
-def constants(model: warp_peri.Model, sure: warp_peri.Uncertainty) -> dict[str, float]:
+def constants(model: warp_peri.Model, sure: warp_peri.methods.Uncertainty) -> dict[str, float]:
     """α, λ, μ, E, ν, and the standard deviations that noise gives them."""
     row = {}
     for key in ("alpha", "lam", "mu", "E", "nu"):
@@ -143,7 +145,7 @@ def swept(folder: Path, data: Data, cold: Dataset, jobs: int) -> dict[str, Any]:
     )
     rows = []
     for trial, average in zip(trials.by_degree, trials.average):
-        model = load_model(folder / "sweep" / trial.model)
+        model = load(folder / "sweep" / trial.model)
         row: dict[str, Any] = {"degree": trial.degree, "horizon": trial.horizon, "AvgE": average}
         row |= {key: getattr(model, key) for key in ("alpha", "lam", "mu", "E", "nu")}
         rows.append(row | against(model, own, data["shared", SWEPT[1]], cold))
@@ -152,10 +154,10 @@ def swept(folder: Path, data: Data, cold: Dataset, jobs: int) -> dict[str, Any]:
 
 def run(given: argparse.Namespace) -> str:
     """Data, fits, sweep, tables and figures; returns the tables."""
-    cold = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    cold = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     paths = make_thermal(DATA.parent, factors=FACTORS, jobs=given.jobs)
     data = {
-        (reduction, factor): warp_peri.load_dataset(paths[reduction, factor])
+        (reduction, factor): warp_peri.load(paths[reduction, factor])
         for reduction in REDUCTIONS
         for factor in FACTORS
     }
@@ -173,7 +175,7 @@ def run(given: argparse.Namespace) -> str:
     fit = chosen["plain", 0.1]
     noise_report.draw_disk(
         given.out / "disk.png",
-        fit.model,
+        fit.material,
         deviations(fit, data["plain", 0.1]),
         cold["test"],
     )

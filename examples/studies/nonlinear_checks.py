@@ -34,13 +34,14 @@ from tools.make_graphene import (
     read_samples,
 )
 from tools.samples import Sample
-from warp_peri import NonlinearModel, NonlinearOperator, Points, Samples
+from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
+from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.nonlinear import class_tables, nonlinear_force
+from warp_peri.operator.nonlinear import NonlinearOperator, class_tables, nonlinear_force
 from warp_peri.transfer.nonlinear import nonlinear_for
 
 TURN, CRYSTAL = 10.0, 17.0
@@ -60,7 +61,7 @@ def turned_body(model: NonlinearModel, samples: Samples) -> dict[str, float]:
     """E_res of the same equilibria seen after a rigid turn of the deformed body, force only."""
     turn = rotation(TURN)
     operator = NonlinearOperator(model, samples)
-    straight = warp_peri.LPSOperator(model.linear, samples)
+    straight = model.linear.on(samples)
     u = (samples.x + samples.u) @ turn.T - samples.x
     b = samples.loads[:, samples.interior]
     size = np.linalg.norm(b, axis=(1, 2))
@@ -91,13 +92,18 @@ def turned_crystal(model: NonlinearModel, cache: Path, role: str) -> dict[str, f
             force @ by.T,
             spacing=5.0,
         )
-        solid = model
+        stated = at_angle(nodes, CRYSTAL if name == "turned" else 0.0)
         if name == "turned":
-            solid = dataclasses.replace(model, axis=model.axis + np.deg2rad(CRYSTAL))
-            out["axis_forgotten"] = warp_peri.evaluate(model, nodes)["E_u"]
-        out[name] = warp_peri.evaluate(solid, nodes)["E_u"]
+            out["axis_forgotten"] = warp_peri.evaluate(model, at_angle(nodes, 0.0))["E_u"]
+        out[name] = warp_peri.evaluate(model, stated)["E_u"]
         out[f"{name}_linear"] = warp_peri.evaluate(model.linear, nodes)["E_u"]
     return out
+
+
+def at_angle(samples: Samples, degrees: float) -> Samples:
+    """The samples, of a crystal at an angle to the nodes."""
+    points = dataclasses.replace(samples.points, axis=degrees)
+    return dataclasses.replace(samples, points=points)
 
 
 def images(
@@ -189,10 +195,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     numbers: dict[str, Any] = {}
-    data, cache = warp_peri.load_dataset(given.data), given.data.with_suffix(".cache")
+    data, cache = warp_peri.load(given.data), given.data.with_suffix(".cache")
     atoms = SmoothedAtoms(cache)
     for name in ("energy", "filtered"):
-        model = warp_peri.load_nonlinear(given.models / f"{name}.json")
+        model = warp_peri.load(given.models / f"{name}.json")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             numbers[name] = {

@@ -22,10 +22,12 @@ from tqdm import tqdm
 import warp_peri
 from examples.nonlinear import OUT
 from examples.train_graphene import make_data
-from warp_peri import Bernstein, Nonlinear, NonlinearOperator, Optimum, Samples, Smoothing
+from warp_peri import Bernstein, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.learning.nonlinear import NonlinearFit
+from warp_peri.methods import Optimum, Smoothing
+from warp_peri.operator.nonlinear import NonlinearOperator
 
 RIDGES = (0.05, 0.07, 0.1, 0.14, 0.2)
 PARTS = 5
@@ -50,11 +52,15 @@ def learn(samples: Samples, horizon: float, ridge: float) -> NonlinearFit:
     """The filtered form as examples/nonlinear.py learns it."""
     return warp_peri.fit(
         samples,
-        horizon,
-        Bernstein(10, two_functions=True),
-        method=Optimum(moduli="isotropic"),
-        normalise=True,
-        nonlinear=Nonlinear(Smoothing(ridge=ridge)),
+        warp_peri.ThirdOrder(
+            warp_peri.LPS(
+                horizon,
+                Bernstein(10, two_functions=True),
+                method=Optimum(moduli="isotropic"),
+                normalise=True,
+            ),
+            Smoothing(ridge=ridge),
+        ),
         progress=False,
     )
 
@@ -62,7 +68,7 @@ def learn(samples: Samples, horizon: float, ridge: float) -> NonlinearFit:
 def residuals(fit: NonlinearFit, samples: Samples) -> list[float]:
     """Relative residual of each sample."""
     b = samples.loads[:, samples.interior]
-    left = NonlinearOperator(fit.model, samples)(samples.u) - b
+    left = NonlinearOperator(fit.material, samples)(samples.u) - b
     errors: list[float] = (
         np.linalg.norm(left, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2))
     ).tolist()
@@ -71,7 +77,7 @@ def residuals(fit: NonlinearFit, samples: Samples) -> list[float]:
 
 def run(given: argparse.Namespace) -> dict[str, dict[str, float]]:
     """By ρ: residual on held-out and on all training loads, and the proven strain."""
-    train = warp_peri.load_dataset(given.data or make_data(-1, 10.0))["train"]
+    train = warp_peri.load(given.data or make_data(-1, 10.0))["train"]
     part = parts_of(train, given.seed)
     rows = {}
     for ridge in tqdm(RIDGES, disable=given.json or None, leave=False):
@@ -83,7 +89,7 @@ def run(given: argparse.Namespace) -> dict[str, dict[str, float]]:
         rows[f"{ridge:g}"] = {
             "held_out": float(np.mean(held)),
             "train": fit.E_res_train,
-            "proven_strain": fit.model.proven_strain(train.spacing),
+            "proven_strain": fit.material.proven_strain(train.spacing),
         }
     return rows
 

@@ -32,9 +32,11 @@ from examples.nonlinear import OUT, STRAINED
 from examples.prose import table
 from examples.studies.pno_rival import network
 from examples.train_graphene import DATA
-from warp_peri import NonlinearModel, NonlinearOperator, Samples
+from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json, write_text
+from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.families import families_of
 from warp_peri.statics.nonlinear import anderson, linear_solver
 
@@ -230,7 +232,7 @@ def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) ->
     """E_u by the accelerated fixed point of the linear solid, and the share that converged."""
     samples = bonds.samples
     solver = linear_solver(NonlinearOperator(model, samples), samples, SOLVED)
-    straight = warp_peri.LPSOperator(model.linear, samples)
+    straight = model.linear.on(samples)
     inside, misses, ended = samples.interior, [], 0
     for u, b in zip(samples.u[::every], samples.loads[::every]):
         field = u.copy()
@@ -259,11 +261,11 @@ def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) ->
 def run(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Each network that was asked for; those of earlier runs stay in the tables."""
     torch.set_num_threads(1)
-    data, larger = warp_peri.load_dataset(DATA), warp_peri.load_dataset(STRAINED)
+    data, larger = warp_peri.load(DATA), warp_peri.load(STRAINED)
     named = {name: data[name] for name in ("train", "val", "test")}
     named |= {name: larger[name] for name in larger}
     sets = {name: BondTable(samples) for name, samples in named.items()}
-    model = warp_peri.load_nonlinear(given.models / "energy.json")
+    model = warp_peri.load(given.models / "energy.json")
     tables = {}
     for name in given.forms:
         tables[name] = table_of(FORMS[name], sets, model, given, given.models / f"pno_{name}.json")

@@ -174,7 +174,7 @@ def mirrored(samples: Samples) -> Samples:
 
 def dictionary_errors(sets: dict[str, Samples], dictionary: Dictionary) -> dict[str, float]:
     """E_res of the dictionary's least squares on every set."""
-    solid = fit_energy(sets["train"], dictionary).solid
+    solid = fit_energy(sets["train"], dictionary).material
     return {
         name: hyperelastic_errors(solid, samples, solve=False)["E_res"]
         for name, samples in sets.items()

@@ -12,7 +12,8 @@ import sys
 import time
 from pathlib import Path
 
-from warp_peri import Bernstein, TwoStage
+from warp_peri import Bernstein
+from warp_peri.methods import TwoStage
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -25,7 +26,7 @@ from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.learning.fit import fit
+from warp_peri.learning.fit import learn as fit
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
@@ -48,10 +49,10 @@ def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[S
     sets = []
     for some in [[sample] for sample in samples] if own_nodes else [samples]:
         x = lattice + SPACING * perturbation * random.uniform(-1, 1, size=lattice.shape)
-        omega = warp_peri.smoothing_matrix(
+        omega = warp_peri.atoms.smoothing_matrix(
             some[0].reference, x, radius=SMOOTHING_RADIUS, box=body.box, density=True
         )
-        u, b = warp_peri.coarse_grain(
+        u, b = warp_peri.atoms.coarse_grain(
             omega,
             displacement=np.stack([sample.displacement for sample in some]),
             force=np.stack([sample.force for sample in some]),
@@ -75,7 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "scattered")
     given = parser.parse_args(arguments)
-    data = warp_peri.load_dataset(make_data(given.jobs, SMOOTHING_RADIUS))
+    data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)
     begin = time.perf_counter()
     learned = fit(
@@ -89,18 +90,18 @@ def main(arguments: list[str] | None = None) -> int:
     )
     seconds = time.perf_counter() - begin
     errors = {
-        name: warp_peri.evaluate(learned.model, data[name], allow_uncertified=True)["E_u"]
+        name: warp_peri.evaluate(learned.material, data[name], allow_uncertified=True)["E_u"]
         for name in ("train", "val", "test")
     }
-    learned.model.save(given.out / "model.json")
+    learned.material.save(given.out / "model.json")
     stages = {stage.name: stage.E_res_train for stage in learned.history}
     content = {"E_u": errors, "E_res_train": stages, "seconds": seconds}
-    content |= {"lambda": learned.model.lam, "mu": learned.model.mu}
+    content |= {"lambda": learned.material.lam, "mu": learned.material.mu}
     write_json(given.out / "scattered.json", content)
     for name, value in stages.items():
         print(f"stage {name}: E_res on the scattered nodes {100 * value:.2f} %")
     print("E_u on the lattice: " + ", ".join(f"{k} {100 * v:.2f} %" for k, v in errors.items()))
-    print(f"λ = {learned.model.lam:.4f} TPa, μ = {learned.model.mu:.4f} TPa, {seconds:.0f} s")
+    print(f"λ = {learned.material.lam:.4f} TPa, μ = {learned.material.mu:.4f} TPa, {seconds:.0f} s")
     return 0
 
 

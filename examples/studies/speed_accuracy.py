@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from warp_peri import Bernstein
+from warp_peri import LPS, Bernstein
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
@@ -36,15 +36,17 @@ from examples.studies.fem_rival import elastic_solver
 from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positive_model
 from examples.studies.speed_chart import chart, markdown
 from tools import make_graphene as making
-from warp_peri import Model, Optimum, Samples, fit, load_dataset, load_model, on_lattice
+from warp_peri import Model, Samples, fit, load
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json
+from warp_peri.methods import Optimum
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.points import Points
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
 from warp_peri.transfer.lattice import agrees_to
+from warp_peri.transfers import on_lattice
 
 DEGREE = 10
 CASES = (
@@ -167,7 +169,7 @@ def smooth_error(points: Samples, prepare: Callable[[Samples], Solver]) -> float
 
 def point_sets(file: Path) -> tuple[dict[str, Samples], dict[str, float]]:
     """The sets of the data file and those on nodes 4 Å apart, and the true λ and μ [TPa]."""
-    data = load_dataset(file)
+    data = load(file)
     sets = dict(data.sets)
     for name in ("train", "val", "test"):
         samples = making.read_samples(file.with_suffix(".cache"), name)
@@ -185,7 +187,7 @@ def fitted(
     names = {"positive kernel": "_positive", "rich": "_isotropic", "two functions": "_two"}
     file = out / f"h{spacing:g}_d{horizon:g}_M{degree}{names.get(kind, '')}.json"
     if file.exists():
-        return load_model(file)
+        return load(file)
     train = data["train" + SUFFIX[spacing]]
     seen = ~held_out(train)
     train = Samples(train.points, train.u[seen], train.loads[seen])
@@ -194,9 +196,9 @@ def fitted(
     else:
         method = Optimum(moduli="isotropic" if two or kind == "rich" else None)
         kernel = Bernstein(degree, two_functions=two)
-        model = fit(train, horizon=horizon, kernel=kernel, method=method).model
+        model = fit(train, LPS(horizon=horizon, kernel=kernel, method=method)).material
     model.save(file)
-    return load_model(file)
+    return load(file)
 
 
 def transfers(

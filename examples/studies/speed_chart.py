@@ -27,7 +27,7 @@ def front(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
 
 def chart(rows: list[dict[str, Any]], file: Path) -> None:
     """Error against the time of a solve, the Pareto front drawn and labelled."""
-    figure, axes = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
+    figure, axes = plt.subplots(2, 1, figsize=(8, 11), layout="constrained")
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
     for ax, name, title in zip(
         axes, ("disks", "waves"), ("held-out disks", "held-out short waves, periodic sheet")
@@ -42,15 +42,15 @@ def chart(rows: list[dict[str, Any]], file: Path) -> None:
         y = [100 * max(row[f"{name}_error"], floor) for row in best]
         ax.step(x, y, "k--", lw=0.8, where="post", label="Pareto front")
         for n, (a, b) in enumerate(zip(x, y), start=1):
-            ax.annotate(str(n), (a, b), (-4, -13), textcoords="offset points", size=8)
+            ax.annotate(str(n), (a, b), (-4, -14), textcoords="offset points", size=10)
         names = [f"{n}  {row['label']}" for n, row in enumerate(best, start=1)]
-        ax.text(0.02, 0.02, "\n".join(names), transform=ax.transAxes, size=7)
+        ax.text(0.02, 0.02, "\n".join(names), transform=ax.transAxes, size=9.5)
         ax.set(xlabel="time of one solve [ms]", ylabel="displacement error [%]", title=title)
-        ax.margins(0.1, 0.25)
-    axes[0].legend(fontsize=8)
-    figure.suptitle("Atoms have error 0 and stand on the floor of the chart", fontsize=9)
+        ax.margins(0.1, 0.4)
+    axes[0].legend(fontsize=9, loc="upper right")
+    figure.suptitle("Atoms have error 0 and stand on the floor of the chart", fontsize=10)
     with whole_file(file) as path:
-        figure.savefig(path, dpi=130, format="png")
+        figure.savefig(path, dpi=100, format="png")
     plt.close(figure)
 
 

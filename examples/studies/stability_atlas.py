@@ -52,8 +52,10 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
 
     def model() -> warp_peri.Model:
         if not learned:
-            fit = warp_peri.fit(data["train"], horizon=20.0, kernel=warp_peri.Bernstein(10))
-            learned.append(fit.model)
+            fit = warp_peri.fit(
+                data["train"], warp_peri.LPS(horizon=20.0, kernel=warp_peri.Bernstein(10))
+            )
+            learned.append(fit.material)
         return learned[0]
 
     return {
@@ -102,7 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=STEPS, help="of the energy drift")
     given = parser.parse_args(arguments)
     path = make_data(-1, SMOOTHING_RADIUS)
-    data = warp_peri.load_dataset(path)
+    data = warp_peri.load(path)
     works = entries(data, DATA.with_suffix(".cache"), given.steps)
     unknown = set(given.only or ()) - set(works)
     if unknown:

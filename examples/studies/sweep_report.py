@@ -17,7 +17,8 @@ from examples.prose import fill, rows_of
 from warp_peri import plots
 from warp_peri.files.atomic import write_json, write_text
 from warp_peri.learning.sweep import COST_TOLERANCE, Sweep, Trial
-from warp_peri.models.lps import Model, load_model
+from warp_peri.models.lps import Model
+from warp_peri.storage import load
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),
@@ -51,7 +52,7 @@ def write_sweep(
     write_text(folder / "sweep.md", _tables(folder, trials, truth, command))
     draw_errors(folder / "sweep_errors.png", trials.by_degree)
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(load_model(folder / trials.printed.model), spacing=spacing, ax=ax)
+    plots.influence_function(load(folder / trials.printed.model), spacing=spacing, ax=ax)
     ax.set_title(f"Chosen influence function: {_name(trials.printed)} (figure 7, left)")
     save_figure(figure, folder / "sweep_kernels.png")
 
@@ -81,7 +82,7 @@ def _name(trial: Trial) -> str:
 
 def _tables(folder: Path, trials: Sweep, truth: dict[str, float] | None, command: str) -> str:
     chosen = {"smallest AvgE": trials.printed, "cheapest": trials.cheapest}
-    models = {name: load_model(folder / trial.model) for name, trial in chosen.items()}
+    models = {name: load(folder / trial.model) for name, trial in chosen.items()}
     table_4 = [_table_4(name, trial, models[name]) for name, trial in chosen.items()]
     table_4.append(["printed", *(f"{value:g}" for value in PRINTED_TABLE_4)])
     if truth:

@@ -32,9 +32,10 @@ from tools.loads import TEST, UNLOADED_RADIUS, RimLoad
 from tools.make_graphene import graphene_bodies, on_nodes
 from tools.make_strained import solve_strained, strained_file
 from tools.samples import Sample, read_sample
-from warp_peri import Model, NonlinearModel
+from warp_peri import Model
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
+from warp_peri.models.nonlinear import NonlinearModel
 
 ANGLES = (0.0, 5.0, 10.0, 17.0, 23.0, 30.0, 45.0)
 """Of the crystal [degrees]. It repeats every 60° and the nodes every 90°, so that all turns
@@ -124,9 +125,9 @@ def errors(
             np.stack([sample.force for sample in samples]) @ turn,
             spacing=5.0,
         )
+        points = dataclasses.replace(nodes.points, axis=degrees)
+        nodes = dataclasses.replace(nodes, points=points)
         for name, model in models.items():
-            if isinstance(model, NonlinearModel):
-                model = dataclasses.replace(model, axis=model.axis + np.deg2rad(degrees))
             table[name][f"{degrees:g}"] = warp_peri.evaluate(model, nodes)["E_u_samples"]
     return table
 
@@ -145,8 +146,8 @@ def summary(table: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float]]
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """Random loads, then the printed ones in several directions; what is printed and kept."""
-    energy = warp_peri.load_nonlinear(given.models / "energy.json")
-    filtered = warp_peri.load_nonlinear(given.models / "filtered.json")
+    energy = warp_peri.load(given.models / "energy.json")
+    filtered = warp_peri.load(given.models / "filtered.json")
     models: dict[str, Model | NonlinearModel] = {
         "linear": energy.linear,
         "energy": energy,

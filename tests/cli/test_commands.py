@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel
+from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Dataset, InputError, load_dataset, load_model, save_dataset, solve
+from warp_peri import Dataset, InputError
 from warp_peri.cli.inputs import atom_forces
 from warp_peri.cli.main import main
+from warp_peri.models.lps import load_model
+from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 
 ROOT = Path(__file__).parent.parent.parent

@@ -8,8 +8,10 @@ import pytest
 
 from tests.statics.test_nonlinear import problem, proven
 from tests.support.problems import lattice
-from warp_peri import Dataset, Samples, load_dataset, save_dataset, solve_nonlinear
+from tests.support.solving import solve_nonlinear
+from warp_peri import Dataset, Samples
 from warp_peri.cli.main import main
+from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.transfer.nonlinear import nonlinear_for
 
 

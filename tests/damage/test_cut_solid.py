@@ -104,6 +104,88 @@ def test_j_does_not_mind_where_the_tip_stands_between_nodes(shift):
     assert J == pytest.approx(np.pi * 0.5 / model.E, rel=0.006)
 
 
+MIRRORS = {
+    "left": np.eye(2),
+    "right": np.diag([-1.0, 1.0]),
+    "below": np.array([[0.0, 1.0], [1.0, 0.0]]),
+    "above": np.array([[0.0, 1.0], [-1.0, 0.0]]),
+}
+
+
+@pytest.mark.parametrize("side", MIRRORS)
+@pytest.mark.parametrize("shear", [0.0, 0.3])
+def test_j_is_the_same_from_whichever_side_the_crack_comes(side, shear):
+    h, (lam, mu), turn = 1 / 16, (1.0, 1.0), MIRRORS[side]
+    x = rectangle(2.5, 2.5, h)
+    body = lattice_body(x, h, 3 * h)
+    model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * h)
+    one = x @ turn  # where the crack comes from the left
+    u = (westergaard(one, 0.5, 1.0, lam, mu) + shear * one @ [[0.0, 1.0], [0.0, 0.0]]) @ turn.T
+    tip = tuple(turn @ (0.5, 0.0))
+    J = contour_integral(model, body, u, tip, (0.25, 0.5))
+    if not shear:
+        assert J == pytest.approx(np.pi * 0.5 / model.E, rel=0.006)
+    left = westergaard(x, 0.5, 1.0, lam, mu) + shear * x @ [[0.0, 1.0], [0.0, 0.0]]
+    assert J == pytest.approx(contour_integral(model, body, left, (0.5, 0.0), (0.25, 0.5)))
+
+
+def test_the_other_tip_of_one_crack_has_the_same_j():
+    body, model = plate(32, 24), solid(0.4).model
+    held = np.abs(body.x[:, 1]) > 9
+    u = CutSolid(model, body, held, cracks=[[(-5, 0), (5, 0)]]).solve(body.x * (0, 0.01))
+    ends = [contour_integral(model, body, u, (tip, 0.0), (3.0, 6.0)) for tip in (5.0, -5.0)]
+    assert ends[0] > 0
+    assert ends[1] == pytest.approx(ends[0])
+
+
+def dead_load(width, height, half):
+    """A plate with a central crack, pulled at its ends by a stress of one; just not loose."""
+    body, model = plate(width, height), solid(0.5).model
+    held = np.zeros((len(body.x), 2), bool)
+    below = np.flatnonzero((body.x[:, 1] == body.x[:, 1].min()) & (np.abs(body.x[:, 0]) < 1))
+    held[below, 1], held[below[0], 0] = True, True
+    b = np.where(np.abs(body.x[:, 1:]) > height / 2 - 1, np.sign(body.x) * (0.0, 1.0), 0.0)
+    cracks = [[[(-half - d, 0.0), (half + d, 0.0)]] for d in (-1, 0, 1)]
+    return model, body, held, b, cracks
+
+
+def test_a_dead_load_releases_what_its_work_leaves_over():
+    model, body, held, b, cracks = dead_load(24, 48, 4.0)
+    nothing = np.zeros_like(body.x)
+    G = energy_release(model, body, held, nothing, cracks, b=b)
+    bodies = [CutSolid(model, body, held, cracks=lines) for lines in cracks]
+    fields = [one.solve(nothing, b) for one in bodies]
+    elastic = [one.energy(u) for one, u in zip(bodies, fields)]
+    assert G == pytest.approx((elastic[2] - elastic[0]) / 4, rel=1e-9)  # Clapeyron: it rises
+    ends = np.abs(body.x[:, 1]) > 23
+    fixed = energy_release(model, body, held | ends[:, None], fields[1], cracks)
+    assert G == pytest.approx(fixed, rel=0.02)  # the loads do not matter to an instant of growth
+    crooked = held | (ends & (body.x[:, 1] < 0))[:, None]
+    both = energy_release(model, body, crooked, 0.3 * body.x * (0, 1), cracks, b=b)
+    potential = []
+    for lines in cracks:
+        one = CutSolid(model, body, crooked, cracks=lines)
+        u = one.solve(0.3 * body.x * (0, 1), b)
+        potential.append(one.energy(u) - (b * u).sum())
+    assert both == pytest.approx((potential[0] - potential[2]) / 4, rel=1e-9)
+    assert both > 0
+
+
+def test_a_dead_load_on_a_strip_releases_what_is_known_of_it():
+    model, body, held, b, cracks = dead_load(32, 64, 6.0)
+    G = energy_release(model, body, held, np.zeros_like(body.x), cracks, b=b)
+    known = np.pi * 6 / np.cos(np.pi * 6 / 32) / model.E  # C. E. Feddersen, 1966
+    assert G == pytest.approx(known, rel=0.1)
+
+
+def test_nothing_released_is_zero_without_a_sign():
+    model, body, held, _, cracks = dead_load(16, 16, 3.0)
+    G = energy_release(model, body, held, np.zeros_like(body.x), cracks)
+    assert str(G) == "0.0"
+    with pytest.raises(InputError, match=r"b: expected shape \[256, 2\]"):
+        energy_release(model, body, held, np.zeros_like(body.x), cracks, b=np.ones(256))
+
+
 def test_the_release_of_an_inclined_crack_needs_several_lengths():
     h, half, angle = 1 / 12, 0.5, np.radians(30)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

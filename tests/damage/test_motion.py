@@ -127,6 +127,88 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
         CrackRun(body, dt, sections=lines[1], **options).march(body.start(), 4)
 
 
+def ramped(ramp):
+    """A body pulled by a load that follows a ramp, and a step."""
+    body = pulled(**KINDS["bond-based"])
+    load = body.load.numpy()[: len(body.body.x)]
+    ramped = BreakingBody(body.solid, body.body, load=load, no_fail=body.no_fail, ramp=ramp)
+    return ramped, 0.4 * ramped.longest_step
+
+
+def test_a_checkpoint_of_another_history_of_loads_is_refused_wherever_it_differs(tmp_path):
+    path = tmp_path / "run.npz"
+    options = {"checkpoint": path, "every": 5, "checkpoint_every": 1}
+    _, dt = ramped(None)
+    slow, jump = lambda t: min(1.0, t / (60 * dt)), lambda t: 0.5 if t > 36.5 * dt else 0.0
+
+    def march(ramp, steps, **more):
+        body, dt = ramped(ramp)
+        run = CrackRun(body, dt, **(options | more))
+        return run, run.march(body.start(cracks=CRACK), steps)
+
+    march(slow, 40)
+    for ramp in (lambda t: slow(t) + jump(t), None, lambda t: min(1.0, t / (59.999999 * dt))):
+        with pytest.raises(InputError, match=r"what differs: load history, from t = .* on \("):
+            march(ramp, 60)
+    with pytest.raises(InputError, match=rf"from t = {37 * dt:g} on \("):
+        march(lambda t: slow(t) + jump(t), 60)
+    again, resumed = march(slow, 60)
+    straight, state = march(slow, 60, checkpoint=None)
+    assert state.u.numpy().tobytes() == resumed.u.numpy().tobytes()
+    assert again.history.ledger == straight.history.ledger
+
+
+def test_a_load_that_changes_only_later_goes_on_as_if_never_stopped(tmp_path):
+    _, dt = ramped(None)
+    ramps = lambda t: 1.0, lambda t: 1.0 if t < 30.5 * dt else 0.2
+    options = {"checkpoint": tmp_path / "run.npz", "every": 5, "checkpoint_every": 1}
+    body, _ = ramped(ramps[0])
+    CrackRun(body, dt, **options).march(body.start(cracks=CRACK), 20)
+    body, _ = ramped(ramps[1])
+    resumed = CrackRun(body, dt, **options).march(body.start(cracks=CRACK), 50)
+    straight = CrackRun(body, dt, every=5).march(body.start(cracks=CRACK), 50)
+    assert resumed.u.numpy().tobytes() == straight.u.numpy().tobytes()
+
+
+def test_fewer_steps_than_are_behind_are_refused(tmp_path):
+    body = pulled(**KINDS["bond-based"])
+    dt, path = 0.4 * body.longest_step, tmp_path / "run.npz"
+    options = {"checkpoint": path, "every": 10, "checkpoint_every": 1}
+    state = CrackRun(body, dt, **options).march(body.start(cracks=CRACK), 100)
+    start = body.start(cracks=CRACK)
+    with pytest.raises(InputError, match="at least the 100 steps of the checkpoint, got 50"):
+        CrackRun(body, dt, **options).march(start, 50)
+    assert start.steps == 0
+    assert CrackRun(body, dt, every=10).march(start, 50).steps == 50
+    with pytest.raises(InputError, match="at least the 100 that the state has taken, got 50"):
+        CrackRun(body, dt).march(state, 50)
+
+
+def test_a_checkpoint_says_what_differs(tmp_path):
+    options = {"checkpoint": tmp_path / "run.npz", "every": 1, "checkpoint_every": 1}
+    body = pulled(**KINDS["bond-based"])
+    dt, start = 0.4 * body.longest_step, body.start(cracks=CRACK)
+    run = CrackRun(body, dt, **options)
+    run.march(start, 2)
+    shift = np.full((len(body.body.x), 2), 1e-4)
+    free = BreakingBody(body.solid, body.body, no_fail=body.no_fail)
+    brittler = pulled(lam=1.0, critical_stretch=0.011)
+    for other, step_, begin, words in (
+        (body, dt / 2, body.start(cracks=CRACK), "step"),
+        (body, dt, body.start(cracks=CRACK, u=shift), "start"),
+        (free, dt, free.start(cracks=CRACK), "load"),
+        (brittler, dt, brittler.start(cracks=CRACK), "solid"),
+    ):
+        with pytest.raises(InputError, match=f"what differs: {words}$"):
+            CrackRun(other, step_, **options).march(begin, 4)
+    with pytest.raises(InputError, match="what differs: records$"):
+        CrackRun(body, dt, **options, regions={"all": shift[:, 0] > 0}).march(
+            body.start(cracks=CRACK), 4
+        )
+    with pytest.raises(InputError, match="what differs: start$"):  # by the same run, too
+        run.march(body.start(), 4)
+
+
 def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
     law, body = solid(0.4, critical_stretch=0.01), plate(12, 12)
     free = BreakingBody(law, body)

@@ -6,12 +6,12 @@ import warp as wp
 
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice
-from warp_peri import LPSOperator
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
 from warp_peri.damage.solid import continuum_stretch
 from warp_peri.launch import floats, zeros
 from warp_peri.points.families import bond_classes
+from warp_peri.transfer.operator import LPSOperator
 
 DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory.md, C6)."""

@@ -11,6 +11,7 @@ from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from warp_peri import InputError, Model
 from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.lattice_body import lattice_body, rectangle
 from warp_peri.damage.softening import BondLaw, SoftBody
 
 LAWS = {
@@ -59,6 +60,21 @@ def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart(law):
     assert law.share(np.array([0.0, 0.02])).min() == 1
 
 
+@pytest.mark.parametrize("softness", [1e-300, 1e-8, 1e-6, 1e-4, 0.02, 1.0, 40.0, 1e4])
+@pytest.mark.parametrize("stretch", [1e-6, 0.05, 2.0])
+def test_the_energy_spent_keeps_its_digits_however_soft(softness, stretch):
+    law = BondLaw(softness, stretch)
+    end = min(stretch, 60 / softness)
+    work = quad(lambda s: s * np.exp(-softness * s), 0, end, epsabs=0, epsrel=1e-12)[0]
+    assert law.spent() == pytest.approx(work, rel=1e-11)
+
+
+def test_small_stretches_keep_their_digits_at_another_horizon():
+    for softness in (0.0, 5.0, 1e5):
+        law = BondLaw(softness, 1e-10).at_horizon(4.0)
+        assert 4 * law.spent() == pytest.approx(BondLaw(softness, 1e-10).spent(), rel=1e-12)
+
+
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 @pytest.mark.parametrize("times", [0.5, 1.0, 2.0, 4.0])
 def test_another_horizon_keeps_the_toughness_and_if_it_can_the_strength(law, times):
@@ -84,6 +100,66 @@ def test_dilatation_and_laws_that_are_none_are_refused():
     for law, times in ((BondLaw(1.0), 2.0), (BondLaw(1.0, 0.1), "2"), (BondLaw(1.0, 0.1), 0.0)):
         with pytest.raises(InputError, match="at_horizon: expected"):
             law.at_horizon(times)
+
+
+def strip(law, turned, **options):
+    """A strip pulled along its long side, along y or, turned, along x; nodes, displacement."""
+    x = rectangle(12.0, 20.0, 1.0)[:, :: -1 if turned else 1]
+    body, ends = lattice_body(x, 1.0, 3.0), np.abs(x[:, 0 if turned else 1]) > 7
+    held = np.repeat(ends[:, None], 2, axis=1)
+    soft = SoftBody(solid(1.0).model, body, law, held, no_fail=ends, **options)
+    return soft, x * ((1.0, 0.0) if turned else (0.0, 1.0))
+
+
+def test_the_force_across_a_line_does_not_depend_on_where_x_points():
+    law, loads = BondLaw(5.0, 0.05, 0.02), [0.005, 0.01]
+    up, unit = strip(law, False)
+    along, turned = strip(law, True)
+    across = up.pull(unit, loads, [(-9, 0.0), (9, 0.0)]).force
+    assert across[1] > 0
+    np.testing.assert_allclose(
+        along.pull(turned, loads, [(0.0, -9), (0.0, 9)]).force, across, rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("line", [[(-9, -2.2), (9, 3.1)], [(9, 3.1), (-9, -2.2)]])
+def test_the_force_across_a_slanted_line_is_what_pulls_one_side_off_the_other(line):
+    soft, unit = strip(BondLaw(5.0), False)
+    u = soft.rest(0.02 * unit.ravel(), np.ones(len(soft._k)))
+    d = soft._d @ u
+    pull = soft._k * d * np.exp(-5.0 * np.maximum(d / soft._square, 0))
+    force = (soft._d.T @ pull).reshape(-1, 2) * soft.body.spacing**2
+    along = np.subtract(line[1], line[0])
+    normal = np.array([-along[1], along[0]]) / np.hypot(*along)
+    above = (soft.body.x - line[0]) @ normal > 0
+    assert soft.across(u, np.ones(len(d)), line) == pytest.approx(force[above].sum(axis=0) @ normal)
+
+
+def test_a_load_without_an_equilibrium_is_left_out_and_named():
+    law = BondLaw(4.0, 0.05, 0.05)  # a node loses all its bonds on the way: it hangs loose
+    soft, unit = plate(20, 5.0, 10.05, law, True)
+    line = [(-30, 0.0), (30, 0.0)]
+    with pytest.warns(UserWarning, match=r"load 1.24 and beyond are left out: .* hang loose"):
+        run = soft.pull(unit, [0.84, 1.24], line)
+    assert run.load.tolist() == [0.84]
+    assert run.force[0] > 1
+    with pytest.raises(InputError, match="hang loose"):
+        soft.pull(unit, [1.24], line)
+
+
+def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
+    soft, unit = strip(BondLaw(0.0, 0.01), False)
+    rest = soft.rest
+
+    def loose(field, share):
+        if not share[soft._section([(-9, 0.0), (9, 0.0)])[0]].any():
+            raise InputError("operator: parts of the body hang loose")
+        return rest(field, share)
+
+    soft.rest = loose
+    run = soft.pull(unit, [0.002, 0.5], [(-9, 0.0), (9, 0.0)])
+    assert run.force[0] > 0
+    assert run.force[1] == 0
 
 
 @pytest.mark.slow
@@ -116,6 +192,7 @@ def test_what_cannot_be_pulled_is_refused():
         (u[:, 0], [0.1], line, "u: expected shape"),
         (u * np.nan, [0.1], line, "u: expected finite"),
         (u, [0.1], [(-7, 40), (7, 40)], "no bond of the body crosses it"),
+        (u, [0.1], [(-7, 0.1), (0, 0.1), (7, 2)], "line: expected two ends, got 3 corners"),
     ):
         with pytest.raises(InputError, match=words):
             soft.pull(given, loads, across)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from examples.diffusion import coupled, jump, main, order, smooth, square
+from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
+from tests.support.problems import kernel
 from warp_peri import InputError, Model, Points
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.diffusion.conductor import Conductor, load_conductor
@@ -115,6 +117,33 @@ def test_a_negative_conductivity_is_refused(kappa):
         Conductor(0.8, conductivity=-1.0)
 
 
+@pytest.mark.parametrize("lattice", [True, False])
+def test_a_kernel_that_changes_sign_is_refused_where_diffusion_would_grow(lattice):
+    points = square(4, 4.0) if lattice else cloud(8, 3.2)
+    if lattice:
+        points = Points(4 * points.x, points.interior, 1.0)
+    operator = DiffusionOperator(Conductor(3.2, D=np.array([1.0, 1.0, -1.0])), points)
+    inner = operator.matrix()[:, operator.rows].toarray()
+    below = int((np.linalg.eigvalsh((inner + inner.T) / 2) < 0).sum())
+    assert below > 0
+    phi = np.random.default_rng(0).standard_normal(len(points.x))
+    for call in (lambda: steady(operator, phi), lambda: transient(operator, phi, 0.1, 3)):
+        with pytest.raises(InputError, match=f"L \\+ Lᵗ has {below} eigenvalues below zero"):
+            call()
+
+
+@pytest.mark.parametrize("box", [(12.0, 12.0), None])
+def test_a_kernel_that_changes_sign_and_stays_definite_is_taken(box):
+    points, sides = periodic_cloud(12, perturbation=0.0)
+    inside = points.interior if box else np.abs(points.x - 6).max(axis=1) < 2
+    points = Points(points.x, inside, 1.0, box=sides if box else None)
+    operator = DiffusionOperator(Conductor(3.2, D=np.array([1.0, 0.2, -0.05])), points)
+    assert operator.v.min() < 0
+    phi = np.where(inside, np.random.default_rng(0).standard_normal(len(inside)), 0.0)
+    history = transient(operator, phi, 5.0, 40)
+    assert (np.diff(np.linalg.norm(history, axis=1)) <= 1e-12).all()
+
+
 def test_fields_that_do_not_fit_are_refused():
     points = square(4, 3.0)
     operator = DiffusionOperator(Conductor(3 / 4), points)
@@ -154,6 +183,22 @@ def test_coupled_steps_that_make_no_sense_are_refused():
         system.step(rest, rest, 1.0, b=rest[1], source=rest[1])
     with pytest.raises(InputError, match="not finite"):
         system.step(rest, rest, 1.0, b=rest[0], source=rest[1] + np.nan)
+
+
+def test_a_solid_or_a_flux_that_would_grow_is_not_coupled():
+    points = square(3, 6.0)
+    points = Points(3 * points.x, points.interior, 1.0)
+    body = lattice_body(points.x, 1.0, 3.0)
+    bad = DiffusionOperator(Conductor(3.0, D=np.array([1.0, 1.0, -1.0])), points)
+    law, numbers = Model(1.0, 1.0, 1.0, np.ones(1), 3.0), {"coupling": 1.0, "storage": 1.0}
+    with pytest.raises(InputError, match="eigenvalues below zero"):
+        Coupled(law, body, bad, **numbers)
+    sign_changing = kernel("sign-changing", 3.0)
+    flux = DiffusionOperator(Conductor(3.0), points)
+    Coupled(sign_changing, body, flux, **numbers)
+    torn = random_breaking(body, np.random.default_rng(0), 0.5)
+    with pytest.raises(InputError, match="negative eigenvalues"):
+        Coupled(sign_changing, body, flux, neighbour=torn, **numbers)
 
 
 def test_laws_go_through_their_file(tmp_path):

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from tests.support.problems import KERNELS, ell, fitted_order, kernel, lattice, noise, periodic
-from warp_peri import InputError, LPSOperator, critical_time_step, velocity_verlet
-from warp_peri.dynamics.verlet import INERTIA, Inert, step
+from tests.support.solving import velocity_verlet
+from warp_peri import InputError
+from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
+from warp_peri.proofs import critical_time_step
 from warp_peri.stability import proof
 from warp_peri.stability.proof import largest_bound
+from warp_peri.transfer.operator import LPSOperator
 
 DENSITY = 2147.0
 STABLE = ("1/r", "steep", "positive", "two functions")
@@ -91,8 +94,6 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     assert np.abs(above.u).max() > 1e20 * np.abs(u).max()
     with pytest.raises(InputError, match=f"step: expected at most {critical:.6g} ps"):
         velocity_verlet(model, points, u, rest, step=1.01 * critical, **options)
-    with pytest.raises(InputError, match="allow_unstable is now a loop over"):
-        velocity_verlet(model, points, u, rest, step=critical, allow_unstable=True, **options)
 
 
 def test_the_step_holds_on_parts_of_the_lattice():
@@ -165,7 +166,6 @@ def test_energy_over_a_hundred_thousand_steps():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"points": replace(lattice(4, 2.0), spacing=0.0)}, "points: expected a lattice"),
         ({"u": np.zeros((3, 2))}, "u: expected finite values of shape"),
         ({"v": np.full((144, 2), np.nan)}, "v: expected finite values"),
         ({"density": 0.0}, "density: expected a number > 0"),
@@ -182,3 +182,10 @@ def test_bad_input_is_refused(change, words):
     given |= {"v": 0 * points.x, "density": DENSITY, "step": 1e-3, "steps": 2} | change
     with pytest.raises(InputError, match=words):
         velocity_verlet(**given)
+
+
+def test_scattered_points_have_no_motion():
+    points = replace(lattice(4, 2.0), spacing=0.0)
+    operator = kernel("1/r", 2.0).on(points, transfer=False, allow_uncertified=True)
+    with pytest.raises(InputError, match="points: expected a lattice"):
+        march(operator, None, 0 * points.x, density=DENSITY, step=0.1, steps=1)

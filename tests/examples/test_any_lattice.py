@@ -5,8 +5,10 @@ import json
 import pytest
 
 from examples import any_lattice
-from warp_peri import Bernstein, fit, load_dataset
+from warp_peri import Bernstein
 from warp_peri.files.atomic import write_json
+from warp_peri.learning.fit import learn as fit
+from warp_peri.points.dataset_file import load_dataset
 
 
 def test_parts_are_measured_once(tmp_path):
@@ -32,7 +34,7 @@ def test_every_kind_of_nodes():
 @pytest.mark.slow
 def test_the_tables(graphene, tmp_path):
     data = load_dataset(graphene)
-    fit(data["train"], 20.0, Bernstein(10)).model.save(tmp_path / "model.json")
+    fit(data["train"], 20.0, Bernstein(10)).material.save(tmp_path / "model.json")
     given = ["--model", tmp_path / "model.json", "--data", graphene, "--out", tmp_path / "out"]
     assert any_lattice.main([*map(str, given), "--json"]) == 0
     tables = json.loads((tmp_path / "out" / "any_lattice.json").read_text())

@@ -5,7 +5,9 @@ import json
 import pytest
 
 from examples import hole_against_atoms, plate_with_hole
-from warp_peri import Bernstein, Model, fit, load_dataset
+from warp_peri import Bernstein, Model
+from warp_peri.learning.fit import learn as fit
+from warp_peri.points.dataset_file import load_dataset
 
 
 def test_the_plate_with_a_hole(tmp_path, capsys):
@@ -31,7 +33,7 @@ def test_the_plate_with_a_hole(tmp_path, capsys):
 @pytest.mark.slow
 def test_holes_and_strips_of_atoms(graphene, tmp_path, capsys):
     data = load_dataset(graphene)
-    fit(data["train"], 20.0, Bernstein(10)).model.save(tmp_path / "model.json")
+    fit(data["train"], 20.0, Bernstein(10)).material.save(tmp_path / "model.json")
     given = ["--model", tmp_path / "model.json", "--cache", tmp_path / "atoms", "--out", tmp_path]
     assert hole_against_atoms.main([*map(str, given), "--json"]) == 0
     numbers = json.loads(capsys.readouterr().out)

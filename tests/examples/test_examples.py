@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from examples import train_graphene, validate_disks
-from warp_peri import load_dataset, load_model
 from warp_peri.cli.main import main as command
+from warp_peri.models.lps import load_model
+from warp_peri.points.dataset_file import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png", "disks.png",

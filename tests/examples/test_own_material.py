@@ -9,7 +9,7 @@ from examples import own_material
 from tools.graphene import sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import find_bonds
-from warp_peri import load_model
+from warp_peri.models.lps import load_model
 
 
 def test_boron_nitride_has_its_own_constants(tmp_path, capsys):

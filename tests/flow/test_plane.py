@@ -128,6 +128,22 @@ def test_plane_flows_resume_and_write_tables(tmp_path):
     assert np.array_equal(run(0.01, checkpoint=file).u, whole.u[: len(whole.u) // 2 + 1])
 
 
+def test_a_checkpoint_of_another_history_is_refused_wherever_it_differs(tmp_path):
+    def run(until, force=lambda t: 12.0, top=lambda t: 0.0, **more):
+        flow = PlaneFlow(1e-2, 1e-2, 16, force=force, top=top)
+        fluid = Closure(UpperConvectedMaxwell(), 1e-2, 16)
+        return run_plane(flow, fluid, until, 2e-4, every=5, **more)
+
+    file = tmp_path / "run.npz"
+    run(0.01, checkpoint=file)
+    with pytest.raises(InputError, match=r"what differs: force, from t = 0.0052 on \(12 there, 13"):
+        run(0.02, lambda t: 12.0 + (t > 0.0051), checkpoint=file)
+    with pytest.raises(InputError, match=r"what differs: top, from t = 0.0052 on \(0 there, 1"):
+        run(0.02, top=lambda t: float(0.005 < t < 0.0052), checkpoint=file)
+    later = lambda t: 12.0 + (t > 0.0101)  # as if it had never stopped
+    assert np.array_equal(run(0.02, later, checkpoint=file).u, run(0.02, later).u)
+
+
 def test_bad_input_is_refused():
     flow = PlaneFlow(1e-2, 1e-2, 16, force=lambda t: 12.0)
     closure = Closure(UpperConvectedMaxwell(), 1e-2, 16)

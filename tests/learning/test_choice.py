@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel
-from warp_peri import InputError, on_lattice
+from warp_peri import InputError
 from warp_peri.choice import Scene, choose_model, shipped_table
+from warp_peri.transfers import on_lattice
 
 
 def row(method, spacing, horizon, error, seconds):

@@ -7,8 +7,10 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.waves import fluctuation
-from warp_peri import InputError, LPSOperator, diagnose
+from warp_peri import Bernstein, InputError, Samples, diagnose
 from warp_peri.learning.diagnosis import _Grid
+from warp_peri.learning.fit import learn as fit
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)
@@ -63,3 +65,39 @@ def test_what_cannot_be_told_is_refused(samples):
     few = replace(samples, u=samples.u[:3], b=samples.b[:3])
     with pytest.raises(InputError, match="expected 8 at least on a lattice, got 3"):
         diagnose(MODEL, few)
+
+
+def stretched(points, count):
+    """Fields of an orthotropic solid, C11 a third below C22, with the ripple that smoothing leaves.
+
+    Loads are those that second differences of three steps along x and y need.
+    """
+    generator = np.random.default_rng(4)
+    x, h = points.x, points.spacing
+    u, b = np.zeros((2, count, len(x), 2))
+    for s in range(count):
+        k = generator.uniform(0.08, 0.25) * np.array([np.cos(s), np.sin(s)])
+        angle, phase = generator.uniform(0, 2 * np.pi, 2)
+        e, wave = np.array([np.cos(angle), np.sin(angle)]), np.cos(x @ k + phase)
+        c, s2 = (2 - 2 * np.cos(k * h)) / h**2, np.sin(k * h) / h
+        D = np.array([[0.7 * c[0] + 0.4 * c[1], 0.5 * s2[0] * s2[1]]])
+        D = np.vstack([D, [D[0, 1], 1.1 * c[1] + 0.4 * c[0]]])
+        u[s], b[s] = wave[:, None] * e, wave[:, None] * (D @ e)
+    size = np.linalg.norm(b, axis=(1, 2)) / np.sqrt(b[0].size)
+    b += 0.01 * size[:, None, None] * generator.normal(size=b.shape)
+    return Samples(points, u, b)
+
+
+def test_a_uniform_orthotropic_sheet_is_anisotropic_and_not_heterogeneous():
+    """Smooth fields make second differences of all bonds alike; that must not hide the cause."""
+    samples = stretched(lattice(11, HORIZON), 24)
+    found = fit(samples, HORIZON, Bernstein(4))
+    diagnosis = diagnose(found.material, samples)
+    assert diagnosis.residual > 0.1
+    assert diagnosis.shares["anisotropy"] > 0.8
+    assert diagnosis.shares["heterogeneity"] < 0.1
+    assert "Try a micromodulus" in diagnosis.advice
+
+
+def test_nothing_is_advised_where_little_is_left(samples):
+    assert diagnose(MODEL, samples).advice == ""

@@ -6,22 +6,17 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
+from tests.support.solving import solve
 from tests.support.waves import waves
-from warp_peri import (
-    Bernstein,
-    Conditions,
-    InputError,
-    LPSOperator,
-    Optimum,
-    critical_time_step,
-    evaluate,
-    fit,
-    load_model,
-    solve,
-)
+from warp_peri import Bernstein, InputError, evaluate
+from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.scale import RELATIVE_ZETA, scale_of, stiffness_of
+from warp_peri.methods import Conditions, Optimum
+from warp_peri.models.lps import load_model
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
+from warp_peri.proofs import critical_time_step
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)
@@ -51,11 +46,11 @@ def plain(data):
 def test_stiffness_of_any_size(data, plain, stress):
     result = learned(at_scale(data, stress=stress))
     for name in ("lam", "mu"):
-        expected = getattr(plain.model, name)
-        assert getattr(result.model, name) / stress == pytest.approx(expected, rel=1e-5)
+        expected = getattr(plain.material, name)
+        assert getattr(result.material, name) / stress == pytest.approx(expected, rel=1e-5)
         for stage in result.history:
             assert getattr(stage.parameters, name) / stress == pytest.approx(expected, rel=1e-5)
-    assert result.model.mu / stress == pytest.approx(0.7, rel=1e-4)
+    assert result.material.mu / stress == pytest.approx(0.7, rel=1e-4)
     zeta = result.settings.conditions[0].zeta
     assert zeta / stress == pytest.approx(plain.settings.conditions[0].zeta)
     bound = result.certificate.symbol_bound
@@ -66,10 +61,10 @@ def test_stiffness_of_any_size(data, plain, stress):
 def test_lengths_in_any_unit(data, plain, length):
     there = at_scale(data, length)
     result = learned(there, length)
-    assert result.model.horizon == HORIZON * length
-    assert result.model.certified_on == (length,)
-    assert result.model.mu == pytest.approx(plain.model.mu, rel=1e-5)
-    solved = solve(result.model, there, there.b, there.u)
+    assert result.material.horizon == HORIZON * length
+    assert result.material.certified_on == (length,)
+    assert result.material.mu == pytest.approx(plain.material.mu, rel=1e-5)
+    solved = solve(result.material, there, there.b, there.u)
     assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
 
 
@@ -82,43 +77,43 @@ def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, un
     there = named(at_scale(data, 0.1, 1000.0), units)
     result = learned(there, 0.1)
     length, stress = symbols(units)
-    assert result.model.units == units
-    assert result.model.mu == pytest.approx(1000 * plain.model.mu, rel=1e-5)
+    assert result.material.units == units
+    assert result.material.mu == pytest.approx(1000 * plain.material.mu, rel=1e-5)
     assert f"spacing 0.1 {length}, with" in result.certificate.statement
     assert f" {stress}" in repr(result)
     assert "TPa" not in repr(result)
     assert "Å" not in repr(result)
-    assert solve(result.model, there, there.b, there.u).shape == there.u.shape
+    assert solve(result.material, there, there.b, there.u).shape == there.u.shape
     for use in (
-        lambda: solve(result.model, data, data.b, data.u),
-        lambda: evaluate(plain.model, there),
-        lambda: LPSOperator(plain.model, there),
+        lambda: solve(result.material, data, data.b, data.u),
+        lambda: evaluate(plain.material, there),
+        lambda: LPSOperator(plain.material, there),
     ):
         with pytest.raises(InputError, match=r"units: the model is in .*in_units\(.* converts"):
             use()
     with pytest.raises(InputError, match="units: expected the same for all sets"):
         learned(data, noise=there)
     if units == ("nm", "GPa"):
-        converted = result.model.in_units(("angstrom", "TPa"))
+        converted = result.material.in_units(("angstrom", "TPa"))
         assert evaluate(converted, data)["E_u"] < 1e-4
-        assert critical_time_step(result.model, spacing=0.1, density=2200.0) == pytest.approx(
+        assert critical_time_step(result.material, spacing=0.1, density=2200.0) == pytest.approx(
             critical_time_step(converted, spacing=1.0, density=2200.0)
         )
     else:
         with pytest.raises(InputError, match="no factor leads"):
-            critical_time_step(result.model, spacing=0.1, density=2200.0)
+            critical_time_step(result.material, spacing=0.1, density=2200.0)
 
 
 def test_moduli_to_be_held_are_those_of_the_data(data):
     result = learned(at_scale(data, stress=1e-4), method=Optimum(moduli=(2e-5, 6e-5)))
-    assert (result.model.lam, result.model.mu) == pytest.approx((2e-5, 6e-5), rel=1e-6)
+    assert (result.material.lam, result.material.mu) == pytest.approx((2e-5, 6e-5), rel=1e-6)
     assert result.settings.moduli == (2e-5, 6e-5)
 
 
 def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp_path):
     stiffness = stiffness_of([data], HORIZON)
     assert 0.3 < stiffness < 3
-    plain.model.save(tmp_path / "model.json")
+    plain.material.save(tmp_path / "model.json")
     kept = load_model(tmp_path / "model.json").provenance["zeta"]
     assert kept == pytest.approx(
         {"zeta": RELATIVE_ZETA * stiffness, "stiffness of the data": stiffness}

@@ -8,21 +8,15 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import (
-    Bernstein,
-    Conditions,
-    InfluenceFunction,
-    InputError,
-    Optimum,
-    TwoStage,
-    evaluate,
-    fit,
-    load_model,
-)
+from warp_peri import Bernstein, InputError, evaluate
+from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.uncertainty import fit_uncertainty
+from warp_peri.methods import Conditions, Optimum, TwoStage
+from warp_peri.models.lps import load_model
 from warp_peri.models.shapes import gaussian, named, table
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
+from warp_peri.shapes import InfluenceFunction
 
 RECOVERED = 1e-4
 """Parameters of a shape from data that are exactly in equilibrium: a fit ends at a relative
@@ -33,7 +27,7 @@ residual of about 1e-8 and two Gaussians of nearly one width are told apart by a
 def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 3)
     learned = fit(points, horizon=HORIZON, kernel=off(shape))
-    model = learned.model
+    model = learned.material
     assert learned.influence is not None
     value, expected = learned.influence.vector, shape.vector
     if shape is SHAPES["table"]:  # whose scale has no effect
@@ -56,7 +50,7 @@ def test_two_lattices_at_once():
     learned = fit(sets, horizon=HORIZON, kernel=off(shape))
     assert learned.influence is not None
     np.testing.assert_allclose(learned.influence.vector, shape.vector, rtol=RECOVERED)
-    assert learned.model.certified_on == spacings
+    assert learned.material.certified_on == spacings
 
 
 def test_a_given_table_leaves_the_constants_to_learn():
@@ -65,7 +59,7 @@ def test_a_given_table_leaves_the_constants_to_learn():
     learned = fit(points, horizon=HORIZON, kernel=shape)
     assert learned.influence is not None
     assert learned.influence.parameters == {}
-    assert (learned.model.lam, learned.model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
+    assert (learned.material.lam, learned.material.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -82,7 +76,7 @@ def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     assert loss == pytest.approx(reference, rel=1e-5)
     classes = bond_classes(1.0, HORIZON)
     for stiffness, other in zip(
-        stiffnesses(learned.model, classes), stiffnesses(expected.model, classes)
+        stiffnesses(learned.material, classes), stiffnesses(expected.material, classes)
     ):
         np.testing.assert_allclose(stiffness, other, atol=1e-3)
 
@@ -121,8 +115,8 @@ def test_noise_and_how_sure_a_shape_is():
 
     deviation = sure.deviation(ratio)
     assert 0 < deviation < 0.1
-    assert abs(ratio(learned.model) - ratio(true)) < 4 * deviation
-    assert abs(learned.model.mu - true.mu) < 4 * sure.deviation(lambda model: model.mu)
+    assert abs(ratio(learned.material) - ratio(true)) < 4 * deviation
+    assert abs(learned.material.mu - true.mu) < 4 * sure.deviation(lambda model: model.mu)
 
 
 @pytest.mark.parametrize("start", [1e-300, 1e-12, 1e-6])
@@ -180,7 +174,7 @@ def test_moduli_are_held_by_a_shape_that_can():
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     learned = fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=(0.1, 0.6)))
     assert learned.moduli[0]["C44"] == pytest.approx(0.6, abs=1e-6)
-    assert (learned.model.lam, learned.model.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
+    assert (learned.material.lam, learned.material.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
 
 
 def test_a_fit_with_a_table_travels():

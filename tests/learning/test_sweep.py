@@ -6,8 +6,9 @@ import sys
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import InputError, sweep
+from warp_peri import InputError
 from warp_peri.learning.sweep import Trial, choose
+from warp_peri.methods import sweep
 
 sweeps = sys.modules["warp_peri.learning.sweep"]  # the package holds the function of that name
 
@@ -89,7 +90,7 @@ def test_an_empty_sweep_is_refused(sets, tmp_path):
 def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
     train, val = sets
     options = {"horizons": (2.0, 2.5), "degrees": (0,), "jobs": 1}
-    fit, horizons = sweeps.fit, []
+    fit, horizons = sweeps.learn, []
 
     def fails(points, horizon, *rest, **options):
         horizons.append(horizon)
@@ -98,7 +99,7 @@ def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
         return fit(points, horizon, *rest, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweeps, "fit", fails)
+        patch.setattr(sweeps, "learn", fails)
         with pytest.warns(UserWarning, match=r"sweep: δ = 2 Å, M = 0: stage 3: no start"):
             result = sweep(train, val, tmp_path, **options)
         assert [t.horizon for t in result.trials] == [2.5]

@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
-from warp_peri import (
-    Bernstein,
-    Conditions,
-    Constrained,
-    InputError,
-    Optimum,
-    TwoStage,
-    certify,
-    evaluate,
-    fit,
-)
+from warp_peri import Bernstein, InputError, certify, evaluate
 from warp_peri.learning import training_data as training
+from warp_peri.learning.fit import learn as fit
+from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
 from warp_peri.operator.symbol import moduli, stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.stability.conditions import LatticeConditions, ZoneSearch
@@ -62,7 +54,7 @@ def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, prec
     points, true = data(name, horizon)
     kernel = Bernstein(degree, two_functions="two functions" in name)
     learned = fit(points, horizon, kernel, method=Constrained(QUICK))
-    model = learned.model
+    model = learned.material
     assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=precision)
     for found_table, true_table in zip(shares(model), shares(true)):
         size = np.abs(true_table).max()
@@ -86,7 +78,7 @@ def test_all_stages_lead_to_the_same_optimum():
     assert first.loss[-1] < first.loss[0]
     assert second.loss[-1] < first.loss[-1]
     assert third.E_res_train < second.E_res_train < first.E_res_train
-    full = evaluate(learned.model, points)
+    full = evaluate(learned.material, points)
     assert full["E_res"] == pytest.approx(third.E_res_train, rel=1e-6)
 
 
@@ -96,7 +88,7 @@ def test_a_violating_model_ends_feasible_with_the_condition_active():
     learned = fit(points, horizon=2.5, kernel=Bernstein(4), conditions=Conditions(zeta=ZETA))
     assert ZETA <= learned.certificate.symbol_min <= 1.02 * ZETA
     assert learned.certificate.holds
-    assert learned.model.certified_on == (1.0,)
+    assert learned.material.certified_on == (1.0,)
     losses = np.array(list(learned.starts.values()))
     assert np.ptp(losses) < 1e-6 * losses.max()
     assert losses.min() > 1e-3
@@ -108,17 +100,17 @@ def test_the_printed_conditions_hold_densely_and_are_active(name):
     points, _ = data(name, horizon)
     kernel = Bernstein(5, two_functions=name == "two functions")
     learned = fit(points, horizon, kernel, conditions=Conditions("paper", ZETA))
-    dense = certify(learned.model, spacing=1.0, points=points)
+    dense = certify(learned.material, spacing=1.0, points=points)
     assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
     assert dense.schwarz
     assert dense.gamma_min > 0
     search = ZoneSearch(LatticeConditions(bond_classes(1.0, horizon), Conditions("paper", ZETA)))
-    margins, _ = search.worst(*shares(learned.model))
+    margins, _ = search.worst(*shares(learned.material))
     assert (margins >= -1e-8).all()
     if name == "sign-changing":  # the model that made the data keeps (i) and breaks (iii)
         assert margins[2] == pytest.approx(0, abs=1e-6)
         assert min(learned.starts.values()) > 1e-3
-    assert learned.model.certified_on == (1.0,)
+    assert learned.material.certified_on == (1.0,)
 
 
 def test_two_stage_stops_after_two_stages():
@@ -129,7 +121,7 @@ def test_two_stage_stops_after_two_stages():
     first, second = learned.history
     assert (first.parameters.D >= 0).all()
     assert second.E_res_train < first.E_res_train
-    assert learned.model.mu == second.parameters.mu
+    assert learned.material.mu == second.parameters.mu
 
 
 @pytest.mark.parametrize("parametrisation", ["projected", "relu"])
@@ -151,7 +143,7 @@ def test_the_same_seed_gives_the_same_bits():
         for seed in (1, 1, 2)
     )
     for name in ("lam", "mu", "alpha", "D"):
-        assert np.array_equal(getattr(first.model, name), getattr(second.model, name))
+        assert np.array_equal(getattr(first.material, name), getattr(second.material, name))
     assert first.history[0].loss == second.history[0].loss
     assert first.history[0].loss != other.history[0].loss
     whole = [
@@ -160,7 +152,7 @@ def test_the_same_seed_gives_the_same_bits():
             horizon=2.5,
             kernel=Bernstein(3),
             method=Constrained(replace(QUICK, seed=1), Optimum(jobs=jobs)),
-        ).model
+        ).material
         for jobs in (1, 2)
     ]
     assert np.array_equal(whole[0].D, whole[1].D)
@@ -169,24 +161,28 @@ def test_the_same_seed_gives_the_same_bits():
 def test_two_lattices_are_learned_together():
     sets, models = zip(*(data("positive", 2.0, spacing) for spacing in (1.0, 0.9)))
     learned = fit(sets, horizon=2.0, kernel=Bernstein(3))
-    assert learned.model.trained_on == learned.model.certified_on == (1.0, 0.9)
-    assert (learned.model.lam, learned.model.mu) == pytest.approx((LAM, MU), abs=1e-5)
+    assert learned.material.trained_on == learned.material.certified_on == (1.0, 0.9)
+    assert (learned.material.lam, learned.material.mu) == pytest.approx((LAM, MU), abs=1e-5)
     for model, points in zip(models, sets):
         found_tables, true_tables = (
-            shares(learned.model, points.spacing),
+            shares(learned.material, points.spacing),
             shares(model, points.spacing),
         )
         np.testing.assert_allclose(found_tables[0], true_tables[0], atol=1e-4)
-        assert evaluate(learned.model, points)["E_res"] < 1e-4
+        assert evaluate(learned.material, points)["E_res"] < 1e-4
 
 
 def test_held_moduli_are_held():
     points, _ = data("positive", 3.0)
-    held = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))).model
+    held = fit(
+        points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli=(0.1, 0.65))
+    ).material
     assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
     expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
     assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
-    loose = fit(points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli="isotropic")).model
+    loose = fit(
+        points, horizon=3.0, kernel=Bernstein(5), method=Optimum(moduli="isotropic")
+    ).material
     assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == pytest.approx(loose.mu, abs=1e-8)
 
 
@@ -196,11 +192,11 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     size = np.logspace(-1, 1, 10)[:, None, None]
     scaled = replace(points, u=size * points.u, b=size * points.b)
     first, second = (
-        fit(samples, horizon=3.0, kernel=Bernstein(5), normalise=True).model
+        fit(samples, horizon=3.0, kernel=Bernstein(5), normalise=True).material
         for samples in (points, scaled)
     )
     assert (second.lam, second.mu) == pytest.approx((first.lam, first.mu), abs=1e-6)
-    absolute = fit(scaled, horizon=3.0, kernel=Bernstein(5)).model
+    absolute = fit(scaled, horizon=3.0, kernel=Bernstein(5)).material
     assert abs(absolute.mu - first.mu) > 1e-4
 
 
@@ -256,16 +252,6 @@ def test_bad_choices_are_refused(change, words):
 def test_settings_that_mean_nothing_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
-
-
-OLD = "degree influence two_functions zeta moduli jobs parametrisation constraints checkpoint"
-
-
-@pytest.mark.parametrize("name", [*OLD.split(), "lattice_spacing", "seed"])
-def test_an_old_option_names_the_new_one(name):
-    points, _ = data("positive", 2.0)
-    with pytest.raises(InputError, match=f"fit: {name} is now (kernel|method|conditions)"):
-        fit(points, horizon=2.0, **{name: 1})
 
 
 def test_noise_for_scattered_points_is_refused():

@@ -5,8 +5,10 @@ import pytest
 import torch
 
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
-from warp_peri import Bernstein, TwoStage, certify, fit
+from warp_peri import Bernstein, certify
+from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.margins import DENSE_ZETA, DenseMargins, SymbolMargins
+from warp_peri.methods import TwoStage
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch

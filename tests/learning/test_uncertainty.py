@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
+from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Bernstein, InputError, fit
+from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import Fit, Settings
+from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.learning.output_error import as_model, output_optimum
 from warp_peri.learning.response import WaveResponse
@@ -23,7 +25,6 @@ from warp_peri.points.families import bond_classes
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
-from warp_peri.statics.solve import solve
 
 HORIZON = 2.5
 CLASSES = bond_classes(1.0, HORIZON)
@@ -71,7 +72,7 @@ def test_the_band_holds_the_truth_as_often_as_it_says():
         noise = fluctuation(clean, 12, SIZE, seed=2 * replicate + 1)
         result = fitted(data, start)
         lower, upper = fit_uncertainty(result, data, noise).band(
-            result.model, quantities, level=0.9
+            result.material, quantities, level=0.9
         )
         held.append((lower <= expected) & (expected <= upper))
     coverage = np.mean(held, axis=0)
@@ -113,7 +114,7 @@ def test_an_active_condition_stays_where_it_is():
     noise = fluctuation(data, 12, SIZE, seed=2)
     margin = float(
         ZoneSearch(LatticeConditions(CLASSES, Conditions("direct", 1e-9)))
-        .worst(*stiffnesses(fitted(data, start).model, CLASSES))[0]
+        .worst(*stiffnesses(fitted(data, start).material, CLASSES))[0]
         .min()
     )
 
@@ -165,6 +166,10 @@ def test_what_it_cannot_do_is_refused():
     result = fit(data, horizon=HORIZON, kernel=Bernstein(0), normalise=True)
     with pytest.raises(InputError, match="two fields"):
         fit_uncertainty(result, data, fluctuation(data, 1, SIZE, seed=2))
+    with pytest.raises(InputError, match=r"points: expected Samples .* got Points"):
+        fit_uncertainty(result, data.points, noise)
+    with pytest.raises(InputError, match=r"noise: expected Samples .* got list"):
+        fit_uncertainty(result, data, [noise.points])
     with pytest.raises(InputError, match="expected 1 sets"):
         fit_uncertainty(result, [data, data], noise)
     there = dataclasses.replace(data, points=dataclasses.replace(data.points, units=GPA))
@@ -207,7 +212,7 @@ def coverage(size, replicates, quantities=constants, horizon=HORIZON, name="posi
         data = noisy(clean, size, seed=2 * replicate)
         noise = fluctuation(clean, 12, size, seed=2 * replicate + 1)
         result = by_residual(data, noise, horizon=horizon, name=name)
-        values.append(quantities(result.model))
+        values.append(quantities(result.material))
         deviations.append(fit_uncertainty(result, data, noise).deviation(quantities))
     off = np.abs(np.array(values) - quantities(true))
     width = np.sqrt(np.mean(np.square(deviations), axis=0)) / np.std(values, axis=0)
@@ -265,7 +270,7 @@ def test_bands_that_noise_pulls_off_the_truth_are_warned_about():
     with pytest.warns(UserWarning, match="noise pulls a fit by 'residual'") as caught:
         bands = fit_uncertainty(result, data, fluctuation(clean, 12, 5e-4, seed=1))
     said = float(re.search("by ([0-9.e+]+) standard", str(caught[0].message))[1])
-    off = np.abs(constants(result.model) - constants(true)) / bands.deviation(constants)
+    off = np.abs(constants(result.material) - constants(true)) / bands.deviation(constants)
     assert off[:3].min() > 2  # λ, μ, E: no band of 90 % holds them
     assert off.max() / 3 < said
     quiet = noisy(clean, 1e-7, seed=0)

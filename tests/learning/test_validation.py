@@ -7,7 +7,8 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
-from warp_peri import InputError, evaluate, solve
+from tests.support.solving import solve
+from warp_peri import InputError, evaluate
 
 HORIZON = 3.0
 MODEL = kernel("sign-changing", HORIZON)

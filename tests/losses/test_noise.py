@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
+from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Bernstein, InputError, TwoStage, fit
+from warp_peri import Bernstein, InputError
+from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.response import CollarResponse, WaveResponse, products
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import reduce
+from warp_peri.methods import TwoStage
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import NodeOperator
-from warp_peri.statics.solve import solve
 
 HORIZON, DEGREE = 3.0, 5
 SIZE = 0.02
@@ -174,8 +176,8 @@ def test_bias_of_the_raw_loss_is_gone(model, clean):
     for loss in ("residual", "corrected", "output"):
         result = fit(data, noise=noise, loss=loss, **options)
         assert result.loss.name == loss
-        assert result.model.certified_on == (1.0,)
-        wrong[loss] = abs(result.model.mu / model.mu - 1)
+        assert result.material.certified_on == (1.0,)
+        wrong[loss] = abs(result.material.mu / model.mu - 1)
     assert wrong["residual"] > 0.1
     assert wrong["corrected"] < wrong["residual"] / 3
     assert wrong["output"] < wrong["residual"] / 5

@@ -25,7 +25,7 @@ def problem(request):
     weights = [np.linspace(1, 2, 6), np.linspace(0.2, 0.4, 6)]
     operator = NonlinearOperator(model, points)
     p = model.weights(operator.sweeps.classes)
-    return model, sets, weights, reduce_nonlinear(sets, 3.0, weights, p, axis=model.axis)
+    return model, sets, weights, reduce_nonlinear(sets, 3.0, weights, p)
 
 
 def full(model, sets, weights):

@@ -16,9 +16,10 @@ from tests.support.problems import (
     manufactured,
     noise,
 )
-from warp_peri import InputError, LPSOperator
+from warp_peri import InputError
 from warp_peri.losses import reduced
 from warp_peri.losses.full import FullLoss, sample_weights
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 

@@ -8,7 +8,8 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import KERNELS, kernel
-from warp_peri import InputError, Model, load_model
+from warp_peri import InputError, Model
+from warp_peri.models.lps import load_model
 
 MODEL = replace(
     kernel("sign-changing", 20.0, spacing=5.0),

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.support.nonlinear import FORMS, solid
-from warp_peri import InputError, Model, load_model
+from warp_peri import InputError, Model
+from warp_peri.models.lps import load_model
 from warp_peri.models.nonlinear import NonlinearModel, load_any, load_nonlinear
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.operator.symbol import stiffnesses
@@ -138,3 +139,11 @@ def test_other_units_are_the_same_solid(kind, tmp_path):
     assert load_nonlinear(tmp_path / "m.json").gradient == other.gradient
     with pytest.raises(InputError, match="stress_unit: expected one of"):
         model.in_units(("nm", "furlong"))
+
+
+def test_either_kind_of_model_knows_its_file(tmp_path):
+    model, path = solid("energy"), tmp_path / "m.json"
+    model.save(path)
+    assert load_any(path).linear.file == load_nonlinear(path).linear.file == path
+    model.linear.save(path)
+    assert load_any(path).file == path

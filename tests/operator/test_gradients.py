@@ -9,9 +9,10 @@ import torch
 from tests.support.problems import GRADIENT, KERNELS, LAM, MU, difference, lattice, noise
 from tests.support.problems import kernel as model_of
 from tests.support.problems import periodic as periodic_lattice
-from warp_peri import LPSOperator, Solid
+from warp_peri.methods import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 

@@ -9,8 +9,8 @@ import torch
 
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid
-from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri import InputError, LPSOperator, Points, set_threads
+from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
+from warp_peri import InputError, Points, set_threads
 from warp_peri.launch import threads
 from warp_peri.operator.nonlinear import (
     GradientSweeps,
@@ -18,6 +18,7 @@ from warp_peri.operator.nonlinear import (
     class_tables,
     nonlinear_force,
 )
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 DIFFERENCES = 1e-8
@@ -118,15 +119,15 @@ def test_a_turned_lattice_and_crystal_give_the_turned_force(form):
     """q³ turns by three times the angle of q, which is twice that of the crystal."""
     points, model, angle = lattice(3, HORIZON), solid(form), 0.21
     turn = rotation(angle)
-    turned = Points(points.x @ turn.T, points.interior, points.spacing)
+    there = np.rad2deg(AXIS + angle)
+    turned = Points(points.x @ turn.T, points.interior, points.spacing, axis=there)
     u = strained(points)
     force = NonlinearOperator(model, points)(u)
-    crystal = replace(model, axis=model.axis + angle)
-    there = NonlinearOperator(crystal, turned)(u @ turn.T)
+    there = NonlinearOperator(model, turned)(u @ turn.T)
     assert np.abs(there - force @ turn.T).max() <= 1e-11 * np.abs(force).max()
-    sixth = replace(model, axis=model.axis + np.pi / 3)  # the crystal's own symmetry
-    assert np.allclose(NonlinearOperator(sixth, points)(u), force, rtol=0, atol=1e-13)
-    unlike = NonlinearOperator(model, turned)(u @ turn.T)
+    sixth = replace(points, axis=points.axis + 60)  # the crystal's own symmetry
+    assert np.allclose(NonlinearOperator(model, sixth)(u), force, rtol=0, atol=1e-13)
+    unlike = NonlinearOperator(model, replace(turned, axis=points.axis))(u @ turn.T)
     assert np.abs(unlike - force @ turn.T).max() > 1e-6 * np.abs(force).max()
 
 
@@ -135,16 +136,17 @@ def test_a_turned_lattice_and_crystal_give_the_turned_force(form):
 def test_a_crystal_turned_on_the_same_nodes_has_the_turned_stress(form, degrees):
     """Of affine fields, at any angle, and the same energy: only short waves can differ."""
     points, model, turn = lattice(3, HORIZON), solid(form), rotation(np.deg2rad(degrees))
-    turned = replace(model, axis=model.axis + np.deg2rad(degrees))
+    turned = replace(points, axis=points.axis + degrees)
     gradient = np.array([[0.05, 0.03], [-0.02, -0.06]])
     there = turn @ gradient @ turn.T
-    op, straight = NonlinearOperator(turned, points), NonlinearOperator(model, points)
+    op, straight = NonlinearOperator(model, turned), NonlinearOperator(model, points)
     field = points.x @ there.T
     H, P = op.gradients(field)
     _, before = straight.gradients(points.x @ gradient.T)
     assert np.abs(op(field)).max() <= 1e-11
     assert np.abs(P - turn @ before @ turn.T).max() <= 1e-12
-    energies = psi(H, turned), psi(np.broadcast_to(gradient, H.shape), model)
+    by = AXIS + np.deg2rad(degrees)
+    energies = psi(H, model, by), psi(np.broadcast_to(gradient, H.shape), model)
     assert np.abs(energies[0] - energies[1]).max() <= 1e-13
 
 
@@ -234,7 +236,7 @@ def test_results_do_not_depend_on_threads():
 
 
 def test_clipping_projects_the_gradient():
-    points, model = lattice(2, HORIZON), solid("energy", axis=0.0)
+    points, model = lattice(2, HORIZON), solid("energy")
     u = smooth(points.x, 1, wave_number=0.3)[0] * 0.2
     free, clipped = (NonlinearOperator(model, points, radius=radius) for radius in (0.0, 0.05))
     H, _ = free.gradients(u)

@@ -7,9 +7,9 @@ import torch
 from tests.operator.test_rows import SETS, numbered
 from tests.support.nonlinear import solid
 from tests.support.problems import ROUNDING, difference, lattice, noise
-from warp_peri import LPSOperator, NonlinearOperator
 from warp_peri.operator import gradient_sweeps
-from warp_peri.operator.nonlinear import nonlinear_force
+from warp_peri.operator.nonlinear import NonlinearOperator, nonlinear_force
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 

@@ -7,10 +7,11 @@ import pytest
 
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, fitted_order, kernel, lattice, noise, periodic
-from warp_peri import InputError, LPSOperator
+from warp_peri import InputError
 from warp_peri.operator.stress import node_fields
 from warp_peri.operator.symbol import long_wave_moduli, stiffnesses
 from warp_peri.points.families import bond_classes
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 GRADIENT = np.array([[0.3, -0.2], [0.5, 0.1]])

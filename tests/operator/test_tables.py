@@ -9,11 +9,12 @@ import warp as wp
 
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
-from warp_peri import InputError, LPSOperator
+from warp_peri import InputError
 from warp_peri.operator import lps
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.tables import Tabulated
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 pytestmark = pytest.mark.filterwarnings("ignore:spacing")

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import InputError, sweep
+from warp_peri import InputError
 from warp_peri.cluster import scheduler
+from warp_peri.methods import sweep
 
 pytest.importorskip("distributed")
 ROOT = Path(__file__).parent.parent.parent

@@ -12,20 +12,26 @@ import pytest
 
 from tests.support.jobs import problem
 from tests.support.problems import kernel, lattice, noise
-from warp_peri import LPSOperator, set_threads, solve
+from tests.support.solving import solve
+from warp_peri import set_threads
 from warp_peri.launch import threads
+from warp_peri.transfer.operator import LPSOperator
 
 ROOT = Path(__file__).parent.parent.parent
 LEARN = """
 import hashlib, sys
 import numpy as np
 from tests.support.jobs import problem
-from warp_peri import Bernstein, Constrained, TwoStage, fit, solve
+from warp_peri import Bernstein
+from warp_peri.methods import Constrained
+from warp_peri.methods import TwoStage
+from warp_peri.learning.fit import learn as fit
+from tests.support.solving import solve
 points = problem()
 digest = lambda *parts: hashlib.sha256(b"".join(np.asarray(p).tobytes() for p in parts)).hexdigest()
 for seed in map(int, sys.argv[1:]):
     stages = TwoStage(seed=seed, epochs=60, inner_epochs=30, outer_iterations=3)
-    model = fit(points, 2.5, Bernstein(4), method=Constrained(stages)).model
+    model = fit(points, 2.5, Bernstein(4), method=Constrained(stages)).material
     u = solve(model, points, points.b, points.u, allow_uncertified=True)
     print(digest(model.lam, model.mu, model.alpha, model.D), digest(u))
 """

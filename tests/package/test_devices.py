@@ -6,13 +6,16 @@ import torch
 import warp as wp
 
 from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, manufactured, noise
-from warp_peri import InputError, Iteration, LPSOperator, Solid, solve
+from tests.support.solving import solve
+from warp_peri import InputError
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
+from warp_peri.methods import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.stencil import Torus
 from warp_peri.statics.preconditioners import dst, odd_dst
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 DEVICES = [str(device) for device in wp.get_devices()]
@@ -50,7 +53,14 @@ def test_the_tape_that_a_gpu_uses_gives_the_gathered_gradient(device, monkeypatc
 @pytest.mark.parametrize("method", ["sine", "multigrid"])
 def test_solves_recover_a_manufactured_solution(device, method):
     points = manufactured(MODEL, lattice(48, HORIZON), 1)  # more nodes than the coarsest level
-    u = solve(MODEL, points, points.b, points.u, method=method, iteration=Iteration(1e-11, device))
+    u = solve(
+        MODEL,
+        points,
+        points.b,
+        points.u,
+        method=method,
+        iteration=dict(tolerance=1e-11, device=device),
+    )
     np.testing.assert_allclose(u, points.u, rtol=0, atol=1e-8)
 
 
@@ -81,6 +91,6 @@ def test_a_torus_transforms_alike_with_torch_and_scipy():
 def test_a_device_that_is_not_there_is_named():
     with pytest.raises(InputError, match="device: expected one of .*cpu.*got 'cuda:99'"):
         LPSOperator(MODEL, lattice(3, HORIZON), device="cuda:99")
-    none, tpu = np.zeros((225, 2)), Iteration(device="tpu")
+    none, tpu = np.zeros((225, 2)), dict(device="tpu")
     with pytest.raises(InputError, match="device: expected one of"):
         solve(MODEL, lattice(3, HORIZON), none, none, method="sine", iteration=tpu)

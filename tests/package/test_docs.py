@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from tests.support.problems import lattice, manufactured
-from warp_peri import load_dataset, load_model
 from warp_peri.cli.main import main
+from warp_peri.models.lps import load_model
 from warp_peri.models.shapes import InfluenceFunction, exponential
+from warp_peri.points.dataset_file import load_dataset
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 HORIZON = 12.5

@@ -1,26 +1,24 @@
 """Limits that the library sees coming: cancelled kernels, strains, degrees, spread-out nodes."""
 
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.support.clouds import cloud
+from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, manufactured, noise
-from warp_peri import (
-    Bernstein,
-    InputError,
-    LPSOperator,
-    Model,
-    Points,
-    certify,
-    fit,
-    load_model,
-    solve,
-)
+from tests.support.solving import solve, solve_periodic
+from warp_peri import Bernstein, InputError, Model, Points, certify
+from warp_peri.learning.fit import learn as fit
 from warp_peri.models.influence import bernstein_basis
+from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.strain import largest_strain
+from warp_peri.statics.body import Coupling, solve_body
+from warp_peri.transfer.operator import LPSOperator
 
 
 def cancelled(horizon=2.0):
@@ -74,7 +72,7 @@ def test_strain_of_known_fields():
 
 def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
     points = manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 2.5), 4)
-    model = fit(points, horizon=2.5, kernel=Bernstein(2)).model
+    model = fit(points, horizon=2.5, kernel=Bernstein(2)).material
     assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
     model.save(tmp_path / "m.json")
     assert load_model(tmp_path / "m.json").trained_strain == model.trained_strain
@@ -101,3 +99,35 @@ def test_what_would_take_memory_without_limit_is_refused():
     far = Points(x, np.append(points.interior, False), 1.0)
     with pytest.raises(InputError, match="nodes spread over 1.0e.10 lattice places"):
         families_of(far, 2.0)
+
+
+BEYOND = "strain: the solution reaches .* %, the training data 1 %"
+
+
+def test_a_periodic_sheet_strained_beyond_the_training_data_warns():
+    model = replace(kernel("1/r", 3.0), trained_strain=0.01)
+    y = np.broadcast_to(np.arange(20.0), (24, 20))
+    b = np.sin(2 * np.pi * y / 20)[..., None] * (1.0, 0.5)
+    u = solve_periodic(replace(model, trained_strain=None), b, spacing=1.0)
+    size = 0.01 / np.abs(np.roll(u, -1, axis=1) - u)[..., 1].max()
+    calm = solve_periodic(model, 1.9 * size * b, spacing=1.0)
+    with pytest.warns(UserWarning, match=BEYOND):
+        loud = solve_periodic(model, 2.1 * size * b, spacing=1.0)
+    assert loud == pytest.approx(2.1 / 1.9 * calm)
+
+
+@pytest.mark.parametrize("half", [32.0, 14.0], ids=["coupled", "elements alone"])
+def test_a_body_strained_beyond_the_training_data_warns(half):
+    """As of a traction that is a thousand times too large, in GPa for TPa."""
+    model = replace(kernel("1/r", 3.0), trained_strain=0.01)
+    mesh, coupling = plate(8.0, half, 8, 32), Coupling(spacing=1.0)
+
+    def said(size):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            held = {"sides": lambda x: size * x * (1, 0)}
+            solve_body(model, mesh, displacement=held, coupling=coupling)
+        return [w for w in caught if re.match(BEYOND, str(w.message))]
+
+    assert not said(1e-3)
+    assert len(said(0.1)) == 1

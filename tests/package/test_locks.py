@@ -9,8 +9,10 @@ import pytest
 import tools.make_graphene as tool
 from examples import train_graphene
 from tests.support.jobs import problem
-from warp_peri import Bernstein, InputError, TwoStage, fit, sweep
+from warp_peri import Bernstein, InputError
 from warp_peri.files.atomic import PART, locked, whole_file
+from warp_peri.learning.fit import learn as fit
+from warp_peri.methods import TwoStage, sweep
 
 ROOT = Path(__file__).parent.parent.parent
 HOLD = """

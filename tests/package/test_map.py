@@ -11,6 +11,7 @@ import warp_peri
 from tests.package.test_order import FLOOR, ROOT
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
+from warp_peri.points.dataset_file import save_dataset
 
 README = (ROOT.parent / "README.md").read_text(encoding="utf-8")
 USES = {
@@ -39,7 +40,7 @@ def test_every_use_runs(tmp_path, monkeypatch):
             exec("\n".join(lines), known)
     assert known["certificate"].holds
     assert known["motion"].drift < 1e-9
-    warp_peri.save_dataset("mine.h5", known["data"])
+    save_dataset("mine.h5", known["data"])
     for command in USES["cli"]:
         assert main([*shlex.split(command)[1:], "--degree", "2"]) == 0
     assert Path("runs/mine/model.json").exists()

@@ -9,23 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.problems import lattice, noise, periodic
-from warp_peri import (
-    Dataset,
-    InputError,
-    LPSOperator,
-    Model,
-    Points,
-    Samples,
-    coarse_grain,
-    load_dataset,
-    load_model,
-    save_dataset,
-    smoothing_matrix,
-)
+from warp_peri import Dataset, InputError, Model, Points, Samples
+from warp_peri.atoms import coarse_grain, smoothing_matrix
+from warp_peri.models.lps import load_model
 from warp_peri.operator.matrices import matrices
-from warp_peri.points.dataset_file import content_hash
+from warp_peri.points.dataset_file import content_hash, load_dataset, save_dataset
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.quadrature import DEGREE, _ball_integral
+from warp_peri.transfer.operator import LPSOperator
 
 # Derandomised: the same examples in every run.
 bounded = settings(max_examples=25, deadline=None, derandomize=True, database=None)

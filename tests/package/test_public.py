@@ -80,7 +80,7 @@ def test_functions_stay_functions_when_their_modules_come_first():
         "from warp_peri import equilibrium, solvability, solve, sweep\n"
         "print(solve.__module__, sweep.__module__, warp_peri.stress.__name__)"
     )
-    assert fresh(code) == "warp_peri.statics.solve warp_peri.learning.sweep warp_peri.stress"
+    assert fresh(code) == "warp_peri.statics.lps warp_peri.learning.sweep warp_peri.stress"
 
 
 def test_no_kernel_is_compiled_by_resolving_every_name(tmp_path):

@@ -15,10 +15,12 @@ import pytest
 from tests.support.mutations import good_data, good_model
 from tools.lammps_session import LammpsSession
 from tools.samples import read_sample
-from warp_peri import InputError, load_dataset, load_model
+from warp_peri import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.models import lps as model
+from warp_peri.models.lps import load_model
+from warp_peri.points.dataset_file import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 CODE = [path for folder in ("warp_peri", "kernels", "tools", "examples")

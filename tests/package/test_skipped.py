@@ -5,11 +5,11 @@ import pytest
 
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
-from warp_peri import LPSOperator
 from warp_peri.launch import launch_slices
 from warp_peri.operator import launches, rows, tables
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
+from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 

@@ -1,5 +1,6 @@
 """What cost a new user an hour each: told in one sentence, or done as was meant."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,23 +10,18 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, noise
-from warp_peri import (
-    Bernstein,
-    Dataset,
-    InputError,
-    Model,
-    Scene,
-    choose_model,
-    evaluate,
-    fit,
-    save_dataset,
-    solve,
-)
-from warp_peri.choice import shipped_table
+from tests.support.solving import solve
+from warp_peri import Bernstein, Dataset, InputError, Model, choose_model, evaluate
+from warp_peri.choice import Scene, shipped_table
 from warp_peri.cli.main import main
 from warp_peri.errors import exit_status
+from warp_peri.learning.fit import learn as fit
+from warp_peri.models.smoothing import Smoothing
+from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.families import families_of
 from warp_peri.sources.dumps import dump_frames
+from warp_peri.stability.conditions import Conditions
+from warp_peri.transfers import one_kernel, onto_lattice
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON)
@@ -43,11 +39,11 @@ def result(samples):
 
 def test_a_data_set_with_one_obvious_set_is_taken(samples, result):
     data = Dataset({"train": samples, "val": samples}, 3.35, 2200.0)
-    assert fit(data, HORIZON, Bernstein(2)).model.mu == result.model.mu
-    numbers = evaluate(result.model, Dataset({"val": samples}, 3.35, 2200.0))
-    assert numbers == evaluate(result.model, samples)
+    assert fit(data, HORIZON, Bernstein(2)).material.mu == result.material.mu
+    numbers = evaluate(result.material, Dataset({"val": samples}, 3.35, 2200.0))
+    assert numbers == evaluate(result.material, samples)
     with pytest.raises(InputError, match=r"a data set with train, val; name one, as data\['train'"):
-        evaluate(result.model, data)
+        evaluate(result.material, data)
 
 
 def test_a_fit_is_shown_in_a_few_lines(result):
@@ -123,7 +119,7 @@ def command(*words):
 
 
 def test_warp_says_nothing_of_a_driver_that_is_not_there(result, tmp_path):
-    result.model.save(tmp_path / "model.json")
+    result.material.save(tmp_path / "model.json")
     process = command("certify", str(tmp_path / "model.json"), "--json")
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0
@@ -132,6 +128,9 @@ def test_warp_says_nothing_of_a_driver_that_is_not_there(result, tmp_path):
 
 RINGS = """
 import os, runpy, signal, sys
+
+if not {ignored}:  # whatever the process that runs the tests was given, as by a shell's `&`
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 class Rings:
     def find_spec(self, name, path=None, target=None):
@@ -147,7 +146,7 @@ runpy.run_module("warp_peri", run_name="__main__")
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize("module", ["warp_peri.cli.main", "numpy", "datetime", "h5py"])
 def test_an_early_interrupt_is_no_traceback(module):
-    words = [sys.executable, "-c", RINGS.format(module=module)]
+    words = [sys.executable, "-c", RINGS.format(module=module, ignored=False)]
     process = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert process.returncode == 130
     assert process.stderr == "interrupted; what is finished is kept\n"
@@ -156,10 +155,10 @@ def test_an_early_interrupt_is_no_traceback(module):
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_an_interrupt_that_the_shell_ignores_stays_ignored():
     ignoring = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-    words = [sys.executable, "-c", ignoring + RINGS.format(module="numpy")]
+    words = [sys.executable, "-c", ignoring + RINGS.format(module="numpy", ignored=True)]
     process = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert process.returncode == 2
-    assert "no such model file" in process.stderr
+    assert "no such file" in process.stderr
 
 
 def test_commands_end_with_one_status_and_one_line(capsys):
@@ -180,3 +179,80 @@ def test_commands_end_with_one_status_and_one_line(capsys):
         assert capsys.readouterr().err == words
     with pytest.raises(KeyError):  # a fault of the program is not hidden
         exit_status(failing(KeyError("x")))
+
+
+def errors_of(words, capsys):
+    """What the command refuses with, in its own words."""
+    assert main(list(map(str, words))) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize("horizon", ["0", "-5", "nan", "inf"])
+def test_a_horizon_that_is_no_length_is_named(horizon, result, tmp_path, capsys):
+    result.material.save(tmp_path / "model.json")
+    words = ["export", "kernel", tmp_path / "model.json", "--out", tmp_path / "K.csv"]
+    said = errors_of([*words, "--horizon", horizon], capsys)
+    assert f"horizon: expected a length > 0 Å, got {float(horizon)}" in said
+
+
+@pytest.mark.parametrize(
+    ("horizon", "words"),
+    [
+        ("1e9", "horizon: expected at most 100 spacings (1e+06), got 1000000000.0"),
+        ("9e4", "have not at horizon 90000 Å; the largest that fits is 28284.3 Å"),
+        ("inf", "horizon: expected at least one spacing (10000.0), got inf"),
+    ],
+)
+def test_a_fit_refuses_in_the_numbers_it_was_given(horizon, words, samples, tmp_path, capsys):
+    large = replace(samples, points=replace(samples.points, x=1e4 * samples.x, spacing=1e4))
+    save_dataset(tmp_path / "d.h5", Dataset({"train": large}, 3.35, 2200.0))
+    asked = ["train", tmp_path / "d.h5", "--out", tmp_path / "o", "--horizon", horizon]
+    assert words in errors_of(asked, capsys)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="a folder that takes no files")
+def test_a_folder_that_takes_no_files_is_no_other_job(samples, result, tmp_path, capsys):
+    save_dataset(tmp_path / "d.h5", Dataset({"train": samples}, 3.35, 2200.0))
+    result.material.save(tmp_path / "model.json")
+    for words in (
+        ["train", tmp_path / "d.h5", "--out", "/proc/xx", "--horizon", HORIZON],
+        ["train", tmp_path / "d.h5", "--out", "/proc/xx/y", "--horizon", HORIZON],
+        ["export", "influence", tmp_path / "model.json", "--out", "/proc/xx"],
+    ):
+        said = errors_of(words, capsys)
+        assert f"error: {words[words.index('--out') + 1]}: cannot be written (No such" in said
+
+
+def test_help_gives_switches_no_default(capsys):
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    assert "(default: True)" not in capsys.readouterr().out
+
+
+def test_training_prints_errors_in_percent_as_evaluate_does(samples, tmp_path, capsys):
+    many = manufactured(TRUE, samples.points, 8)
+    save_dataset(tmp_path / "d.h5", Dataset({"train": many}, 3.35, 2200.0))
+    words = ["train", tmp_path / "d.h5", "--out", tmp_path / "o", "--horizon", HORIZON]
+    assert main([*map(str, words), "--degree", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    kept = json.loads((tmp_path / "o" / "metrics.json").read_text())
+    printed = float(lines[lines.index("E_res [%]:") + 1].split(":")[1])
+    assert printed == pytest.approx(100 * kept["E_res"]["train"], rel=1e-5)
+    start = lines.index("shares of the squared residual [%]:")
+    shares = [float(line.split(":")[1]) for line in lines[start + 1 : start + 6]]
+    assert sum(shares) == pytest.approx(100.0, abs=0.01)
+
+
+def test_a_model_that_is_not_in_angstrom_is_not_told_of_angstrom(samples):
+    points = replace(samples.points, units=("mm", "GPa"))
+    for call in (
+        lambda: one_kernel(replace(TRUE, certified_on=(1.0,), units=("mm", "GPa")), horizon=0.0),
+        lambda: Smoothing(radius=0.0),
+        lambda: Conditions(zeta=-1.0),
+        lambda: families_of(replace(points, spacing=0.0), -1.0),
+        lambda: onto_lattice(samples, spacing=0.0),
+    ):
+        with pytest.raises(InputError) as caught:
+            call()
+        assert "Å" not in str(caught.value)
+        assert "TPa" not in str(caught.value)

@@ -12,8 +12,15 @@ import numpy as np
 import torch
 
 import warp_peri
-from warp_peri import stress
-from warp_peri.operator.stress import NodeFields
+from warp_peri import methods, proofs, transfers
+from warp_peri.choice import Choice, Scene
+from warp_peri.launch import set_threads
+from warp_peri.learning.diagnosis import Diagnosis
+from warp_peri.learning.nonlinear import NonlinearFit
+from warp_peri.learning.result import Fit
+from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.statics.body import Coupling
+from warp_peri.statics.body_gradient import BodyGradient, body_gradient
 
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
 
@@ -25,7 +32,7 @@ def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_pe
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     interior = np.abs(x).max(axis=1) <= 3
     points = warp_peri.Points(x=x, interior=interior, spacing=SPACING)
-    operator = warp_peri.LPSOperator(model, points)
+    operator = model.on(points)
     waves = generator.normal(size=(8, 2, 2))
     phase = np.einsum("swa,na->swn", waves, x)
     u = 0.01 * np.stack([np.sin(phase[:, 0]), np.cos(phase[:, 1])], axis=-1)
@@ -35,7 +42,7 @@ def samples(model: warp_peri.Model, seed: int, *, noise: float = 0.0) -> warp_pe
     return warp_peri.Samples(points, u, b)
 
 
-def learn(folder: Path) -> warp_peri.Fit:
+def learn(folder: Path) -> Fit:
     """Data of a known model to a learned one."""
     known = warp_peri.Model(
         lam=-0.2,
@@ -47,69 +54,68 @@ def learn(folder: Path) -> warp_peri.Fit:
         certified_on=(SPACING,),
     )
     sets = {"train": samples(known, 1), "test": samples(known, 2)}
-    warp_peri.save_dataset(folder / "data.h5", warp_peri.Dataset(sets, THICKNESS, DENSITY))
-    data = assert_type(warp_peri.load_dataset(folder / "data.h5"), warp_peri.Dataset)
+    warp_peri.save(folder / "data.h5", warp_peri.Dataset(sets, THICKNESS, DENSITY))
+    data: warp_peri.Dataset = warp_peri.load(folder / "data.h5")
     train = assert_type(data["train"], warp_peri.Samples)
     fit = warp_peri.fit(
         train,
-        HORIZON,
-        warp_peri.Bernstein(1),
-        method=warp_peri.Constrained(warp_peri.TwoStage(epochs=9), warp_peri.Optimum(jobs=1)),
-        conditions=warp_peri.Conditions(zeta=0.01),
+        warp_peri.LPS(
+            HORIZON,
+            warp_peri.Bernstein(1),
+            method=methods.Constrained(methods.TwoStage(epochs=9), methods.Optimum(jobs=1)),
+            conditions=methods.Conditions(zeta=0.01),
+        ),
     )
-    assert_type(fit, warp_peri.Fit)
-    assert_type(warp_peri.diagnose(fit.model, train), warp_peri.Diagnosis)
-    fit.model.save(folder / "model.json")
-    shape = warp_peri.InfluenceFunction(
+    assert_type(fit, Fit)
+    assert_type(warp_peri.diagnose(fit.material, train), Diagnosis)
+    warp_peri.save(folder / "model.json", fit.material)
+    shape = warp_peri.shapes.InfluenceFunction(
         lambda r, length: np.exp(-r / length), {"length": 1.5}, {"length": (0.5, 9.0)}
     )
-    by_shape = warp_peri.fit(train, horizon=HORIZON, kernel=shape)
-    assert_type(by_shape.influence, warp_peri.InfluenceFunction | None)
+    by_shape = warp_peri.fit(train, warp_peri.LPS(HORIZON, shape))
+    assert_type(by_shape.influence, warp_peri.shapes.InfluenceFunction | None)
     noise = warp_peri.Samples(
         train.points, 1e-4 * np.random.default_rng(3).normal(size=train.u.shape)
     )
-    sure = assert_type(warp_peri.fit_uncertainty(fit, train, noise), warp_peri.Uncertainty)
+    sure = assert_type(methods.fit_uncertainty(fit, train, noise), methods.Uncertainty)
     assert_type(sure.deviation(lambda model: model.mu), np.ndarray)
-    trials = warp_peri.sweep(
+    trials = methods.sweep(
         train, data["test"], folder / "sweep", horizons=[HORIZON], degrees=[0, 1], jobs=1
     )
-    assert_type(assert_type(trials, warp_peri.Sweep).cheapest.degree, int)
+    assert_type(assert_type(trials, methods.Sweep).cheapest.degree, int)
     return fit
 
 
 def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     """Everything that is done with a model; E_u on a set."""
-    certificate = assert_type(warp_peri.certify(model, spacing=SPACING), warp_peri.Certificate)
+    certificate = assert_type(warp_peri.certify(model, spacing=SPACING), proofs.Certificate)
     assert_type(certificate.holds, bool)
-    figures = assert_type(warp_peri.solvability(model, test), warp_peri.Solvability)
+    figures = assert_type(proofs.solvability(model, test), proofs.Solvability)
     assert_type(figures.symmetric_min, float)
 
-    operator = warp_peri.LPSOperator(model, test)
+    operator = model.on(test)
     tensor = torch.tensor(test.u, requires_grad=True)
     force = assert_type(operator(tensor), torch.Tensor)
     torch.autograd.grad(force.sum(), tensor)
 
-    exact = warp_peri.Iteration(tolerance=1e-10)
-    u = assert_type(warp_peri.solve(model, test, test.b, test.u, iteration=exact), np.ndarray)
-    fields = assert_type(stress.node_fields(model, test, u), NodeFields)
-    assert_type(fields.stress, np.ndarray)
+    problem = warp_peri.Dirichlet(test, test.b, test.u)
+    exact = warp_peri.Krylov(tolerance=1e-10)
+    solution = assert_type(warp_peri.solve(model, problem, solver=exact), warp_peri.Solution)
+    assert_type(solution.stress(), np.ndarray)
+    assert_type(solution.residual, float)
+    again = warp_peri.solve(operator, problem, solver=warp_peri.Direct())
+    assert_type(again.proven, str | None)
     mu = torch.tensor(model.mu, dtype=torch.float64, requires_grad=True)
-    same = warp_peri.equilibrium(
-        test,
-        torch.tensor(test.loads),
-        torch.tensor(test.u),
-        warp_peri.Solid(model.lam, mu, model.alpha, model.D),
-        horizon=model.horizon,
-        method="lu",
-    )
-    torch.autograd.grad(assert_type(same, torch.Tensor).sum(), mu)
-    sheet = np.random.default_rng(0).normal(size=(8, 8, 2))
-    assert_type(warp_peri.solve_periodic(model, sheet, spacing=SPACING), np.ndarray)
+    solid = methods.Solid(model.lam, mu, model.alpha, model.D)
+    same = warp_peri.solve(model, problem, solver=warp_peri.Direct(), parameters=solid)
+    torch.autograd.grad(same.u.sum(), mu)
+    sheet = warp_peri.Points.sheet((8, 8), SPACING)
+    load = np.random.default_rng(0).normal(size=(64, 2))
+    assert_type(warp_peri.solve(model, warp_peri.Periodic(sheet, load)), warp_peri.Solution)
 
-    step = warp_peri.critical_time_step(model, spacing=SPACING, density=DENSITY)
-    motion = warp_peri.velocity_verlet(
-        model, test, u[0], np.zeros_like(u[0]), density=DENSITY, step=step / 2, steps=3
-    )
+    step = proofs.critical_time_step(model, spacing=SPACING, density=DENSITY)
+    start = warp_peri.Dirichlet(test, None, solution.u[0])
+    motion = warp_peri.move(operator, start, density=DENSITY, step=step / 2, steps=3)
     assert_type(assert_type(motion, warp_peri.Motion).drift, float)
     table = warp_peri.evaluate(model, test)
     return float(table["E_u"])
@@ -120,66 +126,62 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a linear law made the data
         kernel = warp_peri.Bernstein(1, two_functions=True)
-        fit = warp_peri.fit(train, HORIZON, kernel, nonlinear=warp_peri.Nonlinear())
-    model = assert_type(assert_type(fit, warp_peri.NonlinearFit).model, warp_peri.NonlinearModel)
-    assert_type(warp_peri.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
-    figures = assert_type(warp_peri.uniqueness(model, spacing=SPACING), warp_peri.Uniqueness)
+        fit = warp_peri.fit(train, warp_peri.ThirdOrder(warp_peri.LPS(HORIZON, kernel)))
+    model = assert_type(assert_type(fit, NonlinearFit).material, NonlinearModel)
+    assert_type(methods.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
+    figures = assert_type(proofs.uniqueness(model, spacing=SPACING), proofs.Uniqueness)
     assert_type(figures.strain, float)
-    model.save(folder / "nonlinear.json")
-    model = warp_peri.load_nonlinear(folder / "nonlinear.json")
-    assert_type(warp_peri.NonlinearOperator(model, train)(train.u), np.ndarray)
-    records: list[warp_peri.NonlinearRecord] = []
-    solved = warp_peri.solve_nonlinear(model, train, train.loads, train.u, records=records)
-    assert_type(solved, np.ndarray)
+    warp_peri.save(folder / "nonlinear.json", model)
+    model = warp_peri.load(folder / "nonlinear.json")
+    model.on(train)(train.u)
+    problem = warp_peri.Dirichlet(train, train.loads, train.u)
+    assert_type(warp_peri.solve(model, problem, solver=warp_peri.Newton()), warp_peri.Solution)
 
 
 def body(model: warp_peri.Model, path: Path) -> float:
     """A body from a mesh file; for type checkers, as it needs the extra `bodies` to run."""
-    mesh = assert_type(warp_peri.load_mesh(path), warp_peri.Mesh)
-    solution = warp_peri.solve_body(
-        model,
+    mesh: warp_peri.Mesh = warp_peri.load(path)
+    problem = warp_peri.Body(
         mesh,
         displacement={"left": (0.0, 0.0)},
         traction={"right": lambda x, normal: 0.005 * normal},
-        coupling=warp_peri.Coupling(spacing=SPACING),
+        coupling=Coupling(spacing=SPACING),
     )
-    u, _ = assert_type(solution, warp_peri.BodySolution).on_corners()
-    assert_type(u, np.ndarray)
-    gradient = warp_peri.body_gradient(solution, solution.u_rim, solution.u_bulk)
-    return assert_type(gradient, warp_peri.BodyGradient).along(traction={"right": (1.0, 0.0)})
+    solved = warp_peri.solve(model, problem).details
+    gradient = body_gradient(solved, solved.u_rim, solved.u_bulk)
+    return assert_type(gradient, BodyGradient).along(traction={"right": (1.0, 0.0)})
 
 
 def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Atoms to nodes."""
-    omega = warp_peri.smoothing_matrix(atoms, nodes, radius=3.0)
+    omega = warp_peri.atoms.smoothing_matrix(atoms, nodes, radius=3.0)
     fields = np.zeros((1, len(atoms), 2))
-    return warp_peri.coarse_grain(
+    return warp_peri.atoms.coarse_grain(
         omega, displacement=fields, force=fields, node_area=SPACING**2, thickness=THICKNESS
     )
 
 
 def main(folder: Path) -> None:
-    warp_peri.set_threads(1)
+    set_threads(1)
     learn(folder)
-    model = assert_type(warp_peri.load_model(folder / "model.json"), warp_peri.Model)
-    data = warp_peri.load_dataset(folder / "data.h5")
+    model: warp_peri.Model = warp_peri.load(folder / "model.json")
+    data: warp_peri.Dataset = warp_peri.load(folder / "data.h5")
     test = data["test"]
     nonlinear(data["train"], folder)
     print(use(model, test))
-    fine = assert_type(warp_peri.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
-    print(fine.transferred_from, warp_peri.model_for(model, test).horizon)
-    print(warp_peri.one_kernel(model, horizon=3 * SPACING).certified_on)
-    assert_type(warp_peri.onto_lattice(test, spacing=SPACING), warp_peri.Samples)
+    fine = assert_type(transfers.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
+    print(fine.transferred_from, model.on(test).model.horizon)
+    print(transfers.one_kernel(model, horizon=3 * SPACING).certified_on)
+    assert_type(transfers.onto_lattice(test, spacing=SPACING), warp_peri.Samples)
     x = SPACING * np.argwhere(np.ones((41, 41), bool)) - 20 * SPACING
     wide = warp_peri.Points(x, np.abs(x).max(axis=1) <= 3, SPACING)
-    through = warp_peri.ThroughLattice(model, wide, spacing=SPACING)
-    print(assert_type(through.figures().smallest_eigenvalue, float))
+    print(model.on(wide).model.horizon)
     coarse(test.x, test.x[test.interior])
-    scene = warp_peri.Scene(size=(100.0, 100.0), shortest_wave=50.0)
-    choice = assert_type(warp_peri.choose_model(tolerance=0.05, scene=scene), warp_peri.Choice)
+    scene = Scene(size=(100.0, 100.0), shortest_wave=50.0)
+    choice = assert_type(warp_peri.choose_model(tolerance=0.05, scene=scene), Choice)
     print(assert_type(choice.method, str))
     try:
-        warp_peri.load_model(folder / "none.json")
+        warp_peri.load(folder / "none.json")
     except warp_peri.InputError as error:
         print(error)
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
-from warp_peri import InputError, Points, Samples, onto_lattice
+from warp_peri import InputError, Points, Samples
 from warp_peri.points.interpolation import interpolation, mean_spacing
+from warp_peri.transfers import onto_lattice
 
 
 def cloud(half=9, shift=0.35, seed=0):

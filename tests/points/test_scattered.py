@@ -10,11 +10,14 @@ from scipy.spatial import cKDTree
 from tests.support import reference
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, QUADRATURE, ROUNDING, kernel, lattice, noise
-from warp_peri import InputError, LPSOperator, Points, solvability, solve
+from tests.support.solving import solve
+from warp_peri import InputError, Points
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, families_of
 from warp_peri.points.quadrature import quadrature_weights
 from warp_peri.points.scattered import neighbours, reverse_bonds
+from warp_peri.proofs import solvability
+from warp_peri.transfer.operator import LPSOperator
 
 RANDOM = np.random.default_rng(3)
 CLOUDS = {

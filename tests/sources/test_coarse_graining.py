@@ -5,7 +5,11 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import ROUNDING
-from warp_peri import InputError, coarse_grain, smoothing_matrix
+from warp_peri import InputError
+from warp_peri.atoms import coarse_grain, smoothing_matrix
+from warp_peri.points.outlines import Circle, mesh_outline
+from warp_peri.points.outlines import box as rectangle
+from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM, force_on_mesh
 
 RANDOM = np.random.default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes
@@ -23,7 +27,7 @@ def nodes(low, high):
 def test_is_the_brute_force_sum(shape, box, spacing):
     where = nodes(-2, 6) + 0.1  # beyond the box on both sides
     weights = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
-    expected = reference.smoothing(ATOMS, where, 4.0, shape, box, spacing)
+    expected = reference.smoothing(ATOMS, where, 4.0, shape, box, H if box else spacing)
     np.testing.assert_allclose(weights.toarray(), expected, rtol=0, atol=ROUNDING)
 
 
@@ -33,7 +37,7 @@ def test_every_atom_is_shared_out_completely(shape):
     np.testing.assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
     few = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape)
     np.testing.assert_allclose(few.sum(axis=0), 1, rtol=ROUNDING)
-    periodic = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape, box=BOX)
+    periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, shape=shape, box=BOX)
     np.testing.assert_allclose(periodic.sum(axis=0), 1, rtol=ROUNDING)
 
 
@@ -45,6 +49,26 @@ def test_periodic_images_of_a_commensurate_box_carry_equal_values():
     for a, b in ((4, 0), (0, 4), (4, 4)):
         np.testing.assert_allclose(grid[a : a + 4, b : b + 4], grid[:4, :4], atol=ROUNDING)
     np.testing.assert_allclose(grid[:4, :4].sum((0, 1)), 1, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("low", [0, -3], ids=["one period", "beyond the box"])
+def test_force_is_kept_in_each_period_without_a_spacing(low):
+    """Nodes beyond the box are images of others: no atom is shared out among both."""
+    box, where = (4 * H, 4 * H), nodes(low, 4 - low)
+    omega = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box)
+    inside = ((where > -1e-9) & (where < 4 * H - 1e-9)).all(axis=1)
+    np.testing.assert_allclose(omega[inside].sum(axis=0), 1, rtol=ROUNDING)
+    exact = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box, spacing=H)
+    np.testing.assert_allclose(omega.toarray(), exact.toarray(), rtol=0, atol=ROUNDING)
+
+
+def test_nodes_beyond_a_box_that_are_on_no_lattice_are_refused():
+    loose = nodes(-3, 7) + np.random.default_rng(0).normal(size=(100, 2))
+    with pytest.raises(InputError, match="nodes: some are periodic images of others"):
+        smoothing_matrix(ATOMS, loose, radius=4.0, box=BOX)
+    few = smoothing_matrix(ATOMS, loose[45:55] % 5.0, radius=8.0, box=BOX)
+    np.testing.assert_allclose(few.sum(axis=0)[few.sum(axis=0) > 0], 1, rtol=ROUNDING)
+    smoothing_matrix(ATOMS, loose, radius=4.0, box=BOX, density=True)
 
 
 def test_an_atom_on_a_node_and_one_at_the_radius():
@@ -162,3 +186,62 @@ def test_a_density_integrates_to_one_over_nodes(shape):
     np.testing.assert_allclose(omega.sum(axis=0) * 0.01, 1.0, rtol=1e-4)
     with pytest.raises(InputError, match="density"):
         smoothing_matrix(atoms, nodes, radius=8.0, spacing=0.1, density=True)
+
+
+HOLE = mesh_outline(rectangle(60.0, 50.0), [Circle(12.0, size=5.0)], size=8.0)
+"""A plate around a hole."""
+BODY = RANDOM.uniform(-0.5, 0.5, (2000, 2)) * (60.0, 50.0)
+BODY = BODY[np.hypot(*BODY.T) > 11.5]  # some of them in the hole
+PUSH = RANDOM.normal(size=BODY.shape)
+
+
+def work_of(b, v):
+    """∫ b · v dx for b and v linear on the triangles, by the midpoints of their sides [TPa Å³]."""
+    corners = HOLE.x[HOLE.triangles]
+    area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
+    middles = (corners + np.roll(corners, 1, axis=1)) / 2
+    products = (b(middles.reshape(-1, 2)) * v(middles.reshape(-1, 2))).sum(axis=1)
+    return area @ products.reshape(-1, 3).mean(axis=1)
+
+
+@pytest.mark.parametrize(
+    "v",
+    [
+        pytest.param(lambda x: 0 * x + (1.0, 0.0), id="force along x"),
+        pytest.param(lambda x: 0 * x + (0.0, 1.0), id="force along y"),
+        pytest.param(lambda x: x[:, ::-1] * (-1.0, 1.0), id="moment"),
+        pytest.param(lambda x: x @ [[0.3, -1.0], [0.7, 0.2]] + 0.5, id="any affine field"),
+    ],
+)
+def test_force_on_a_mesh_with_a_hole_does_the_work_of_the_atoms(v):
+    assert (HOLE.holding(BODY) < 0).sum() > 5
+    b = force_on_mesh(HOLE, BODY, PUSH, thickness=2.0)
+    expected = np.vdot(PUSH, v(BODY))
+    work = work_of(b, v) * 2.0 / EV_PER_CUBIC_ANGSTROM
+    assert work == pytest.approx(expected, abs=1e-9 * np.abs(PUSH).sum())
+
+
+def test_force_on_a_mesh_is_no_weaker_beside_edges():
+    line = np.arange(-29.75, 30, 0.5)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = x[HOLE.holding(x) >= 0]
+
+    def given(x):
+        return x @ [[0.1, 0.2], [-0.3, 0.4]] + (20.0, 30.0)
+
+    b = force_on_mesh(HOLE, x, 0.25 * given(x) / EV_PER_CUBIC_ANGSTROM, thickness=1.0)
+    np.testing.assert_allclose(b(HOLE.x), given(HOLE.x), rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("atoms", "force", "thickness", "message"),
+    [
+        ([[0.0, 20.0], [90.0, 0.0]], np.ones((2, 2)), 1.0, "atoms: 1 lie outside the mesh"),
+        ([[0.0, 20.0]], np.ones((2, 2)), 1.0, r"force: expected shape \[1, 2\], got \[2, 2\]"),
+        ([[0.0, 20.0]], [[np.nan, 0]], 1.0, "force: expected finite values"),
+        ([[0.0, 20.0]], [[1.0, 0]], 0.0, "thickness: expected a length > 0"),
+    ],
+)
+def test_what_cannot_push_a_mesh(atoms, force, thickness, message):
+    with pytest.raises(InputError, match=message):
+        force_on_mesh(HOLE, atoms, force, thickness=thickness)

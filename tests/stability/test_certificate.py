@@ -7,12 +7,13 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import KERNELS, MU, difference, ell, kernel, lattice
-from warp_peri import InputError, LPSOperator, Model, certify
+from warp_peri import InputError, Model, certify
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.stability import proof
 from warp_peri.stability.proof import proven_bound, taylor_radius
+from warp_peri.transfer.operator import LPSOperator
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]

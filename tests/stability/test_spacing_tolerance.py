@@ -7,12 +7,14 @@ import pytest
 import scipy.linalg
 
 from tests.support.problems import ROUNDING, lattice, noise
-from warp_peri import InputError, LPSOperator, Model, certify, solve, solve_periodic
+from tests.support.solving import solve, solve_periodic
+from warp_peri import InputError, Model, certify
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.operator.matrices import matrices
+from warp_peri.operator.stress import node_fields
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stress import node_fields
+from warp_peri.transfer.operator import LPSOperator
 
 SPACING, HORIZON = 5.0, 12.5
 WITHIN = [1 - 0.99e-6, 1 - 5e-7, 1 + 5e-7, 1 + 0.99e-6]

@@ -8,10 +8,10 @@ from scipy.sparse.linalg import splu
 
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
-from warp_peri import uniqueness
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.symbol import stiffnesses, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
+from warp_peri.proofs import uniqueness
 from warp_peri.stability.uniqueness import curvature_bound, largest_parts, proven_kappa
 
 HORIZON = 3.0
@@ -20,7 +20,7 @@ SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 def certified(form):
     """A model and its guarantee."""
-    model = solid(form, axis=0.2)
+    model = solid(form)
     model = replace(model, linear=replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0]))
     proof = uniqueness(model, spacing=1.0)
     return replace(model, proven={"1": proof.figures()}), proof

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.support.problems import LAM, MU, ORDER, fitted_order, kernel, lattice
-from warp_peri import LPSOperator, solve
+from tests.support.solving import solve
+from warp_peri.transfer.operator import LPSOperator
 
 SPACINGS = 1 / np.array([6, 12, 24])
 

@@ -8,7 +8,8 @@ import pytest
 
 from tests.support import clouds
 from tests.support.problems import fitted_order, lattice
-from warp_peri import solvability, solve
+from tests.support.solving import solve
+from warp_peri.proofs import solvability
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 LENGTH, MU = 2.0, 0.8

@@ -47,6 +47,41 @@ def test_one_material_is_the_plain_operator():
         bond_modulus(body, -np.ones(64))
 
 
+@pytest.mark.parametrize("between", [-2.0, 0.0, np.nan, np.inf])
+def test_moduli_between_the_nodes_are_looked_at(between):
+    body, model = plate(8, 8), solid(3.0).model
+    w = bond_weights(model, body.classes)
+    middle = lambda place: np.abs(place[..., 0]) < 0.2  # nodes are at ± 0.5
+
+    def field(place):
+        return np.where(middle(place), between, 1.0)
+
+    assert (field(body.x) == 1).all()
+    with pytest.raises(InputError, match=f"mu: expected values > 0 .* got {between:g}"):
+        bond_modulus(body, field)
+    with pytest.raises(InputError, match=f"of one sign everywhere .* got {between:g}"):
+        ball_excess(body, w, field)
+    with pytest.raises(InputError, match="of one sign everywhere .* got 2"):
+        ball_excess(body, w, lambda place: np.where(middle(place), 2.0, -1.0))
+    outside = lambda place: np.where(np.abs(place[..., 0]) > 4, between, 1.0)  # no bond goes there
+    there = body.neighbour >= 0
+    np.testing.assert_allclose(bond_modulus(body, outside)[there], 1.0)
+
+
+def test_values_by_node_are_not_in_series():
+    body = plate(6, 6)
+    values = np.linspace(1, 2, 36)
+    with pytest.raises(InputError, match='mean="series" reads a function .* got values by node'):
+        bond_modulus(body, values)
+    i, b = np.argwhere(body.neighbour >= 0)[7]
+    ends = values[[i, body.neighbour[i, b]]]
+    harmonic = bond_modulus(body, values, "harmonic")[i, b]
+    assert harmonic == pytest.approx(2 * ends.prod() / ends.sum())
+    for wrong, words in ((values[:5], r"expected shape \[36\], got \[5\]"), (-values, "> 0")):
+        with pytest.raises(InputError, match=f"mu: .*{words}"):
+            bond_modulus(body, wrong, "harmonic")
+
+
 def square_error(cells, lam, edge):
     """A smooth field with its load, or uniaxial stress below a free edge: error of u."""
     h = 1 / cells

@@ -8,16 +8,19 @@ import pytest
 
 from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, noise, smooth
-from warp_peri import InputError, NonlinearRecord, solve, solve_nonlinear, uniqueness
+from tests.support.solving import solve, solve_nonlinear
+from warp_peri import InputError
 from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.proofs import uniqueness
 from warp_peri.statics import nonlinear as statics
+from warp_peri.statics.nonlinear import NonlinearRecord
 
 HORIZON = 3.0
 
 
 def proven(form):
     """A model with its guarantee."""
-    model = solid(form, axis=0.0)
+    model = solid(form)
     linear = replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0])
     model = replace(model, linear=linear)
     return replace(model, proven={"1": uniqueness(model, spacing=1.0).figures()})

@@ -9,7 +9,8 @@ import torch
 from tests.statics.test_nonlinear import problem, proven
 from tests.support.nonlinear import FORMS
 from tests.support.problems import difference, noise
-from warp_peri import NonlinearOperator, solve_nonlinear
+from tests.support.solving import solve_nonlinear
+from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.statics.nonlinear_gradient import nonlinear_equilibrium
 
 

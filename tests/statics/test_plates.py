@@ -1,6 +1,7 @@
 """Bodies with holes by elements at the outline and the learned operator inside."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -157,6 +158,22 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
         solution = solve_body(model, mesh, displacement={"sides": lambda x: field(x)[0]})
     assert solution.points is None
     assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
+
+
+def test_elements_alone_name_a_spacing_that_gives_the_lattice_room(model):
+    """The spacing that is named serves."""
+    mesh = mesh_outline(box(30, 30), [], size=1.0)
+    held = {"left": (0, 0)}
+    with pytest.warns(UserWarning, match="elements alone") as caught:
+        solve_body(model, mesh, displacement=held, coupling=Coupling(spacing=SPACING, overlap=9.0))
+    (said,) = [str(each.message) for each in caught if "alone" in str(each.message)]
+    spacing = float(re.search(r"Coupling\(spacing=([0-9.]+)\) or less", said)[1])
+    coupling = Coupling(spacing=spacing, overlap=9.0)
+    with pytest.warns(UserWarning, match="transferred from") as caught:
+        assert solve_body(model, mesh, displacement=held, coupling=coupling).points is not None
+    assert all(str(each.message).startswith("transferred from") for each in caught)
+    with pytest.warns(UserWarning, match=r"Room for the lattice: a body [0-9.]+ times as large"):
+        solve_body(model, mesh, displacement=held, coupling=Coupling(spacing=1.0, overlap=16.0))
 
 
 def test_a_narrow_strip_with_a_small_hole_is_solved_by_elements_alone(model):

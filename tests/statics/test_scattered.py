@@ -8,7 +8,10 @@ import torch
 
 from tests.points.test_interpolation import cloud
 from tests.support.problems import kernel, lattice
-from warp_peri import InputError, LPSOperator, Points, Samples, ThroughLattice, evaluate, solve
+from tests.support.solving import solve
+from warp_peri import InputError, Points, Samples, evaluate
+from warp_peri.statics.scattered import ThroughLattice
+from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.waves import dispersion
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
@@ -78,7 +81,7 @@ def test_own_numbers_and_refusal_stay(operator):
     u, b = waves(operator.points.x)
     with pytest.raises(InputError, match="certified on 1 Å, not on scattered points"):
         solve(HOME, operator.points, b, u, transfer=False)
-    with pytest.raises(InputError, match="method: expected auto or lu on scattered points"):
+    with pytest.raises(InputError, match="solver: expected Direct.. on scattered points"):
         solve(HOME, operator.points, b, u, method="gmres")
 
 

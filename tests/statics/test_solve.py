@@ -7,9 +7,12 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
-from warp_peri import InputError, LPSOperator, Model, solve, solve_periodic
+from tests.support.solving import solve, solve_periodic
+from tests.support.solving import solve as at_rest
+from warp_peri import InputError, Model, Periodic, Points
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
+from warp_peri.transfer.operator import LPSOperator
 
 SOLVABLE = ("1/r", "steep", "positive", "growing", "sign-changing")
 HORIZON = 3.0  # at which all of them are
@@ -116,10 +119,17 @@ def test_arrays_that_do_not_fit_are_refused(b, u, words):
         solve(kernel("1/r", HORIZON), lattice(2, HORIZON), b, u)
 
 
-@pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((8, 8)), np.full((8, 8, 2), np.nan)])
+@pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((64, 3)), np.full((64, 2), np.nan)])
 def test_sheets_that_do_not_fit_are_refused(b):
-    with pytest.raises(InputError, match=r"b: expected finite values of shape \[..., n1, n2, 2\]"):
-        solve_periodic(kernel("1/r", HORIZON), b, spacing=1.0)
+    with pytest.raises(InputError, match="b, u_collar: expected"):
+        at_rest(kernel("1/r", HORIZON), Periodic(Points.sheet((8, 8), 1.0), b))
+
+
+@pytest.mark.parametrize("change", [{"box": None}, {"box": (9.0, 8.0)}])
+def test_a_sheet_must_fill_its_box(change):
+    points = replace(Points.sheet((8, 8), 1.0), **change)
+    with pytest.raises(InputError, match="points: expected"):
+        at_rest(kernel("1/r", HORIZON), Periodic(points, np.zeros((64, 2))))
 
 
 def test_a_collar_that_is_too_thin_is_refused():

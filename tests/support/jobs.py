@@ -30,8 +30,8 @@ def sweep(folder):
     """Six fits and the choice."""
     from dataclasses import asdict
 
-    from warp_peri import sweep as run
     from warp_peri.files.atomic import write_json
+    from warp_peri.methods import sweep as run
 
     trials = run(
         problem(0), problem(1), folder / "fits", horizons=(2.0, 2.5), degrees=(0, 1, 2), jobs=1
@@ -42,12 +42,14 @@ def sweep(folder):
 
 def training(folder):
     """All three stages, with a checkpoint."""
-    from warp_peri import Bernstein, Constrained, TwoStage, fit
+    from warp_peri import Bernstein
+    from warp_peri.learning.fit import learn as fit
+    from warp_peri.methods import Constrained, TwoStage
 
     lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
     stages = TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
     learned = fit(problem(), 2.5, Bernstein(4), method=Constrained(stages))
-    learned.model.save(folder / "model.json")
+    learned.material.save(folder / "model.json")
     return ["model.json", "state.npz"]
 
 

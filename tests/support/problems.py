@@ -18,6 +18,8 @@ ORDER = 1.9
 """Least fitted order of what converges with the square of the spacing."""
 
 LAM, MU = 0.3, 0.8
+AXIS = 0.3
+"""Of the crystal on all lattices [rad]; linear solids know of none."""
 
 KERNELS = {
     "1/r": {"alpha": 1.0, "D": [1.0]},
@@ -43,7 +45,8 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=(0.0, 0.0)):
     mask = np.pad(mask, pad)
     steps = np.argwhere(np.ones_like(mask)) - pad
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return Points(spacing * steps @ turn.T + origin, mask.ravel(), spacing)
+    x = spacing * steps @ turn.T + origin
+    return Points(x, mask.ravel(), spacing, axis=np.rad2deg(AXIS))
 
 
 def ell():
@@ -58,7 +61,8 @@ def periodic(shape, spacing=1.0):
     """A periodic square lattice, all of it interior, and its box."""
     steps = np.argwhere(np.ones(shape))
     box = (spacing * shape[0], spacing * shape[1])
-    return Points(spacing * steps, np.ones(len(steps), bool), spacing, box=box), box
+    inside = np.ones(len(steps), bool)
+    return Points(spacing * steps, inside, spacing, box=box, axis=np.rad2deg(AXIS)), box
 
 
 def noise(points, samples=None, seed=0):
@@ -79,7 +83,7 @@ def smooth(x, samples, seed=0, wave_number=1.2):
 
 def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
-    from warp_peri import LPSOperator
+    from warp_peri.transfer.operator import LPSOperator
 
     u = smooth(points.x, samples, seed, wave_number)
     b = np.zeros_like(u)

@@ -5,8 +5,9 @@ import re
 import sys
 import time
 
-from warp_peri import InputError, load_dataset, load_model
-from warp_peri.points.dataset_file import content_hash
+from warp_peri import InputError
+from warp_peri.models.lps import load_model
+from warp_peri.points.dataset_file import content_hash, load_dataset
 
 
 def peak():

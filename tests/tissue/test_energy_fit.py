@@ -28,14 +28,14 @@ def samples():
 
 def test_least_squares_finds_the_truth(samples):
     fit = fit_energy(samples, hgo_dictionary(), ridge=0.0)
-    np.testing.assert_allclose(fit.solid.coefficients, TRUTH, rtol=1e-6)
+    np.testing.assert_allclose(fit.material.coefficients, TRUTH, rtol=1e-6)
     assert fit.residual < 1e-8
-    assert 1.1 < fit.solid.stretch < 1.8
+    assert 1.1 < fit.material.stretch < 1.8
 
 
 def test_signs_are_kept_and_bounds_too(samples):
     fit = fit_energy(samples, hgo_dictionary(), positive=True, stiffness=0.12)
-    c = fit.solid.coefficients
+    c = fit.material.coefficients
     assert (c[:4] >= 0.12).all()
     assert (c >= 0).all()
     assert fit.residual < 0.2
@@ -58,12 +58,12 @@ def test_waves_are_stable_where_they_are_asked_to_be(samples):
     assert shortest_margin(HyperelasticSolid(bare, SOFT, 0.1), strong).min() < -0.1
     fit = fit_energy(samples, with_corners(hgo_dictionary()), positive=True, stable=0.05)
     assert fit.margin >= 0.98 * 0.05
-    assert (fit.solid.coefficients >= 0).all()
+    assert (fit.material.coefficients >= 0).all()
     assert fit.residual < 0.2
-    op = HyperelasticOperator(fit.solid.dictionary, samples)
+    op = HyperelasticOperator(fit.material.dictionary, samples)
     seen = strains_of(op, samples, 5)
     np.testing.assert_allclose(seen[0], np.eye(2), atol=2e-5)
-    assert shortest_margin(fit.solid, seen).min() > 0.04
+    assert shortest_margin(fit.material, seen).min() > 0.04
 
 
 def test_fibres_are_slack_at_rest(samples):

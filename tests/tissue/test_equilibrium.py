@@ -1,17 +1,21 @@
 """Equilibria at large deformation: found, stable, the same by factors and by gradients."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary, square, waves
-from warp_peri import InputError
+from warp_peri import InputError, Samples
 from warp_peri.tissue.equilibrium import (
     NoEquilibrium,
     StaticProblem,
     solve_hyperelastic,
 )
+from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.tissue.stretch_range import largest_stretch
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 
@@ -137,3 +141,20 @@ def test_a_corner_that_is_turned_over_is_no_equilibrium():
     answer = problem.find(c, None, np.zeros_like(u), start=u)
     assert answer is None or op.folded(answer.u) == 0
     assert np.abs(problem.solve(c, None, np.zeros_like(u)).u).max() < 1e-12
+
+
+def test_stretches_beyond_the_training_data_warn(manufactured):
+    op, u, b = manufactured
+    reached = largest_stretch(op, u)
+    assert reached > 1.05
+    samples = Samples(op.points, u[None], b[None])
+    known = HyperelasticSolid(hgo_dictionary(), COEFFICIENTS, op.points.spacing, reached)
+    assert np.allclose(solve_hyperelastic(known, op.points, b, u).u, u)
+    hyperelastic_errors(known, samples)
+    less = replace(known, stretch=1.02)
+    said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
+    with pytest.warns(UserWarning, match=said):
+        solve_hyperelastic(less, op.points, b, u)
+    for solve in (True, False):
+        with pytest.warns(UserWarning, match=said):
+            hyperelastic_errors(less, samples, solve=solve)

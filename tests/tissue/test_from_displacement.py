@@ -55,16 +55,16 @@ def frames():
 def test_ratios_are_found_and_the_scale_is_one(frames):
     fit = fit_displacement(frames, sheet(), stiffness=0.0, most_steps=20, tolerance=1e-9)
     measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
-    assert measure @ fit.solid.coefficients == pytest.approx(1.0)
+    assert measure @ fit.material.coefficients == pytest.approx(1.0)
     np.testing.assert_allclose(
-        fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
+        fit.material.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
     )
     assert fit.errors.max() < 1e-5
 
 
 def test_deviations_stay_between_their_bounds(frames):
     fit = fit_displacement(frames, sheet(), stiffness=(0.1, 0.12), most_steps=4)
-    deviations = fit.solid.coefficients[:4]
+    deviations = fit.material.coefficients[:4]
     assert deviations.min() > 0.1 - 1e-6
     assert deviations.max() < 0.12 + 1e-6
 
@@ -72,7 +72,7 @@ def test_deviations_stay_between_their_bounds(frames):
 def test_direction_and_exponent_are_found(frames):
     start = sheet(TRUE_ANGLE + 0.3, 1.0)
     fit = fit_displacement(frames, start, stiffness=0.0, moving=True, most_steps=30, tolerance=1e-6)
-    fibre = fit.solid.dictionary.terms[1]
+    fibre = fit.material.dictionary.terms[1]
     assert fibre.angle == pytest.approx(TRUE_ANGLE, abs=1e-3)
     assert fibre.exponent == pytest.approx(TRUE_EXPONENT, abs=2e-2)
 
@@ -119,7 +119,7 @@ def test_thickness_and_material_are_found_together(uneven_frames):
     assert even.history[-1] > 0.003
     np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-3)
     np.testing.assert_allclose(
-        fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
+        fit.material.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
     )
 
 
@@ -129,7 +129,7 @@ def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):
     fit = fit_thickness(frames, solid)
     np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-5)
     measure = initial_stiffness(HyperelasticOperator(sheet(), frames))
-    np.testing.assert_allclose(fit.solid.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-12)
+    np.testing.assert_allclose(fit.material.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-12)
     uneven = hyperelastic_errors(solid, frames, thickness=thickness.at(frames.x))["E_u"]
     assert uneven < 1e-6
     assert hyperelastic_errors(solid, frames)["E_u"] > 0.003

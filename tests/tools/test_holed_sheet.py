@@ -32,7 +32,7 @@ def test_a_plate_at_rest_is_pulled_and_kept(samples):
     assert len(kept) == len(files) - 1
 
 
-def test_waves_push_no_edge_and_nothing_as_a_whole():
+def test_waves_push_nothing_as_a_whole_and_long_ones_no_edge():
     plate = Plate((60.0, 60.0), 10.0)
     x = plate.positions(bond_length())
     b = Wave(0).density(plate, x)
@@ -41,6 +41,10 @@ def test_waves_push_no_edge_and_nothing_as_a_whole():
     assert abs(np.vdot(turn, b)) < 1e-9
     assert (b[plate.edge_distance(x) < 10] == 0).all()
     assert np.abs(b).max() > 1e-5
+    short = Wave(2).density(plate, x)
+    assert np.abs(short.sum(axis=0)).max() < 1e-12
+    assert abs(np.vdot(turn, short)) < 1e-9
+    assert np.abs(short[plate.edge_distance(x) < 5]).max() > np.abs(short).max() / 2
     pull = EndsPulled(1).density(plate, x)
     assert (pull[np.abs(x[:, 1]) < 50] == 0).all()
 

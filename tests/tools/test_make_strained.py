@@ -6,7 +6,8 @@ import pytest
 import tools.make_graphene as base
 import tools.make_strained as tool
 from tools.loads import PatchLoad, RimLoad
-from warp_peri import InputError, load_dataset
+from warp_peri import InputError
+from warp_peri.points.dataset_file import load_dataset
 
 
 @pytest.fixture

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tools.networks import lennard_jones, make_dumps, springs
-from warp_peri import Bernstein, evaluate, fit, load_dataset
+from warp_peri import Bernstein, evaluate
 from warp_peri.cli.main import main
+from warp_peri.learning.fit import learn as fit
+from warp_peri.points.dataset_file import load_dataset
 
 
 def sampled(folder, network, *, force=1.0):
@@ -39,6 +41,6 @@ def test_constants_from_dumps_are_those_of_the_statics(tmp_path, capsys):
     true = {name: force * value for name, value in sheet.moduli().items()}
     for name in ("C11", "C12", "C44"):
         assert learned.moduli[0][name] == pytest.approx(true[name], rel=0.03)
-    assert learned.model.mu == pytest.approx(true["C44"], rel=0.03)
-    assert learned.model.lam == pytest.approx(true["C12"], rel=0.03)
-    assert evaluate(learned.model, data)["E_u"] < 0.01
+    assert learned.material.mu == pytest.approx(true["C44"], rel=0.03)
+    assert learned.material.lam == pytest.approx(true["C12"], rel=0.03)
+    assert evaluate(learned.material, data)["E_u"] < 0.01

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice
-from warp_peri import Bernstein, InputError, LPSOperator, Samples, fit, on_lattice
+from warp_peri import Bernstein, InputError, Samples
+from warp_peri.learning.fit import learn as fit
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.wave_number import largest_wave_number
 from warp_peri.transfer.lattice import TOLERANCE
+from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, wave_vectors
+from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 
@@ -126,5 +129,5 @@ def test_a_fit_remembers_its_shortest_wave():
     k = np.array([[0.9, 0.0], [0.5, 1.1]])
     u = np.cos(points.x @ k.T).T[:, :, None] * (1.0, 0.5)
     b = np.einsum("sab,snb->sna", dispersion(kernel("1/r", 2.0), 1.0, k), u)
-    model = fit(Samples(points, u, b), 2.0, Bernstein(2)).model
+    model = fit(Samples(points, u, b), 2.0, Bernstein(2)).material
     assert model.largest_wave_number == pytest.approx(np.hypot(0.5, 1.1), rel=0.05)

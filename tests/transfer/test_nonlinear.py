@@ -8,8 +8,8 @@ import pytest
 
 from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import lattice
-from warp_peri import uniqueness
 from warp_peri.points.families import bond_classes
+from warp_peri.proofs import uniqueness
 from warp_peri.transfer.nonlinear import nonlinear_for
 
 LAM = {"energy": -0.1, "filtered": -0.2}

@@ -10,22 +10,17 @@ import pytest
 import torch
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import (
-    InputError,
-    LPSOperator,
-    critical_time_step,
-    equilibrium,
-    evaluate,
-    load_model,
-    model_for,
-    on_lattice,
-    solve,
-    solve_periodic,
-)
-from warp_peri.models.lps import model_content
+from tests.support.solving import solve, solve_periodic
+from warp_peri import InputError, Points, evaluate
+from warp_peri.models.lps import load_model, model_content
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import families_of
+from warp_peri.proofs import critical_time_step
+from warp_peri.statics.equilibrium import equilibrium
 from warp_peri.transfer import cache as kept
+from warp_peri.transfer.operator import LPSOperator
+from warp_peri.transfer.points import model_for
+from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 ASKED = {"spacing": 0.8, "horizon": 1.6}
@@ -111,7 +106,7 @@ def test_everything_takes_points_of_another_spacing(points, file):
     assert table["transferred_from"] == 1.0
     assert table == evaluate(there, points)
     assert table["E_u"] < 1e-9
-    b = np.random.default_rng(0).normal(size=(12, 14, 2))
+    b = np.random.default_rng(0).normal(size=(24, 28, 2))
     sheet = solve_periodic(model, b, spacing=0.8)
     assert np.array_equal(sheet, solve_periodic(there, b, spacing=0.8))
     step = critical_time_step(model, spacing=0.8, density=1000.0)
@@ -144,3 +139,14 @@ def test_the_horizon_that_the_collar_carries():
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
     with pytest.warns(UserWarning, match="transferred"):
         assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.8])
+def test_nodes_around_a_free_edge_are_told_of_it(file, spacing):
+    """At home and on a lattice that the model is carried to."""
+    x = spacing * np.argwhere(np.ones((24, 24)))
+    x = x[np.linalg.norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
+    inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
+    holed = Points(x=x, interior=inside, spacing=spacing)
+    with pytest.raises(InputError, match=r"edge.* solve_body"):
+        solve(load_model(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))

@@ -114,6 +114,7 @@ def evaluate(command: ArgumentParser) -> None:
         metavar="NAME",
         help="sets to evaluate; by default all, and those that cannot be are reported as errors",
     )
+    _axis(command)
     _uncertified(command)
 
 
@@ -126,6 +127,7 @@ def solve(command: ArgumentParser) -> None:
     command.add_argument("--set", default="test")
     command.add_argument("--out", required=True, type=Path, help="SOLVED.h5; of a body SOLVED.vtu")
     command.add_argument("--method", default="auto", help="of the solver")
+    _axis(command)
     body = command.add_argument_group("a body with an outline, in place of DATA.h5")
     body.add_argument("--body", type=Path, metavar="MESH", help="a plane mesh in Å, as of Gmsh")
     body.add_argument(
@@ -156,6 +158,7 @@ def export(command: ArgumentParser) -> None:
         help="fields: a .vtu file a sample, or one .xdmf file with samples as time steps",
     )
     command.add_argument("--data", type=Path, metavar="DATA.h5", help="nodes, loads and collar")
+    _axis(command)
     command.add_argument("--set", default="test")
     command.add_argument("--spacing", type=float, help="influence: of the lattice [Å]")
     command.add_argument(
@@ -182,6 +185,16 @@ def sweep(command: ArgumentParser) -> None:
 def info(command: ArgumentParser) -> None:
     """The command that says what a file holds."""
     command.add_argument("file", type=Path)
+
+
+def _axis(command: ArgumentParser) -> None:
+    command.add_argument(
+        "--axis",
+        type=float,
+        metavar="DEGREES",
+        help="angle of the crystal's axis from the nodes' x axis, for laws that depend on "
+        "direction; by default the file's",
+    )
 
 
 def _uncertified(command: ArgumentParser) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
-from warp_peri.models.lps import load_model
+from warp_peri.storage import load
 
 
 def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
@@ -20,7 +20,6 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     Raises InputError for a data file beside the body, or neither, and another ending than .vtu.
     """
     from warp_peri.export import write_body
-    from warp_peri.points.mesh import load_mesh
     from warp_peri.statics.body import Coupling, solve_body
 
     if given.body is None or given.data is not None:
@@ -28,8 +27,8 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     if given.out.suffix != ".vtu":
         raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
     solution = solve_body(
-        load_model(given.model),
-        load_mesh(given.body),
+        load(given.model),
+        load(given.body),
         displacement=_vectors("hold", given.hold),
         traction=_vectors("pull", given.pull),
         coupling=Coupling(spacing=given.spacing, overlap=given.overlap),

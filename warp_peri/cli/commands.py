@@ -8,24 +8,25 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import warp_peri
+from warp_peri import atoms
 from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, locked, write_json
-from warp_peri.models.lps import Model
-from warp_peri.models.nonlinear import NonlinearModel, load_any
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import LENGTHS, symbols
 from warp_peri.sources.coarse_graining import smoothing_matrix
+from warp_peri.storage import load
 
 if TYPE_CHECKING:
     from warp_peri.learning.run import Run
@@ -66,10 +67,10 @@ def check_output(given: argparse.Namespace) -> None:
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     _take_sheet(given)
-    frame = next(warp_peri.dumps.dump_frames(given.reference))
+    frame = next(atoms.dump_frames(given.reference))
     reference, box = frame.x, None
     if given.box:
-        warp_peri.dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
+        atoms.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
         box = frame.box  # typed lengths are rounded
     limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
     if given.radius > limit:
@@ -78,20 +79,20 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = np.ones(len(reference))
     if given.mass:
-        mass = warp_peri.dumps.dump_masses(given.reference, given.mass)
+        mass = atoms.dump_masses(given.reference, given.mass)
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )
-    samples = warp_peri.dumps.coarse_grain_dumps(
+    samples = atoms.coarse_grain_dumps(
         given.dumps,
         omega,
         points,
-        warp_peri.dumps.Atoms(reference, mass, frame.ids, box),
+        atoms.Atoms(reference, mass, frame.ids, box),
         force=force,
         unloaded=given.unloaded or [],
-        average=warp_peri.dumps.Average(given.skip, given.iota),
+        average=atoms.Average(given.skip, given.iota),
         node_area=given.spacing**2,
         thickness=given.thickness,
         progress=not given.json,
@@ -145,15 +146,17 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning import methods
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.run import train
+    from warp_peri.stability.conditions import Conditions
 
     data = _dataset(given)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
-    kernel: warp_peri.Bernstein | warp_peri.InfluenceFunction
-    kernel = warp_peri.Bernstein(DEGREE if given.degree is None else given.degree)
+    kernel: methods.Kernel
+    kernel = methods.Bernstein(DEGREE if given.degree is None else given.degree)
     if given.influence:
         if given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
-        kernel = shape_of(given.influence, given.horizon, samples.spacing)
+        unit = symbols(data.units)[0]
+        kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
     with locked(given.out):
         run = train(
             samples,
@@ -162,15 +165,17 @@ def run_train(given: argparse.Namespace) -> Result:
             data.sets,
             noise=noise,
             method=methods.named(given.method, seed=given.seed),
-            conditions=warp_peri.Conditions(given.conditions, given.zeta),
+            conditions=Conditions(given.conditions, given.zeta),
             loss=given.loss,
             normalise=given.normalise,
             progress=not given.json,
         )
         metrics = training_metrics(run)
         if samples.spacing and len(samples) >= LEAST_SAMPLES:
-            diagnosis = diagnose(run.fit.model, samples, noise)
+            diagnosis = diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
+            if diagnosis.advice:
+                warnings.warn(diagnosis.advice, stacklevel=1)
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / f"{given.command}.toml")
@@ -179,7 +184,7 @@ def run_train(given: argparse.Namespace) -> Result:
 
 def training_metrics(run: Run) -> Result:
     """Constants, certificate and errors of a training run."""
-    model = run.fit.model
+    model = run.fit.material
     metrics: Result = {
         "units": list(model.units),
         "certified": bool(model.certified_on),
@@ -205,10 +210,27 @@ def training_metrics(run: Run) -> Result:
     return metrics
 
 
+def in_percent(metrics: Result) -> Result:
+    """What training prints: errors and shares in %, as `evaluate` does; JSON keeps fractions."""
+    shown: Result = {}
+    for key, value in metrics.items():
+        if key in ("E_res", "E_u"):
+            shown[f"{key} [%]"] = {
+                name: "–" if error is None else 100 * error for name, error in value.items()
+            }
+        elif key == "residual":
+            shown["why"] = value["why"]
+            shares = {name: 100 * share for name, share in value.items() if name != "why"}
+            shown["shares of the squared residual [%]"] = shares
+        else:
+            shown[key] = value
+    return shown
+
+
 def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
-    given_model = load_any(given.model)
-    model = given_model.linear if isinstance(given_model, NonlinearModel) else given_model
+    material = load(given.model)
+    model = linear_of(material)
     own = model.trained_on if model.transferred_from is None else model.certified_on
     spacings = given.spacing or list(own)
     if not spacings:
@@ -222,16 +244,28 @@ def run_certify(given: argparse.Namespace) -> Result:
             "statement": certificate.statement,
             **certificate.figures(),
         }
-        if isinstance(given_model, NonlinearModel):
-            proof = warp_peri.uniqueness(given_model, spacing=spacing)
+        if hasattr(material, "proven_strain"):
+            proof = warp_peri.proofs.uniqueness(material, spacing=spacing)
             proven[name]["nonlinear"] = proof.figures()
     return proven
 
 
+def _data_for(given: argparse.Namespace, model: Any) -> Dataset:
+    """The data in the units of a model, with the axis of its crystal where one was typed."""
+    data = load_dataset(given.data, units=model.units)
+    if given.axis is None:
+        return data
+    turned = {}
+    for name, samples in data.sets.items():
+        points = dataclasses.replace(samples.points, axis=given.axis)
+        turned[name] = dataclasses.replace(samples, points=points)
+    return dataclasses.replace(data, sets=turned)
+
+
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
-    model = load_any(given.model)
-    data = load_dataset(given.data, units=model.units)
+    model = load(given.model)
+    data = _data_for(given, model)
     given.unit = "{1}/{0}".format(*symbols(model.units))  # of E_res_abs, where it is printed
     tables: dict[str, dict[str, Any]] = {}
     for name in given.sets or data:
@@ -254,15 +288,12 @@ def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, or of a body with an outline, in a file."""
     if given.body is not None or given.data is None:
         return run_solve_body(given)
-    model = load_any(given.model)
-    data = load_dataset(given.data, units=model.units)
+    model = load(given.model)
+    data = _data_for(given, model)
     points = data[given.set]
-    fields = (points.loads, points.u)
     asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
-    if isinstance(model, NonlinearModel):
-        u = warp_peri.solve_nonlinear(model, points, *fields, **asked)
-    else:
-        u = warp_peri.solve(model, points, *fields, method=given.method, **asked)
+    problem = warp_peri.Dirichlet(points, points.loads, points.u)
+    u = warp_peri.solve(model, problem, solver=_solver(given.method, model), **asked).u
     solved = dataclasses.replace(points, u=u)
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
     with locked(given.out):
@@ -274,46 +305,55 @@ def run_solve(given: argparse.Namespace) -> Result:
     return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
 
 
+def linear_of(material: Any) -> Any:
+    """The linear solid of a material; InputError for a law that has none."""
+    if not hasattr(material, "linear"):
+        raise InputError(
+            f"model: expected a solid with a linear part, got {type(material).__name__}"
+        )
+    return material.linear
+
+
+def _solver(name: str, material: Any) -> Any:
+    """Settings of a solver by the name they have on the command line; nonlinear laws have one."""
+    from warp_peri.statics.settings import Direct, Krylov  # loads Warp
+
+    if name == "auto" or linear_of(material) is not material:
+        return None
+    return Direct(name == "gmres") if name in ("lu", "gmres") else Krylov(name)
+
+
 def run_export(given: argparse.Namespace) -> Result:
     """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
-    solid, settings = load_any(given.model), given.out.with_suffix(".export.toml")
-    model = solid.linear if isinstance(solid, NonlinearModel) else solid
+    material, settings = load(given.model), given.out.with_suffix(".export.toml")
+    model = linear_of(material)
     if given.what == "influence":
         if given.spacing is None and not model.trained_on:
             raise InputError("spacing: the model names no training lattice; give --spacing")
         spacing = model.trained_on[0] if given.spacing is None else given.spacing
         if given.transfer and not given.allow_uncertified and model.certified_on:
             at_home = model.is_certified_on(spacing)
-            model = model if at_home else warp_peri.on_lattice(model, spacing=spacing)
+            model = model if at_home else warp_peri.transfers.on_lattice(model, spacing=spacing)
         paths = [warp_peri.export.write_influence(given.out, model, spacing)]
     elif given.what == "kernel":
         horizon = model.horizon if given.horizon is None else given.horizon
-        many = warp_peri.one_kernel(model, horizon=horizon)
+        many = warp_peri.transfers.one_kernel(model, horizon=horizon)
         paths = [warp_peri.export.write_kernel(given.out, many)]
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = load_dataset(given.data, units=model.units)[given.set]
+        points = _data_for(given, model)[given.set]
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
         if given.what == "operator":
-            model = warp_peri.model_for(model, points, **asked)
+            model = model.on(points, **asked).model
             paths = [warp_peri.export.write_operator(given.out, model, points)]
         else:
             settings = given.out / "export.toml"
-            fields = (points.loads, points.u)
-            if isinstance(solid, NonlinearModel):
-                if not given.allow_uncertified:  # which solve warns of
-                    from warp_peri.transfer.nonlinear import nonlinear_for  # loads Warp
-
-                    solid = nonlinear_for(solid, points, **asked)
-                u = warp_peri.solve_nonlinear(solid, points, *fields, **asked)
-            else:
-                if not given.allow_uncertified:
-                    solid = warp_peri.model_for(solid, points, **asked)
-                u = warp_peri.solve(solid, points, *fields, **asked)
+            operator = material.on(points, **asked)
+            solved = warp_peri.solve(operator, warp_peri.Dirichlet(points, points.loads, points.u))
             with locked(given.out):
                 paths = warp_peri.export.write_fields(
-                    given.out, solid, points, u, format=given.format
+                    given.out, operator.model, points, solved.u, format=given.format
                 )
     keep(given, settings)
     return {"files": [str(path) for path in paths]}
@@ -322,7 +362,7 @@ def run_export(given: argparse.Namespace) -> Result:
 def run_sweep(given: argparse.Namespace) -> Result:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
     data = _dataset(given)
-    sweep = warp_peri.sweep(
+    sweep = warp_peri.methods.sweep(
         data[given.set],
         data[given.val],
         given.out,
@@ -348,10 +388,8 @@ def run_sweep(given: argparse.Namespace) -> Result:
 def run_info(given: argparse.Namespace) -> Result:
     """What a model or data file holds."""
     if given.file.suffix == ".json":
-        model = load_any(given.file)
-        if isinstance(model, NonlinearModel):
-            return nonlinear_summary(model)
-        return model_summary(model)
+        summary: Result = load(given.file).summary()
+        return summary
     data = load_dataset(given.file)
     return {
         "format": "data set",
@@ -360,38 +398,6 @@ def run_info(given: argparse.Namespace) -> Result:
         "density": data.density,
         "sets": {name: set_summary(data[name]) for name in data},
         "provenance": data.provenance,
-    }
-
-
-def nonlinear_summary(model: NonlinearModel) -> Result:
-    """Constants, guarantee and errors of a nonlinear model, and its linear part."""
-    return {
-        **model_summary(model.linear),
-        "format": f"model, nonlinear, {model.form} form",
-        "t3": model.t3,
-        "tq2": model.tq2,
-        "q3": model.q3,
-        "proven": model.proven,
-        "errors": model.errors,
-    }
-
-
-def model_summary(model: Model) -> Result:
-    """Constants, lattices and errors of a model."""
-    return {
-        "format": "model",
-        "units": list(model.units),
-        "lambda": model.lam,
-        "mu": model.mu,
-        "E": model.E,
-        "nu": model.nu,
-        "alpha": model.alpha,
-        "degree": model.degree,
-        "horizon": model.horizon,
-        "trained_on": list(model.trained_on),
-        "certified_on": list(model.certified_on),
-        "errors": model.errors,
-        "versions": model.versions,
     }
 
 

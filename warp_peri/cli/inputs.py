@@ -56,8 +56,10 @@ def node_lattice(spacing: float, reach: float, interior: float, *, round_body: b
     return Points(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
 
 
-def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFunction:
-    """The influence function of a name, or of a table in a .csv file for a lattice."""
+def shape_of(
+    name: str, horizon: float, spacing: float, unit: str
+) -> warp_peri.shapes.InfluenceFunction:
+    """The influence function of a name, or of a table in a .csv file for a lattice, in a unit."""
     if not name.endswith(".csv"):
         return warp_peri.shapes.named(name, horizon)
     from warp_peri.points.families import bond_classes
@@ -72,7 +74,8 @@ def shape_of(name: str, horizon: float, spacing: float) -> warp_peri.InfluenceFu
     longest = bond_classes(spacing, horizon).r[-1] if spacing else horizon
     if not r[-1] >= longest * (1 - 1e-6):
         raise InputError(
-            f"{name}: expected K out to the longest bond, {longest:g} Å, got it to {r[-1]:g} Å"
+            f"{name}: expected K out to the longest bond, {longest:g} {unit}, got it to "
+            f"{r[-1]:g} {unit}"
         )
     return shape
 

@@ -63,7 +63,7 @@ class _Defaults(argparse.ArgumentDefaultsHelpFormatter):
     """Help with the defaults of those options that have one."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        if action.default is None or action.const is True:
+        if action.default is None or isinstance(action.const, bool):  # a switch
             return action.help
         return super()._get_help_string(action)
 
@@ -93,6 +93,7 @@ def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
     elif given.command == "evaluate":
         _print_table(result, given.unit)
     else:
+        result = commands.in_percent(result) if given.command == "train" else result
         print("\n".join(map(_printable, commands.lines_of(result))))
 
 

@@ -33,6 +33,7 @@ class CutSolid:
 
     Attributes:
         matrix: L of (C4), symmetric, shape [2N, 2N].
+        left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
     with negative eigenvalues, and for a body of another horizon.
@@ -63,6 +64,7 @@ class CutSolid:
             check_cut(inner)
         self._inner = sp.csc_array(inner)
         self._factors = symmetric_factors(self._inner)
+        self.left = np.inf
 
     def solve(self, u: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
         """u at rest, shape [N, 2].
@@ -85,8 +87,10 @@ class CutSolid:
         right = (load - self.matrix @ solved)[self.free]
         x = self._factors.solve(right)
         size = np.linalg.norm(right)
-        if np.linalg.norm(self._inner @ x - right) > RESIDUAL * size:
+        left = float(np.linalg.norm(self._inner @ x - right))
+        if left > RESIDUAL * size:
             raise InputError("operator: the solve lost its digits; parts of the body hang loose")
+        self.left = left / float(size) if size else 0.0
         solved[self.free] = x
         return solved.reshape(-1, 2)
 
@@ -132,9 +136,15 @@ def check_pieces(body: Body, neighbour: np.ndarray, held: np.ndarray) -> None:
 
 
 def energy_release(
-    model: Model, body: Body, held: np.ndarray, u: np.ndarray, cracks: Sequence[Sequence[ArrayLike]]
+    model: Model,
+    body: Body,
+    held: np.ndarray,
+    u: np.ndarray,
+    cracks: Sequence[Sequence[ArrayLike]],
+    *,
+    b: np.ndarray | None = None,
 ) -> float:
-    """G by energies of cracks of several lengths at given displacement (C11).
+    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
 
     Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
     cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
@@ -143,35 +153,40 @@ def energy_release(
         model, body, held: as for CutSolid.
         u: with the given components, shape [N, 2].
         cracks: for each length its polylines, two or more; what longer ones add is the new area.
+        b: dead load, a body force density that stays as the crack grows [stress / length], shape
+            [N, 2]; its potential counts. None by default.
 
     Returns what is released per length added, by least squares [stress · length]; with two tips,
     of each.
 
-    Raises InputError for fewer than two lengths.
+    Raises InputError for fewer than two lengths, and as CutSolid and its `solve`.
     """
     energies, lengths = [], []
     for polylines in cracks:
         solid = CutSolid(model, body, held, cracks=polylines)
-        energies.append(solid.energy(solid.solve(u)))
+        rest = solid.solve(u, b)
+        work = 0.0 if b is None else body.spacing**2 * float(np.vdot(b, rest))
+        energies.append(solid.energy(rest) - work)
         corners = (np.diff(np.asarray(line, dtype=float), axis=0) for line in polylines)
         lengths.append(sum(float(np.hypot(*part.T).sum()) for part in corners))
     if len(set(lengths)) < 2:
         raise InputError(f"cracks: expected two lengths or more, got {lengths}")
     off = np.array(lengths) - np.mean(lengths)
-    return -float(off @ np.array(energies) / (off @ off))
+    return float(off @ np.array(energies) / -(off @ off)) + 0.0  # no −0
 
 
 def contour_integral(
     model: Model, body: Body, u: np.ndarray, tip: tuple[float, float], radii: tuple[float, float]
 ) -> float:
-    """J around the tip of a crack that comes from the left, as a domain integral (C12).
+    """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
-    Gradients are differences on a full rectangle of nodes, one-sided across the crack; the weight
-    falls from 1 to 0 between two squares about the tip.
+    From which of the four sides the crack comes is where the displacement jumps most. Gradients are
+    differences on a full rectangle of nodes, one-sided across the crack; the weight falls from 1 to
+    0 between two squares about the tip.
 
     Args:
         model: λ and μ.
-        body: a rectangle of nodes, the tip midway between rows.
+        body: a rectangle of nodes, the crack midway between two of their rows or columns.
         u: displacement, shape [N, 2].
         tip: where the crack ends.
         radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
@@ -198,6 +213,7 @@ def contour_integral(
     room = min(-x[0, 0], x[-1, 0], -y[0, 0], y[0, -1])
     if room < r2 - 1e-9 * h:
         raise InputError(f"radii: {r2:g} is more than from the tip to the edge, {room:g}")
+    field, x, y = _from_the_left(field, x, y, r2)
     gradient = crack_gradient(field, h, x[:, 0] < 0, int(np.count_nonzero(y[0] < 0)))
     strain = (gradient + gradient.swapaxes(-1, -2)) / 2
     stress = 2 * model.mu * strain
@@ -212,6 +228,27 @@ def contour_integral(
     pull = np.einsum("...ij,...i->...j", stress, gradient[..., 0])
     integrand = (density - pull[..., 0]) * slope[0] - pull[..., 1] * slope[1]
     return float(-integrand.sum() * h * h)
+
+
+def _from_the_left(
+    field: np.ndarray, x: np.ndarray, y: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacement and places about a tip, mirrored so that the crack comes from the left.
+
+    The jump across a half-line is what neighbours on both sides do not explain.
+    """
+    turned = field.swapaxes(0, 1)[..., ::-1], y.T, x.T
+    jumps, views = [], []
+    for values, ahead, up in ((field, x, y), turned):
+        steps, row = np.diff(values, axis=1), int(np.count_nonzero(up[0] < 0))
+        around = steps[:, max(row - 2, 0)] + steps[:, min(row, steps.shape[1] - 1)]
+        jump = np.square(steps[:, row - 1] - around / 2).sum(axis=1)
+        along = ahead[:, 0]
+        near = np.abs(along) <= reach
+        jumps += [jump[near & (along < 0)].sum(), jump[near & (along > 0)].sum()]
+        mirror = values[::-1] * (-1.0, 1.0), -ahead[::-1], up[::-1]
+        views += [(values, ahead, up), mirror]
+    return views[int(np.argmax(jumps))]
 
 
 def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:

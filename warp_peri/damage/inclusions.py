@@ -25,32 +25,58 @@ def bond_modulus(
 
     Args:
         body: the body.
-        mu: by node, shape [N], or a function of positions [..., 2], which "series" needs.
+        mu: a function of positions [..., 2]; or, other than for "series", by node, shape [N].
         mean: "series" reads the function along the bond and adds compliances; "harmonic" and
             "arithmetic" take the two ends.
 
-    Raises InputError for another mean or moduli not > 0.
+    Raises InputError for another mean, for values by node with "series", which must know what lies
+    between them, and where moduli that are read, at nodes or between, are not finite and > 0.
     """
     if mean not in MEANS:
         raise InputError(f"mean: expected one of {', '.join(MEANS)}, got {mean!r}")
     at_nodes = np.asarray(mu(body.x) if callable(mu) else mu, dtype=float)
-    if at_nodes.shape != (len(body.x),) or not (at_nodes > 0).all():
-        raise InputError(f"mu: expected values > 0 of shape [{len(body.x)}]")
+    if at_nodes.shape != (len(body.x),):
+        raise InputError(f"mu: expected shape [{len(body.x)}], got {list(at_nodes.shape)}")
+    _check_sign("mu: expected values > 0 that are finite", at_nodes, 1)
     far = np.maximum(body.neighbour, 0)
     near, other = at_nodes[:, None], at_nodes[far]
     if mean == "arithmetic":
         return np.asarray((near + other) / 2)
-    if mean == "harmonic" or not callable(mu):
+    if mean == "harmonic":
         return np.asarray(2 * near * other / (near + other))
-    return 1 / _compliance(body, mu)
+    if not callable(mu):
+        raise InputError(
+            'mu: mean="series" reads a function of positions along the bonds, got values by node; '
+            'mean="harmonic" takes these'
+        )
+    words = "mu: expected values > 0 that are finite all along the bonds"
+    return 1 / _compliance(body, mu, words, 1, body.neighbour >= 0)
 
 
-def _compliance(body: Body, field: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Mean of 1/field along each bond of the ball, shape [N, B]."""
+def _compliance(
+    body: Body,
+    field: Callable[[np.ndarray], np.ndarray],
+    words: str,
+    sign: float,
+    read: np.ndarray,
+) -> np.ndarray:
+    """Mean of 1/field along each bond of the ball, 1 where it is not read, shape [N, B].
+
+    Raises InputError with these words where a value that is read has not this sign.
+    """
     total = np.zeros(body.neighbour.shape)
     for place in (np.arange(SAMPLES) + 0.5) / SAMPLES:
-        total += 1 / field(body.x[:, None] + place * body.xi)
+        values = np.asarray(field(body.x[:, None] + place * body.xi), dtype=float)
+        values = np.where(read, values, sign)
+        _check_sign(words, values, sign)
+        total += 1 / values
     return total / SAMPLES
+
+
+def _check_sign(words: str, values: np.ndarray, sign: float) -> None:
+    if not (np.isfinite(values).all() and (np.sign(values) == sign).all()):
+        wrong = values[~(np.isfinite(values) & (np.sign(values) == sign))]
+        raise InputError(f"{words}, got {wrong[0]:g}")
 
 
 def ball_excess(
@@ -58,15 +84,18 @@ def ball_excess(
 ) -> np.ndarray:
     """λ − μ of each node, [Σ_b w r² (mean of 1/(λ−μ) along b)]⁻¹, shape [N] (C15).
 
-    Raises InputError where λ − μ has both signs or is zero; take it node by node there.
+    Raises InputError where λ − μ, at nodes or between, has both signs, is zero or not finite; take
+    it node by node there.
     """
-    signs = np.sign(excess(body.x))
-    if not (signs == signs[0]).all() or signs[0] == 0:
-        raise InputError(
-            "excess: expected λ − μ of one sign everywhere; its values at the nodes are the way "
-            "where it changes"
-        )
-    excess_of_balls: np.ndarray = 1 / (_compliance(body, excess) @ (weights * body.r**2))
+    at_nodes = np.asarray(excess(body.x), dtype=float)
+    sign = float(np.sign(at_nodes[0])) or 1.0  # zero is refused
+    words = (
+        "excess: expected λ − μ of one sign everywhere in the balls, finite; its values at the "
+        "nodes are the way where it changes"
+    )
+    _check_sign(words, at_nodes, sign)
+    compliance = _compliance(body, excess, words, sign, np.ones(body.neighbour.shape, bool))
+    excess_of_balls: np.ndarray = 1 / (compliance @ (weights * body.r**2))
     return excess_of_balls
 
 

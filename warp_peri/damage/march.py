@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -51,6 +52,13 @@ class History:
         rows = np.array(self.ledger)
         missing, scale = np.abs(rows[:, 1] - rows[:, 2:].sum(axis=1)), np.abs(rows[:, 1]).max()
         return float(missing.max() / scale) if scale else 0.0
+
+    def by_name(self) -> dict[str, np.ndarray]:
+        """Every history as an array: those of the ledger, and "u NAME", "v NAME", "force NAME"."""
+        named = {name: self.column(name) for name in LEDGER[1:]}
+        for kind in ("u", "v", "force"):
+            named |= {f"{kind} {name}": np.array(r) for name, r in getattr(self, kind).items()}
+        return named
 
     def column(self, name: str) -> np.ndarray:
         """One column of the ledger, by its name, shape [K]; InputError for another name."""
@@ -144,17 +152,24 @@ class CrackRun:
         self.checkpoint_every = int(checkpoint_every)
         self.series = None if series is None else Series(series, body.body)
         self.history = History()
-        self._began = b""
+        self._began, self._first, self._ramp = "", (0.0, 0), list[float]()
 
     def march(self, state: BreakingState, steps: int, *, progress: bool = False) -> BreakingState:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
 
-        Raises InputError for the checkpoint of another body, start, load or step.
+        Raises InputError for the checkpoint of another body, start, load or step, naming what
+        differs, and for fewer steps than the checkpoint or the state has behind it.
         """
-        if not self._began:
+        if not self._began or state.steps == 0:
             parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
-            self._began = hashlib.sha256(b"".join(part.tobytes() for part in parts)).digest()
-        state = self._resumed(state)
+            sums = (state.work.numpy(), state.dissipated)
+            self._first, self._ramp = (state.time, state.steps), []
+            self._began = _digest(*parts, *sums, *self._first)
+        state = self._resumed(state, steps)
+        if state.steps > steps:
+            raise InputError(
+                f"steps: expected at least the {state.steps} that the state has taken, got {steps}"
+            )
         with tqdm(total=steps, initial=state.steps, disable=not progress, unit="step") as bar:
             while state.steps < steps:
                 step(self.body, state, self.dt)
@@ -179,27 +194,68 @@ class CrackRun:
             fields = {"displacement": u, "velocity": v, "damage": self.body.damage(state)}
             self.series.write(state.steps, state.time, fields)
 
-    def _key(self) -> str:
-        """Says what the run depends on; a ramp is known by its values at the first steps."""
-        body = self.body
-        ramp = [1.0 if body.ramp is None else body.ramp(n * self.dt) for n in range(5)]
-        parts = (body.body.x, body.no_fail, body.operator.limits, np.array([self.dt, *ramp]))
-        fields = (body.load.numpy(), body.held.numpy(), body.grip.numpy())
-        solid, model = body.solid, body.solid.model
-        numbers = (model.lam, model.mu, model.alpha, model.D.tolist(), model.horizon, solid.density)
+    def _key(self) -> dict[str, str]:
+        """What the run depends on, by name; its load history is kept by its values, `_applied`."""
+        body, solid, model = self.body, self.body.solid, self.body.solid.model
+        numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
         lines = [section.ends for section in self.sections.values()]
-        kinds = (solid.by_energy, solid.tension_only, self.every, list(self.sections))
-        text = hashlib.sha256(repr((numbers, kinds, list(self.regions))).encode() + self._began)
-        for part in (*parts, *fields, *self.regions.values(), *lines):
-            text.update(np.ascontiguousarray(part).tobytes())
-        return text.hexdigest()
+        return {
+            "start": self._began,
+            "nodes": _digest(body.body.x),
+            "solid": _digest(
+                *numbers, body.operator.limits, solid.by_energy, solid.tension_only, model.units
+            ),
+            "no_fail": _digest(body.no_fail),
+            "load": _digest(body.load.numpy()),
+            "held": _digest(body.held.numpy()),
+            "grip": _digest(body.grip.numpy()),
+            "step": _digest(self.dt),
+            "records": _digest(
+                self.every, list(self.sections), list(self.regions), *lines, *self.regions.values()
+            ),
+        }
+
+    def _applied(self, steps: int) -> tuple[np.ndarray, np.ndarray]:
+        """All times up to so many steps, as `step` adds them up, and the ramp there."""
+        begin, first = self._first
+        times = np.cumsum([begin, *np.full(steps - first, self.dt)])
+        ramp = self.body.ramp
+        new = times[len(self._ramp) :].tolist()
+        self._ramp += [1.0 if ramp is None else float(ramp(time)) for time in new]
+        return times, np.array(self._ramp[: len(times)])
+
+    def _check(self, content: Mapping[str, np.ndarray], steps: int) -> None:
+        """Refuse the checkpoint of another run, naming what differs, or one further than asked."""
+        kept, own = json.loads(str(content["key"])), self._key()
+        differ = [name for name in own if kept.get(name) != own[name]]
+        taken = int(content["steps"])
+        if not differ:  # the history of loads is that of the same steps
+            times, ramp = self._applied(taken)
+            other = np.flatnonzero(ramp != content["ramp"])
+            if len(other):
+                n = other[0]
+                differ = [
+                    f"load history, from t = {times[n]:g} on ({content['ramp'][n]:g} there, "
+                    f"{ramp[n]:g} here)"
+                ]
+        if differ:
+            raise InputError(
+                f"{self.path}: the checkpoint of another body, start, load or step; what differs: "
+                f"{', '.join(differ)}"
+            )
+        if taken > steps:
+            raise InputError(
+                f"{self.path}: expected at least the {taken} steps of the checkpoint, got {steps}; "
+                "name another file for a shorter run"
+            )
 
     def _save(self, state: BreakingState) -> None:
         assert self.path is not None
         content = {name: getattr(state, name).numpy() for name in _ARRAYS}
         content |= {"dissipated": state.dissipated, "whole": state.whole}
         content |= {"time": np.array(state.time), "steps": np.array(state.steps)}
-        content |= {"key": np.array(self._key()), "ledger": np.array(self.history.ledger)}
+        content |= {"key": np.array(json.dumps(self._key())), "ramp": self._applied(state.steps)[1]}
+        content["ledger"] = np.array(self.history.ledger)
         for kind in ("u", "v", "force"):
             for name, rows in getattr(self.history, kind).items():
                 content[f"history_{kind}_{name}"] = np.array(rows)
@@ -209,28 +265,36 @@ class CrackRun:
         with whole_file(self.path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **content)
 
-    def _resumed(self, state: BreakingState) -> BreakingState:
+    def _resumed(self, state: BreakingState, steps: int) -> BreakingState:
         if self.path is None or not self.path.exists():
             return state
         try:
             content = read_arrays(self.path)
-            key = str(content["key"])
-            if key == self._key():
-                for name in _ARRAYS:
-                    array = getattr(state, name)
-                    wp.copy(array, wp.array(content[name], dtype=array.dtype, device="cpu"))
-                state.dissipated, state.whole = content["dissipated"], content["whole"]
-                state.time, state.steps = float(content["time"]), int(content["steps"])
-                self.history = History(content["ledger"].tolist())
-                for name, rows in content.items():
-                    if name.startswith("history_"):
-                        _, kind, label = name.split("_", 2)
-                        getattr(self.history, kind)[label] = rows.tolist()
-                if self.series is not None and "files" in content:
-                    times = content["times"].tolist()
-                    self.series.times = dict(zip(content["files"].tolist(), times))
-        except (OSError, KeyError, ValueError, TypeError) as error:
+            self._check(content, steps)
+            for name in _ARRAYS:
+                array = getattr(state, name)
+                wp.copy(array, wp.array(content[name], dtype=array.dtype, device="cpu"))
+            state.dissipated, state.whole = content["dissipated"], content["whole"]
+            state.time, state.steps = float(content["time"]), int(content["steps"])
+            self.history = History(content["ledger"].tolist())
+            for name, rows in content.items():
+                if name.startswith("history_"):
+                    _, kind, label = name.split("_", 2)
+                    getattr(self.history, kind)[label] = rows.tolist()
+            if self.series is not None and "files" in content:
+                times = content["times"].tolist()
+                self.series.times = dict(zip(content["files"].tolist(), times))
+        except InputError:
+            raise
+        except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
-        if key != self._key():
-            raise InputError(f"{self.path}: the checkpoint of another body, start, load or step")
         return state
+
+
+def _digest(*parts: object) -> str:
+    """SHA-256 of arrays by their bytes, of anything else as it is printed."""
+    text = hashlib.sha256()
+    for part in parts:
+        array = isinstance(part, np.ndarray)
+        text.update(np.ascontiguousarray(part).tobytes() if array else repr(part).encode())
+    return text.hexdigest()

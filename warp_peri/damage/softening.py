@@ -6,12 +6,14 @@ law of bonds at another horizon that has both.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
+from scipy.special import hyp1f1
 from tqdm import tqdm
 
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
@@ -77,7 +79,7 @@ class BondLaw:
         b, s = self.softness, self.stretch
         if np.isinf(s):
             return 1 / b**2 if b else np.inf
-        before = (1 - np.exp(-b * s) * (1 + b * s)) / b**2 if b else s * s / 2
+        before = s * s / 2 * hyp1f1(2, 3, -b * s)  # [1 − e^(−βs) (1 + βs)]/β² without cancellation
         return float(before + self.pull(np.array(s)) * self.tail / 2)
 
     def at_horizon(self, times: float) -> BondLaw:
@@ -98,8 +100,14 @@ class BondLaw:
         if abrupt.spent() <= goal:
             peak = float(self.pull(np.array(self.stretch)))
             return BondLaw(self.softness, self.stretch, 2 * (goal - abrupt.spent()) / peak)
-        low = brentq(lambda s: BondLaw(self.softness, s).spent() - goal, 1e-9, self.stretch)
-        return BondLaw(self.softness, float(low))
+        least = np.sqrt(2 * goal) * (1 - 1e-9)  # spends less than the goal, softness or not
+        earlier = brentq(
+            lambda s: BondLaw(self.softness, s).spent() / goal - 1,
+            least,
+            self.stretch,
+            xtol=1e-14 * self.stretch,
+        )
+        return BondLaw(self.softness, float(earlier))
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,8 @@ class Pull:
 
     Attributes:
         load: factors of the displacement of the held nodes, shape [K].
-        force: per thickness across the section, at each load [stress · length], shape [K].
+        force: per thickness at right angles to the section, at each load [stress · length], shape
+            [K].
         broken: bonds broken by then, shape [K].
     """
 
@@ -201,11 +210,27 @@ class SoftBody:
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
     def across(self, u: np.ndarray, share: np.ndarray, line: ArrayLike) -> float:
-        """Pull per thickness across a line along x, of what is above on what is below."""
-        cut = crossing_bonds(self.body, line)[self._node, self._bond]
+        """Force per thickness at right angles to a straight line, of one side on the other.
+
+        u: flat [2N]; share: what is left of the pull of each bond. Tension is positive.
+
+        Raises InputError for another line than two ends.
+        """
+        cut, normal = self._section(line)
         pull = self._k * share * self._square * self.law.pull(self.stretch(u))
-        xi = self.body.xi[self._bond]
-        return float(self.body.spacing**2 * (pull[cut] * np.abs(xi[cut, 1])).sum())
+        rise = np.abs(self.body.xi[self._bond[cut]] @ normal)
+        return float(self.body.spacing**2 * (pull[cut] * rise).sum())
+
+    def _section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Which bonds cross a straight line, bool, and its unit normal."""
+        cut = crossing_bonds(self.body, line)[self._node, self._bond]
+        ends = np.asarray(line, dtype=float)
+        if len(ends) != 2:
+            raise InputError(f"line: expected two ends, got {len(ends)} corners")
+        if not cut.any():
+            raise InputError("line: no bond of the body crosses it, so no force can be read there")
+        along = ends[1] - ends[0]
+        return cut, np.array([-along[1], along[0]]) / np.hypot(*along)
 
     def pull(
         self,
@@ -222,12 +247,16 @@ class SoftBody:
             u: given components at unit load, shape [N, 2]; the others are where the first solve
                 begins.
             loads: rising factors.
-            line: across which the force is read, [2, 2].
+            line: a straight one, across which the force at right angles to it is read, [2, 2].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
 
+        A body that has come apart along the line has the force 0; where no equilibrium is found
+        while bonds still cross it, the curve ends before, with a warning.
+
         Raises InputError for another shape of u, values that are not finite, loads that do not
-        rise, and a line that no bond crosses.
+        rise, a line that is not straight or that no bond crosses, and a first load without an
+        equilibrium.
         """
         loads = np.asarray(loads, dtype=float)
         if not (loads.ndim == 1 and len(loads) and np.isfinite(loads).all()):
@@ -238,8 +267,7 @@ class SoftBody:
             raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
         if not np.isfinite(u).all():
             raise InputError("u: expected finite values")
-        if not crossing_bonds(self.body, line).any():
-            raise InputError("line: no bond of the body crosses it, so no force can be read there")
+        cut, _ = self._section(line)
         given = np.where(self.held, u, 0).ravel()
         share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
         field, rows, before = np.zeros_like(given), [], 0.0
@@ -254,8 +282,13 @@ class SoftBody:
                     change, share = np.max(share - lasting), lasting
                     if change < SETTLED:
                         break
-            except InputError:
-                rows.append((load, 0.0, int((share == 0).sum())))
+            except InputError as error:
+                if not share[cut].any():  # nothing is left across the line
+                    rows.append((load, 0.0, int((share == 0).sum())))
+                    break
+                if not rows:
+                    raise
+                warnings.warn(f"load {load:g} and beyond are left out: {error}", stacklevel=2)
                 break
             before = load
             rows.append((load, self.across(field, share, line), int((share == 0).sum())))

@@ -1,12 +1,14 @@
 """A brittle solid: a model whose bonds may break, its density and when they do (theory.md, C5–C8).
 
-Any consistent units: SI, or Å, ps and TPa with the density in TPa ps²/Å² (1 kg/m³ = 1e-8 of them).
+Any consistent units, length and stress as the model names them: SI, or Å, ps and TPa with the
+density in TPa ps²/Å² (1 kg/m³ = 1e-8 of them).
 """
 
 from __future__ import annotations
 
 import json
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +16,9 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
-from warp_peri.models.lps import Model
+from warp_peri.models.lps import Model, model_content, model_from
 
-FORMAT, VERSION = "warp_peri.brittle_solid", 1
+FORMAT, VERSION = "warp_peri.brittle_solid", 2
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 
 
@@ -54,42 +56,50 @@ class BrittleSolid:
                 raise InputError(f"{name}: expected a number > 0, got {value!r}")
 
     @property
+    def linear(self) -> Model:
+        """The solid before anything breaks."""
+        return self.model
+
+    @property
     def by_energy(self) -> bool:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solid as JSON, whole or not at all."""
-        model = self.model
+        """Write the solid as JSON, whole or not at all: the model with its units and records."""
         write_json(
             path,
             {"format": FORMAT, "version": VERSION}
-            | {"lambda": model.lam, "mu": model.mu, "alpha": model.alpha, "D": model.D}
-            | {"horizon": model.horizon, "density": self.density}
+            | {"model": model_content(self.model), "density": self.density}
             | {name: getattr(self, name) for name in CRITERIA}
             | {"tension_only": self.tension_only},
         )
 
 
 def load_brittle_solid(path: str | os.PathLike[str]) -> BrittleSolid:
-    """Read what `BrittleSolid.save` wrote; InputError naming what is wrong."""
+    """Read what `BrittleSolid.save` wrote; InputError naming what is wrong.
+
+    Files of version 1 kept neither the units nor the records of the model: Å and TPa are taken,
+    with a warning.
+    """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-        if (content["format"], content["version"]) != (FORMAT, VERSION):
-            raise InputError(f"{path}: expected {FORMAT} version {VERSION}")
-        model = Model(
-            lam=content["lambda"],
-            mu=content["mu"],
-            alpha=content["alpha"],
-            D=content["D"],
-            horizon=content["horizon"],
-        )
+        if content["format"] != FORMAT or content["version"] not in (1, VERSION):
+            raise InputError(f"expected {FORMAT} version {VERSION}")
+        if content["version"] == VERSION:
+            model = model_from(content["model"])
+        else:
+            warnings.warn(f"{path}: it names no units: taken as Å and TPa", stacklevel=2)
+            names = ("lambda", "mu", "alpha", "D", "horizon")
+            model = Model(*(content[name] for name in names))
+        if not isinstance(content["tension_only"], bool):
+            raise InputError(f"tension_only: expected a bool, got {content['tension_only']!r:.50}")
         criteria = {name: content[name] for name in CRITERIA}
         return BrittleSolid(
-            model, content["density"], **criteria, tension_only=bool(content["tension_only"])
+            model, content["density"], **criteria, tension_only=content["tension_only"]
         )
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable brittle solid ({error})") from None
 

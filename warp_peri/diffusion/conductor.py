@@ -12,6 +12,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
+from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
 
 FORMAT, VERSION = "warp_peri.conductor", 1
 
@@ -25,6 +26,7 @@ class Conductor:
         conductivity: κ > 0, of where no field of it is given.
         alpha: exponent α < 3.
         D: Bernstein coefficients, shape [M + 1]; their common scale has no effect.
+        units: names of the units of length and stress that it is in, as a Model's.
 
     Raises InputError naming the first number out of its range.
     """
@@ -33,8 +35,10 @@ class Conductor:
     conductivity: float = 1.0
     alpha: float = 1.0
     D: np.ndarray = field(default_factory=lambda: np.ones(1))
+    units: Units = USUAL
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", check_units(self.units))
         object.__setattr__(self, "D", np.atleast_1d(np.array(self.D, dtype=float)))
         for name in ("horizon", "conductivity"):
             value = getattr(self, name)
@@ -55,17 +59,23 @@ class Conductor:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the law as JSON, whole or not at all."""
         numbers = {name: getattr(self, name) for name in ("horizon", "conductivity", "alpha", "D")}
-        write_json(path, {"format": FORMAT, "version": VERSION} | numbers)
+        write_json(
+            path, {"format": FORMAT, "version": VERSION} | unit_content(self.units) | numbers
+        )
 
 
 def load_conductor(path: str | os.PathLike[str]) -> Conductor:
-    """Read what `Conductor.save` wrote; InputError naming what is wrong."""
+    """Read what `Conductor.save` wrote; InputError naming what is wrong.
+
+    Of a file that names no units Å and TPa are taken, with a warning.
+    """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
         if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
-            raise InputError(f"{path}: expected {FORMAT} version {VERSION}")
-        return Conductor(**content)
-    except InputError:
-        raise
+            raise InputError(f"expected {FORMAT} version {VERSION}")
+        units = units_of(content, f"{path}")
+        return Conductor(**content, units=units)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable conductor ({error})") from None

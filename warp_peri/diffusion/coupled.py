@@ -8,6 +8,7 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.damage.lattice_body import Body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
+from warp_peri.damage.stability import check_cut
 from warp_peri.diffusion.operator import DiffusionOperator
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
@@ -29,7 +30,8 @@ class Coupled:
         storage: c ≥ 0.
         neighbour: with broken bonds; the body's own by default.
 
-    Raises InputError for other nodes, a coupling that is not finite, or a storage below 0.
+    Raises InputError for other nodes, a coupling that is not finite, a storage below 0, and for
+    kernels that change sign and leave one of the two with eigenvalues below zero.
     """
 
     def __init__(
@@ -56,6 +58,9 @@ class Coupled:
         self.free = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
         theta = dilatation_matrix(body, w, table)
         self._solid = cut_matrix(body, w, table, model.mu, model.lam - model.mu)[self.free]
+        if (w < 0).any():
+            check_cut(self._solid[:, self.free])
+        diffusion.inner()  # refuses one that would grow
         self._pull = sp.csr_array(coupling * theta.T)[self.free]
         self._squeeze = sp.csr_array(-coupling * theta[rows])
         self._flux = diffusion.matrix()

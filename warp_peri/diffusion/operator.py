@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 
+from warp_peri.damage.stability import negative_eigenvalues
 from warp_peri.diffusion.conductor import Conductor
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
@@ -20,6 +21,8 @@ from warp_peri.points.points import Points
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
 SAMPLES = 32
 """Places along a bond at which a field of conductivity is read."""
+ROUNDING = 1e-10
+"""Eigenvalues so far below zero, over the largest diagonal, count as zero."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,9 @@ class DiffusionOperator:
         self._owner_all, self._r_all, self._weight_all = self._owner, self.r, weight
         self._kept = kept
         self.v = (4 * K * weight / self._volume[self._owner])[kept]
+        # weights of scattered points are negative here and there, of any kernel
+        signed = self.v if families.lattice is not None else (K / self._volume[self._owner])[kept]
+        self._changes_sign = bool((signed < 0).any())
         self._owner, self.neighbour, self.r = (
             part[kept] for part in (self._owner, self.neighbour, self.r)
         )
@@ -101,6 +107,23 @@ class DiffusionOperator:
         far = sp.csr_array((-stiffness, (self._owner, self.neighbour)), shape=shape)
         own = sp.csr_array((stiffness, (self._owner, self.rows[self._owner])), shape=shape)
         return sp.csr_array(far + own)
+
+    def inner(self) -> sp.csc_array:
+        """The columns of `matrix` that belong to the interior, shape [I, I].
+
+        Raises InputError, with their number, where a kernel that changes sign gives L + Lᵗ
+        eigenvalues below zero: φ would grow without end.
+        """
+        matrix = sp.csc_array(self.matrix()[:, self.rows])
+        if self._changes_sign and len(self.rows):
+            shift = ROUNDING * np.abs(matrix.diagonal()).max()
+            count = negative_eigenvalues(matrix + shift * sp.eye_array(len(self.rows)))
+            if count:
+                raise InputError(
+                    f"influence function: it changes sign on these points, and L + Lᵗ has {count} "
+                    "eigenvalues below zero, with which φ grows without end; take D ≥ 0"
+                )
+        return matrix
 
     def gradient(self, phi: np.ndarray, seed: np.ndarray) -> DiffusionGradient:
         """Derivatives of seed · L φ, seed of shape [I]."""

@@ -26,10 +26,9 @@ def steady(
         source: g, one or by interior node, shape [I].
 
     Raises InputError for other shapes, values that are not finite, and when the matrix is singular,
-    as of a piece that nothing touches.
+    as of a piece that nothing touches, or has eigenvalues below zero (`DiffusionOperator.inner`).
     """
-    matrix = operator.matrix()
-    inner = sp.csc_matrix(matrix[:, operator.rows])
+    matrix, inner = operator.matrix(), operator.inner()
     solved = _shaped("phi", phi, len(operator.points.x))
     solved[operator.rows] = 0
     right = _source(source, len(operator.rows)) - matrix @ _finite("phi", solved)
@@ -57,13 +56,14 @@ def transient(
     Args:
         operator: the operator.
         phi: at the start, shape [N].
-        step: Δt > 0, any length is stable.
+        step: Δt > 0, any length is stable: L + Lᵗ is looked at where the kernel changes sign.
         steps: number of steps.
         source: g, one or by interior node, shape [I].
         collar: φ of all nodes at a time, of which those off the interior are taken; unchanged by
             default.
 
-    Raises InputError for other shapes, a step not > 0, or a number of steps below 0.
+    Raises InputError for other shapes, a step not > 0, a number of steps below 0, and as
+    `DiffusionOperator.inner`.
     """
     if not (0 < step < np.inf and isinstance(steps, (int, np.integer)) and steps >= 0):
         raise InputError(
@@ -72,8 +72,7 @@ def transient(
         )
     count = len(operator.points.x)
     matrix, rows = operator.matrix(), operator.rows
-    inner = sp.csc_matrix(matrix[:, rows])
-    factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * inner))
+    factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * operator.inner()))
     now = _finite("phi", _shaped("phi", phi, count))
     gain = step * _source(source, len(rows))
     kept = [now]

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.dynamics.motion import Motion
+from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
@@ -20,32 +21,9 @@ from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.stability.proof import largest_bound
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.operator import LPSOperator
-from warp_peri.transfer.points import model_for
 
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What a run leaves.
-
-    Attributes:
-        time: of the records, half a step after each `every` steps [ps], shape [R].
-        energy: what leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa], [R].
-        u: displacement at the end [Å], shape [N, 2].
-        v: velocity at the end [Å/ps], shape [N, 2]; zero on the collar.
-    """
-
-    time: np.ndarray
-    energy: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
-
-    @property
-    def drift(self) -> float:
-        """Largest departure of the energy from its first value, relative."""
-        return float(np.abs(self.energy - self.energy[0]).max() / np.abs(self.energy[0]))
 
 
 def critical_time_step(
@@ -133,22 +111,16 @@ def step(body: Inert, state: State, dt: float) -> State:
     return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g)
 
 
-@renamed(
-    allow_unstable="a loop over dynamics.verlet.step, which asks nothing of Δt",
-    box="part of Points(…, box=…)",
-)
-def velocity_verlet(
-    model: Model,
-    points: PointsLike,
+def march(
+    operator: LPSOperator,
+    b: ArrayLike | None,
     u: ArrayLike,
-    v: ArrayLike,
     *,
+    v: ArrayLike | None = None,
     density: float,
     step: float,
     steps: int,
-    b: ArrayLike | None = None,
     every: int = 1,
-    allow_uncertified: bool = False,
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.
 
@@ -156,31 +128,36 @@ def velocity_verlet(
     around it, whose mass is a matrix.
 
     Args:
-        model: certified on some lattice, transferred to others.
-        points: a lattice; its u and b are not looked at.
+        operator: of a model on a lattice.
+        b: body force density, constant in time [TPa/Å], shape [N, 2]; None for none.
         u: displacement at the start [Å], shape [N, 2].
-        v: velocity at the start [Å/ps], shape [N, 2]; that of the collar is not looked at.
+        v: velocity at the start [Å/ps], shape [N, 2], zero by default; that of the collar is not
+            looked at.
         density: ρ [kg/m³].
         step: Δt [ps], at most the critical one.
         steps: number of steps.
-        b: body force density, constant in time [TPa/Å], shape [N, 2]; none by default.
         every: steps from one record of the energy to the next.
-        allow_uncertified: the model's own numbers, with a warning.
 
-    Raises InputError for scattered points, arrays that do not fit, an uncertified spacing, or a
-    step that is too long; it says how long a step may be.
+    Returns:
+        A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
+        leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa].
+
+    Raises InputError for scattered points, arrays that do not fit, or a step that is too long; it
+    says how long a step may be.
     """
+    points = operator.points
     if points.spacing == 0:
         raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
-    start = _checked(points, {"u": u, "v": v, "b": 0 * points.x if b is None else b})
+    none = 0 * points.x
+    fields = {"u": u, "v": none if v is None else v, "b": none if b is None else b}
+    start = _checked(points, fields)
     _positive("step", step)
     for name, number in (("steps", steps), ("every", every)):
         if not (isinstance(number, (int, np.integer)) and number >= 1):
             raise InputError(f"{name}: expected a whole number ≥ 1, got {number!r}")
-    if not allow_uncertified:
-        model = model_for(model, points)
-    _check_step(model, points.spacing, density, step, allow_uncertified=allow_uncertified)
-    operator = LPSOperator(model, points, allow_uncertified=allow_uncertified)
+    model = operator.model
+    allowed = getattr(operator, "allowed", False)
+    _check_step(model, points.spacing, density, step, allow_uncertified=allowed)
     free = points.interior
     body = Inert(operator, free, density, start["b"][free])
     state = body.state(start["u"], start["v"][free])
@@ -204,7 +181,7 @@ def _march(body: Inert, state: State, dt: float, steps: int, every: int) -> Moti
             time.append((number + 0.5) * dt)
     v = np.zeros_like(state.u)
     v[free] = state.v
-    return Motion(np.array(time), np.array(energy), state.u, v)
+    return Motion(np.array(time), state.u, v, {"energy": np.array(energy)})
 
 
 def _checked(points: PointsLike, fields: dict[str, ArrayLike]) -> dict[str, np.ndarray]:

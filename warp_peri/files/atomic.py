@@ -48,6 +48,15 @@ _KINDS = {
 
 
 @contextmanager
+def _no_place(path: Path) -> Iterator[None]:
+    """Errors of folders that take no files, or are none, as one line that names the path."""
+    try:
+        yield
+    except (FileExistsError, FileNotFoundError, NotADirectoryError) as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+@contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error.
 
@@ -57,10 +66,11 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises InputError for a path that is no regular file; nothing is touched then.
     """
     path = destination(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(
-        prefix=f".{path.name}{PART}", suffix=path.suffix, dir=path.parent
-    )
+    with _no_place(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name}{PART}", suffix=path.suffix, dir=path.parent
+        )
     os.close(handle)
     temporary = Path(name)
     try:
@@ -82,15 +92,18 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
     however that ends. Half-written files that a killed job left are removed.
 
-    Raises InputError when another job holds it.
+    Raises InputError when another job holds it, or where no file can be.
     """
     path = Path(os.path.realpath(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with _no_place(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.lock")
     lock = FileLock(beside)
     try:
         lock.acquire(blocking=False)
     except Timeout:
+        with _no_place(path):
+            beside.touch()  # filelock takes a place that has no room for its file as held
         raise InputError(f"{path}: another job is writing here") from None
     try:
         for left in (*path.parent.glob(f".{path.name}{PART}*"), *path.glob(f".*{PART}*")):

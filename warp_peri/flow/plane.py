@@ -120,11 +120,14 @@ def run_plane(
     _check(flow, until, dt, every)
     steps, dy = round(until / dt), 1 / flow.cells
     key = "" if checkpoint is None else _key(flow, stress, dt, every)
+    moved: list[tuple[float, float]] = []  # force and wall of all steps
     u, sigma = np.zeros(flow.cells + 1), np.zeros((flow.cells, 4))
     times, us, sigmas = [0.0], [u.copy()], [sigma.copy()]
     first = 0
     if checkpoint is not None and Path(checkpoint).exists():
         kept = _load(checkpoint, key)
+        _extend(moved, flow, dt, int(kept["step"]))
+        _check_history(checkpoint, kept["moved"], moved, dt)
         first, u, sigma = int(kept["step"]), kept["u"].copy(), kept["sigma"].copy()
         times, us, sigmas = list(kept["t"]), list(kept["us"]), list(kept["sigmas"])
         stress.restore(kept["state"])
@@ -149,6 +152,8 @@ def run_plane(
         sigmas.append(sigma.copy())
         if checkpoint is not None:
             kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
+            _extend(moved, flow, dt, n + 1)
+            kept["moved"] = np.array(moved)
             _save(checkpoint, kept | {"t": times, "us": us, "sigmas": sigmas, "key": key})
     asked = 1 + steps // every  # a checkpoint may have gone further
     return Profiles(*(np.array(rows[:asked]) for rows in (times, us, sigmas)))
@@ -161,16 +166,36 @@ def _check(flow: PlaneFlow, until: float, dt: float, every: int) -> None:
 
 
 def _key(flow: PlaneFlow, stress: Stress, dt: float, every: int) -> str:
-    """What a run depends on; its force and its wall by a few of their values."""
-    values = [(flow.force(n * dt), flow.top(n * dt)) for n in (0, 1, 10, 100, 1000)]
-    numbers = f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every}"
-    return f"{numbers} {values} {key_of(stress)}"
+    """What a run depends on; its force and its wall are kept by their values."""
+    return f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every} {key_of(stress)}"
+
+
+def _extend(known: list[tuple[float, float]], flow: PlaneFlow, dt: float, steps: int) -> None:
+    """Add force and wall, as so many steps and their last record ask for them, to those known."""
+    for n in range(len(known), steps + 1):
+        known.append((float(flow.force(n * dt)), float(flow.top((n - 0.5) * dt)) if n else 0.0))
+
+
+def _check_history(
+    path: str | os.PathLike[str], kept: np.ndarray, own: list[tuple[float, float]], dt: float
+) -> None:
+    """Refuse a checkpoint whose force or wall was another, naming which and from when on."""
+    differ = np.argwhere(np.reshape(own, (-1, 2)) != kept)
+    if len(differ):
+        n, which = differ[0]
+        raise InputError(
+            f"{path}: the checkpoint of another flow, fluid or time step; what differs: "
+            f"{('force', 'top')[which]}, from t = {n * dt:g} on ({kept[n, which]:g} there, "
+            f"{own[n][which]:g} here)"
+        )
 
 
 def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
     try:
         kept: dict[str, Any] = dict(read_arrays(path))
         kept_key = str(kept["key"])
+        if kept["moved"].shape != (int(kept["step"]) + 1, 2):
+            raise ValueError(f"moved {kept['moved'].shape}")
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None
     if kept_key != key:

@@ -24,6 +24,8 @@ from warp_peri.points.samples import Samples
 LEAST_SAMPLES = 8
 RIDGE = 1e-2
 """Of the fits at single nodes, relative to the sum of their squared features."""
+RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-6, 1e-8)
+"""Of the fits to whole samples that are tried, relative to the largest singular value."""
 TINY = 1e-300
 Feature: TypeAlias = Callable[[np.ndarray], np.ndarray]
 WORDS = {
@@ -34,6 +36,19 @@ WORDS = {
     "heterogeneity": "heterogeneity: the stiffness, or the ripple that smoothing leaves, differs "
     "from place to place",
     "unexplained": "what none of these explains",
+}
+LOUD = 0.1
+"""Residual above which the solid does not describe the data, whatever is proven of it."""
+NEXT = {
+    "noise": "fields of noise in the fit (noise=…, loss='corrected' or 'output'), or longer means",
+    "dispersion": "a smaller spacing of the nodes, a larger horizon or degree, or two influence "
+    "functions",
+    "anisotropy": "a micromodulus, whose bonds have stiffnesses of their own: no isotropic solid "
+    "has these moduli",
+    "nonlinearity": "smaller loads, or the nonlinear solid (nonlinear=…)",
+    "heterogeneity": "a larger smoothing radius and spacing, where the sheet is uniform, or parts "
+    "of it, each with a solid of its own",
+    "unexplained": "smaller and smoother loads, more of them, and a smaller spacing of the nodes",
 }
 
 
@@ -57,6 +72,18 @@ class Diagnosis:
         return (
             f"The model leaves {100 * self.residual:.3g} % of the loads; "
             f"{100 * self.shares[name]:.0f} % of its square is {WORDS[name]}."
+        )
+
+    @property
+    def advice(self) -> str:
+        """What to try next where the residual is above LOUD, else empty."""
+        if self.residual <= LOUD:
+            return ""
+        name = max(self.shares, key=lambda key: self.shares[key])
+        return (
+            f"residual: {100 * self.residual:.3g} % of the loads are left, above {100 * LOUD:g} %: "
+            "this solid does not describe these data, though what is proven of it holds. "
+            f"Most of it is {WORDS[name]}. Try {NEXT[name]}"
         )
 
 
@@ -118,8 +145,13 @@ def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
                 np.concatenate([features(some) for features in asked], axis=-1)
                 for some in (fitted, judged)
             )
-            c = _coefficients(rows, left[fitted])
-            tried = left[fitted] - rows @ c, left[judged] - others @ c
+            tried = min(
+                (
+                    (left[fitted] - rows @ c, left[judged] - others @ c)
+                    for c in _ridges(rows, left[fitted])
+                ),
+                key=lambda fields: float((fields[1] ** 2).sum()),
+            )
             if (tried[1] ** 2).sum() < (best[1] ** 2).sum():
                 best, base = tried, asked
             levels[name] = levels.get(name, 0.0) + float((best[1] ** 2).sum())
@@ -129,13 +161,27 @@ def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
     return levels
 
 
-def _coefficients(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Of least squares, features scaled to one size; those that are not there get none."""
+def _ridges(rows: np.ndarray, left: np.ndarray) -> list[np.ndarray]:
+    """Coefficients of least squares with each ridge, shape [F]; features that are not there get 0.
+
+    Second differences of smooth fields are nearly the same for all bonds: without a ridge their
+    coefficients blow up what is no part of the cause, and on other samples explain less than
+    nothing. Which of the few ridges is best is seen on those other samples: one number, which has
+    no room to fit what is not there.
+
+    Args:
+        rows: features, shape [S, I, 2, F]; they are scaled to one size.
+        left: residual, shape [S, I, 2].
+    """
     scale = np.sqrt((rows**2).sum(axis=(0, 1, 2)))
     scale = np.where(scale > 0, scale, np.inf)
     flat = (rows / scale).reshape(-1, rows.shape[-1])
-    coefficients: np.ndarray = np.linalg.lstsq(flat, left.ravel(), rcond=1e-9)[0] / scale
-    return coefficients
+    axes, size, turn = np.linalg.svd(flat, full_matrices=False)
+    along = axes.T @ left.ravel()
+    return [
+        turn.T @ (size / (size**2 + (ridge * size[0]) ** 2 + TINY) * along) / scale
+        for ridge in RIDGES
+    ]
 
 
 class _Grid:

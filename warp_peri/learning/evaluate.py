@@ -6,45 +6,31 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.contract import placed
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
-from warp_peri.statics.nonlinear import NonlinearRecord, solve_nonlinear
-from warp_peri.statics.scattered import ThroughLattice
-from warp_peri.statics.solve import solve
-from warp_peri.transfer.nonlinear import nonlinear_for
-from warp_peri.transfer.operator import LPSOperator
-from warp_peri.transfer.points import model_for
 
 ROUNDING = 1e-12
 """What is less than this beside the parts that cancel in it is rounding."""
 
 
-def residual_errors(
-    model: Model | NonlinearModel, points: Samples, *, allow_uncertified: bool = False
-) -> np.ndarray:
-    """‖L u − b‖₂ and ‖b‖₂ of each sample on the interior [TPa/Å], shape [2, S].
+def residual_errors(operator: Any, points: Samples) -> np.ndarray:
+    """‖op(u) − load‖₂ and ‖load‖₂ of each sample on the interior [TPa/Å], shape [2, S].
 
-    A load that is rounding beside the forces that cancel in L u counts as none: 0.
+    A load that is rounding beside the forces that cancel in op(u) counts as none: 0.
     """
-    linear = model.linear if isinstance(model, NonlinearModel) else model
-    operator = LPSOperator(linear, points, allow_uncertified=allow_uncertified)
-    b = points.loads[:, points.interior]
-    load = _norms(b)
+    load = operator.load(points.loads)
+    size = _norms(load)
     # the force of the interior's displacement alone, which that of the collar takes off again
-    inner = _norms(operator(np.where(points.interior[:, None], points.u, 0.0)))
-    load = np.where(load > ROUNDING * inner, load, 0.0)
-    if isinstance(model, NonlinearModel):
-        nonlinear = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
-        return np.array([_norms(nonlinear(points.u) - b), load])
-    return np.array([_norms(operator(points.u) - b), load])
+    straight = getattr(operator, "straight", operator)
+    inner = _norms(straight(np.where(points.interior[:, None], points.u, 0.0)))
+    return np.array([_norms(operator(points.u) - load), np.where(size > ROUNDING * inner, size, 0)])
 
 
 def evaluate(
-    model: Model | NonlinearModel,
+    material: Any,
     points: Samples | Dataset,
     *,
     transfer: bool = True,
@@ -53,8 +39,8 @@ def evaluate(
     """Errors on every sample of a set and their means.
 
     Args:
-        model: linear or nonlinear, certified on some lattice; on others it is transferred, which
-            is said once.
+        material: of any law, or its operator on these points. A solid certified on some lattice is
+            transferred to others, which is said once.
         points: samples with displacement and load; of a Dataset its only set.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
@@ -82,40 +68,15 @@ def evaluate(
         points = points.obvious()
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
-    if isinstance(model, Model) and not allow_uncertified:
-        if points.spacing == 0 and transfer and model.certified_on:
-            return _through_lattice(model, points)
-        model = model_for(model, points, transfer=transfer)
-    elif isinstance(model, NonlinearModel):
-        asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-        model = nonlinear_for(model, points, **asked)
-    residual, load = residual_errors(model, points, allow_uncertified=allow_uncertified)
-    fields = (points.loads, points.u)
-    records: list[NonlinearRecord] = []
-    if isinstance(model, NonlinearModel):
-        options: dict[str, Any] = {"allow_uncertified": allow_uncertified, "records": records}
-        solved = solve_nonlinear(model, points, *fields, **options)
-        return _table(points, residual, load, solved, model.linear) | _work(records)
-    solved = solve(model, points, *fields, allow_uncertified=allow_uncertified)
-    return _table(points, residual, load, solved, model)
-
-
-def _through_lattice(model: Model, points: Samples) -> dict[str, Any]:
-    """The table on scattered points, through a lattice (theory.md, M7)."""
-    operator = ThroughLattice(model, points)
-    load = operator.load(points.loads)
-    residual = _norms(operator(points.u) - load)
-    solved = operator.solve(points.loads, points.u)
-    return _table(points, residual, _norms(load), solved, operator.model)
-
-
-def _work(records: list[NonlinearRecord]) -> dict[str, Any]:
-    """What nonlinear solves took, and whether their answers are the only ones."""
-    return {
-        "linear_solves": max(record.solves for record in records),
-        "largest_gradient": max(record.largest_gradient for record in records),
-        "unique": all(record.unique for record in records),
-    }
+    options = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+    operator = placed(material, points.points, **options)
+    if hasattr(operator, "errors"):  # a law whose samples may fail one by one
+        table: dict[str, Any] = operator.errors(points)
+        return table
+    residual, load = residual_errors(operator, points)
+    solution = operator.rest(points.loads, points.u)
+    figures = operator.figures(solution) if hasattr(operator, "figures") else {}
+    return _table(points, residual, load, solution.u, operator.model.linear) | figures
 
 
 def _table(

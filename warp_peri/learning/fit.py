@@ -6,11 +6,10 @@ import dataclasses
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import overload
 
 import numpy as np
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.errors import InputError
 from warp_peri.learning.checks import check_explained, warn_of_bounds
 from warp_peri.learning.full_loss_check import Oracle
 from warp_peri.learning.loss_choice import LossChoice, choose_loss
@@ -45,52 +44,7 @@ PROBED_EXPONENT = 2.0
 """Of the one from which the share of noise is found."""
 
 
-@overload
-def fit(
-    samples: Samples | Dataset | Sequence[Samples],
-    horizon: float,
-    kernel: Kernel = ...,
-    *,
-    method: Method = ...,
-    conditions: Conditions = ...,
-    loss: str = ...,
-    noise: Samples | Sequence[Samples] | None = ...,
-    normalise: bool = ...,
-    nonlinear: None = ...,
-    progress: bool | None = ...,
-) -> Fit: ...
-
-
-@overload
-def fit(
-    samples: Samples | Dataset | Sequence[Samples],
-    horizon: float,
-    kernel: Kernel = ...,
-    *,
-    method: Method = ...,
-    conditions: Conditions = ...,
-    loss: str = ...,
-    noise: Samples | Sequence[Samples] | None = ...,
-    normalise: bool = ...,
-    nonlinear: Nonlinear,
-    progress: bool | None = ...,
-) -> NonlinearFit: ...
-
-
-@renamed(
-    degree="kernel=Bernstein(degree)",
-    influence="kernel",
-    two_functions="kernel=Bernstein(degree, two_functions=True)",
-    zeta="conditions=Conditions(zeta=…)",
-    moduli="method=Optimum(moduli=…)",
-    jobs="method=Optimum(jobs=…)",
-    parametrisation="method=TwoStage(parametrisation=…)",
-    constraints="method=TwoStage(constraints=…)",
-    checkpoint="method=TwoStage(checkpoint=…)",
-    lattice_spacing="method=TwoStage(lattice_spacing=…)",
-    seed="method=TwoStage(seed=…)",
-)
-def fit(
+def learn(
     samples: Samples | Dataset | Sequence[Samples],
     horizon: float,
     kernel: Kernel = Bernstein(10),  # noqa: B008 (a frozen value)
@@ -100,9 +54,8 @@ def fit(
     loss: str = "auto",
     noise: Samples | Sequence[Samples] | None = None,
     normalise: bool = False,
-    nonlinear: Nonlinear | None = None,
     progress: bool | None = None,
-) -> Fit | NonlinearFit:
+) -> Fit:
     """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
@@ -123,19 +76,36 @@ def fit(
             "corrected" for others.
         noise: fields of noise alone on the nodes of each training set, their loads of no account.
         normalise: divide each sample by ‖b‖ in the residual.
-        nonlinear: learn third-order constants with the linear solid, by Optimum and Bernstein
-            polynomials on lattices of one spacing; a NonlinearFit is returned.
         progress: show a bar for each stage; None shows it on a terminal and in a notebook.
 
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
-    sets, quiet = listed(samples), listed(noise)
-    if nonlinear is not None:
-        check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
+    given = listed(samples), horizon, kernel, method, conditions, loss, listed(noise, "noise")
+    return _linear(*given, normalise, progress)
+
+
+def learn_third_order(
+    samples: Samples | Dataset | Sequence[Samples],
+    nonlinear: Nonlinear,
+    horizon: float,
+    kernel: Kernel = Bernstein(10),  # noqa: B008
+    *,
+    method: Method = Optimum(),  # noqa: B008
+    conditions: Conditions = Conditions(),  # noqa: B008
+    loss: str = "auto",
+    noise: Samples | Sequence[Samples] | None = None,
+    normalise: bool = False,
+    progress: bool | None = None,
+) -> NonlinearFit:
+    """Learn third-order constants with the linear solid: `nonlinear`, and the rest as for `learn`.
+
+    Raises InputError also for other than Optimum, Bernstein polynomials, lattices of one spacing
+    and the residual loss.
+    """
+    sets, quiet = listed(samples), listed(noise, "noise")
+    check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
     linear = _linear(sets, horizon, kernel, method, conditions, loss, quiet, normalise, progress)
-    if nonlinear is None:
-        return linear
     return with_constants(linear, sets, _second(method), nonlinear)
 
 

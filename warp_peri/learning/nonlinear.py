@@ -16,6 +16,7 @@ from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.response import products
 from warp_peri.learning.result import Fit
+from warp_peri.learning.scale import Scale, scale_of
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
 from warp_peri.models.nonlinear import NonlinearModel
@@ -46,21 +47,19 @@ class Nonlinear:
 
     Attributes:
         smoothing: of the data, for the filtered form; None learns the energy form.
-        axis: angle of the crystal's zigzag direction from the x axis of the points [rad].
 
-    Raises InputError for what is no smoothing, or an angle that is not finite.
+    The direction of the crystal is stated by the samples' points (Points.axis).
+
+    Raises InputError for what is no smoothing.
     """
 
     smoothing: Smoothing | None = None
-    axis: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.smoothing is None or isinstance(self.smoothing, Smoothing)):
             raise InputError(
                 f"smoothing: expected Smoothing(…) or None, got {self.smoothing!r:.60}"
             )
-        if not (isinstance(self.axis, (int, float, np.number)) and np.isfinite(self.axis)):
-            raise InputError(f"axis: expected an angle [rad], got {self.axis!r:.60}")
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class NonlinearFit:
     """A learned nonlinear model and how it was learned.
 
     Attributes:
-        model: the model, with its guarantee.
+        material: the model, with its guarantee.
         linear: the fit of the linear solid that it began with.
         passes: optima that were computed, each with the λ and μ of the one before.
         E_res_train: mean relative residual on the training samples.
@@ -76,7 +75,7 @@ class NonlinearFit:
         seconds: of everything after the linear fit.
     """
 
-    model: NonlinearModel
+    material: NonlinearModel
     linear: Fit
     passes: int
     E_res_train: float
@@ -125,7 +124,7 @@ def with_constants(
         linear: fit of the linear solid to the residual.
         sets: its training samples.
         method: its search.
-        nonlinear: form and axis.
+        nonlinear: form.
 
     A UserWarning names what may prove more where the data reach beyond the proven strain.
 
@@ -133,10 +132,23 @@ def with_constants(
     from the full one.
     """
     begin = time.perf_counter()
-    task = _Task(linear, sets, method, nonlinear)
-    model, passes = task.settle()
-    model = _certified(model, sets, linear.model.versions)
-    error, largest = task.check(model)
+    scale = scale_of(sets, linear.material.horizon, lengths=True)
+    task = _Task(linear, sets, method, nonlinear, scale)
+    inner, passes = task.settle()
+    model = dataclasses.replace(
+        inner,
+        linear=scale.outer_model(inner.linear, linear.material),
+        smoothing=nonlinear.smoothing,
+        t3=inner.t3 * scale.stress,
+        tq2=inner.tq2 * scale.stress,
+        q3=inner.q3 * scale.stress,
+    )
+    model = _certified(model, sets, linear.material.versions)
+    proven = tuple(h / scale.length for h in model.linear.certified_on)
+    inner = dataclasses.replace(
+        inner, linear=dataclasses.replace(inner.linear, certified_on=proven)
+    )
+    error, largest = task.check(inner)
     _warn_of_strain(model, largest, sets[0].spacing, linear.settings.conditions[0].zeta)
     seconds = time.perf_counter() - begin
     return NonlinearFit(model, linear, passes, error, largest, seconds)
@@ -178,16 +190,32 @@ def _warn_of_strain(model: NonlinearModel, largest: float, spacing: float, zeta:
 
 
 class _Task:
-    """The linear fit to begin with, its samples, and what they are to be fitted with."""
+    """The linear fit to begin with, its samples, and what they are to be fitted with.
+
+    All of it in the units of a scale, which what is found is in too.
+    """
 
     def __init__(
-        self, linear: Fit, sets: Sequence[Samples], method: Optimum, nonlinear: Nonlinear
+        self,
+        linear: Fit,
+        sets: Sequence[Samples],
+        method: Optimum,
+        nonlinear: Nonlinear,
+        scale: Scale,
     ) -> None:
-        self.sets, self.method, self.horizon = sets, method, linear.model.horizon
-        self.smoothing, self.axis = nonlinear.smoothing, nonlinear.axis
-        self.settings, self.start = linear.settings, linear.history[-1].parameters
-        self.classes = linear.settings.conditions[0].classes
-        self.weights = sample_weights(sets, normalise=linear.settings.normalise)
+        self.sets = [scale.samples(samples) for samples in sets]
+        self.horizon = linear.material.horizon / scale.length
+        self.smoothing = nonlinear.smoothing
+        if self.smoothing is not None:
+            radius = self.smoothing.radius / scale.length
+            self.smoothing = dataclasses.replace(self.smoothing, radius=radius)
+        self.method = dataclasses.replace(method, moduli=scale.moduli(method.moduli))
+        self.settings = scale.inner_settings(linear.settings)
+        start = linear.history[-1].parameters
+        lam, mu = start.lam / scale.stress, start.mu / scale.stress
+        self.start = dataclasses.replace(start, lam=lam, mu=mu)
+        self.classes = self.settings.conditions[0].classes
+        self.weights = sample_weights(self.sets, normalise=self.settings.normalise)
         self.model = self._solid(self.start)
         self.loss = self._reduced()
 
@@ -207,8 +235,8 @@ class _Task:
             )
             if not optimum.converged:
                 raise RuntimeError(
-                    f"nonlinear stage: ended with a margin of {optimum.margin:.1e} TPa, and moduli "
-                    f"to be held missed by {optimum.departure:.1e} TPa"
+                    f"nonlinear stage: ended with a margin of {optimum.margin:.1e}, and moduli "
+                    f"to be held missed by {optimum.departure:.1e}"
                 )
             parameters = optimum.parameters
             constants = self.loss.constants(self._products(self._solid(parameters)), lam, mu)
@@ -240,7 +268,7 @@ class _Task:
 
     def _reduced(self) -> GradientLoss:
         weights = self.model.weights(self.classes)
-        return reduce_nonlinear(self.sets, self.horizon, self.weights, weights, axis=self.axis)
+        return reduce_nonlinear(self.sets, self.horizon, self.weights, weights)
 
     def _products(self, model: NonlinearModel) -> np.ndarray:
         return products(model.linear, self.classes)
@@ -250,4 +278,4 @@ class _Task:
     ) -> NonlinearModel:
         units = self.sets[0].points.units
         linear = dataclasses.replace(as_model(parameters, self.horizon), units=units)
-        return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing, axis=self.axis)
+        return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from html import escape
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from warp_peri.models.lps import Model
 from warp_peri.models.shapes import InfluenceFunction
 from warp_peri.points.unit_names import symbols
 from warp_peri.regression.parameters import Parameters
+from warp_peri.shown import as_table, in_rows
 from warp_peri.stability.certificate import Certificate
 from warp_peri.stability.conditions import LatticeConditions
 
@@ -45,7 +45,7 @@ class Fit:
     """A learned model and how it was learned.
 
     Attributes:
-        model: the model; certified for the training spacing if its certificate holds.
+        material: the model; certified for the training spacing if its certificate holds.
         certificates: the certificate on each training lattice.
         moduli: long-wave moduli C11, C12, C44 of the discrete operator on each of them [TPa].
         history: the stages, in order.
@@ -55,7 +55,7 @@ class Fit:
         influence: the influence function with its learned parameters, where one was given.
     """
 
-    model: Model
+    material: Model
     certificates: list[Certificate]
     moduli: list[dict[str, float]]
     history: list[Stage]
@@ -71,7 +71,7 @@ class Fit:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know of a fit at a glance: name and value."""
-        model, last = self.model, self.history[-1] if self.history else None
+        model, last = self.material, self.history[-1] if self.history else None
         length, stress = symbols(model.units)
         lattices = ", ".join(f"{h:g} {length}" for h in model.certified_on) or "no lattice"
         lines = [
@@ -93,16 +93,11 @@ class Fit:
         return lines
 
     def __repr__(self) -> str:
-        width = max(len(name) for name, _ in self.rows())
-        return "\n".join(["Fit", *(f"  {name:{width}}  {value}" for name, value in self.rows())])
+        return in_rows("Fit", self.rows())
 
     def _repr_html_(self) -> str:
         """For notebooks: the same as a table, and K over r."""
-        cells = "".join(
-            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(value)}</td></tr>"
-            for name, value in self.rows()
-        )
-        return f"<table>{cells}</table>{_influence_svg(self.model)}"
+        return as_table(self.rows()) + _influence_svg(self.material)
 
 
 def _influence_svg(model: Model) -> str:

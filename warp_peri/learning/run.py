@@ -12,7 +12,7 @@ from typing import Any
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.learning.evaluate import evaluate
-from warp_peri.learning.fit import fit
+from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Kernel
 from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
@@ -59,10 +59,10 @@ class Run:
         Raises OSError when a file cannot be written.
         """
         model = dataclasses.replace(
-            self.fit.model,
+            self.fit.material,
             errors={key: metrics[key] for key in ERRORS if key in metrics},
             provenance={
-                **self.fit.model.provenance,
+                **self.fit.material.provenance,
                 "data": data.name,
                 "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
                 **provenance,
@@ -97,12 +97,12 @@ def train(
     Raises what `fit` raises.
     """
     begin = time.perf_counter()
-    learned = fit(samples, horizon, kernel, noise=noise, **settings)
+    learned = learn(samples, horizon, kernel, noise=noise, **settings)
     between = time.perf_counter()
     tables, refused = {}, {}
     for name, points in sets.items():
         try:
-            tables[name] = evaluate(learned.model, points, allow_uncertified=allow_uncertified)
+            tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
         except InputError as error:  # no load, another spacing, a collar too small
             refused[name] = str(error)
     seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}

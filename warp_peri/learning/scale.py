@@ -1,14 +1,13 @@
 """The units that a fit works in, and the stiffness that data show (theory.md, U1–U2).
 
 Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
-tolerances of a search are numbers. They are numbers of units that follow the data in coarse steps:
-powers of 64 and of 16, so that going there and back costs no digit.
+tolerances of a search are numbers. They are numbers of Å and TPa, or of units that follow the data
+from there in coarse steps: powers of 64 and of 16, so that going there and back costs no digit.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,13 +16,15 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
+from warp_peri.learning.result import Settings
 from warp_peri.learning.training_data import TrainingData, training_data
+from warp_peri.models.lps import Model
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
 from warp_peri.points.units import in_units_of, scaled
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -31,8 +32,8 @@ from warp_peri.stability.conditions import Conditions, LatticeConditions
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
-USUAL_HORIZON, USUAL_STIFFNESS = 16.0, 0.62
-"""A horizon and a stiffness that the search's own numbers suit: those of graphene in Å and TPa."""
+USUAL_STIFFNESS = 0.62
+"""A stiffness [TPa] that the search's own numbers suit: that of graphene."""
 PROBED_HORIZON = 2.0
 """Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
 UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
@@ -44,7 +45,7 @@ class Scale:
     """Units of a fit.
 
     Attributes:
-        length, stress: of the fit, in the units of the data; powers of two.
+        length, stress: of the fit, in the units of the data.
         stiffness: that the data show, in their unit of stress.
         units: names of the units of the data.
     """
@@ -82,10 +83,14 @@ class Scale:
         return dataclasses.replace(given, lattice_spacing=inner)
 
     def _optimum(self, given: Optimum) -> Optimum:
-        if given.moduli is None or isinstance(given.moduli, str):
-            return given
-        lam, mu = given.moduli
-        return dataclasses.replace(given, moduli=(lam / self.stress, mu / self.stress))
+        return dataclasses.replace(given, moduli=self.moduli(given.moduli))
+
+    def moduli(self, held: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
+        """Moduli to be held, in these units."""
+        if held is None or isinstance(held, str):
+            return held
+        lam, mu = held
+        return lam / self.stress, mu / self.stress
 
     def lattice_conditions(self, data: TrainingData, horizon: float) -> list[LatticeConditions]:
         """The conditions of training data in these units, in those of the data."""
@@ -96,6 +101,30 @@ class Scale:
             )
             for lattice in data.conditions
         ]
+
+    def inner_model(self, model: Model) -> Model:
+        """λ, μ, kernels and horizon of a model in these units."""
+        lam, mu = model.lam / self.stress, model.mu / self.stress
+        horizon = model.horizon / self.length
+        return dataclasses.replace(model, lam=lam, mu=mu, horizon=horizon, units=USUAL)
+
+    def outer_model(self, inner: Model, like: Model) -> Model:
+        """A model of these units in those of the data, with the horizon of another."""
+        lam, mu, horizon = inner.lam * self.stress, inner.mu * self.stress, like.horizon
+        return dataclasses.replace(inner, lam=lam, mu=mu, horizon=horizon, units=like.units)
+
+    def inner_settings(self, given: Settings) -> Settings:
+        """What a fit kept, in these units."""
+        kept = [
+            LatticeConditions(
+                bond_classes(
+                    lattice.classes.spacing / self.length, lattice.classes.horizon / self.length
+                ),
+                dataclasses.replace(lattice.asked, zeta=lattice.zeta / self.stress),
+            )
+            for lattice in given.conditions
+        ]
+        return dataclasses.replace(given, conditions=kept, moduli=self.moduli(given.moduli))
 
     def parameters(self, parameters: Parameters) -> Parameters:
         """What was found in these units, in those of the data."""
@@ -115,13 +144,10 @@ def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale
     Raises InputError as stiffness_of does.
     """
     stiffness = stiffness_of(sets, horizon)
-    length = _step(horizon / USUAL_HORIZON, 6) if lengths and horizon > 0 else 1.0
-    return Scale(length, _step(stiffness / USUAL_STIFFNESS, 4), stiffness, sets[0].points.units)
-
-
-def _step(ratio: float, bits: int) -> float:
-    """The nearest power of 2 to the bits: data of usual sizes stay as they are."""
-    return math.ldexp(1.0, bits * round(math.log2(ratio) / bits))
+    units = sets[0].points.units
+    length = search_length(units, horizon) if lengths and 0 < horizon < np.inf else 1.0
+    stress = search_unit(units[1], stiffness, USUAL_STIFFNESS, 4)
+    return Scale(length, stress, stiffness, units)
 
 
 def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
@@ -187,4 +213,8 @@ def scaled_data(
     except InputError:
         made(None)  # what is wrong with the sets themselves comes first
         raise
-    return dataclasses.replace(made(scale), stress=scale.stress), scale
+    try:
+        return dataclasses.replace(made(scale), stress=scale.stress), scale
+    except InputError:
+        made(None)  # the same refusal, with the user's own numbers
+        raise

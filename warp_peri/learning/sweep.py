@@ -17,12 +17,13 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.learning.evaluate import evaluate
-from warp_peri.learning.fit import fit
+from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein
 from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import symbols
 from warp_peri.stability.conditions import Conditions
 
 COST_TOLERANCE = 0.1
@@ -205,7 +206,7 @@ def _trial(
     tries again. Input that cannot be used ends the sweep.
     """
     try:
-        learned = fit(
+        learned = learn(
             train,
             horizon,
             Bernstein(degree),
@@ -214,8 +215,9 @@ def _trial(
             progress=False,
         )
     except RuntimeError as error:
-        return f"δ = {horizon:g} Å, M = {degree}: {error}"
-    model = learned.model
+        unit = symbols(train.points.units)[0]
+        return f"δ = {horizon:g} {unit}, M = {degree}: {error}"
+    model = learned.material
     tables = [evaluate(model, points, allow_uncertified=True) for points in (train, val)]
     E_u_test = None if test is None else evaluate(model, test, allow_uncertified=True)["E_u"]
     model_file = file.with_suffix(".model.json")

@@ -84,7 +84,7 @@ def training_data(
         raise InputError("points: expected at least one training set, got none")
     weights = sample_weights(sets, normalise=normalise)
     full = [FullLoss(each, horizon, weight) for each, weight in zip(sets, weights)]
-    grids, unloaded = [], listed(noise)
+    grids, unloaded = [], listed(noise, "noise")
     if all(each.spacing > 0 for each in sets):
         if lattice_spacing is not None:
             raise InputError("lattice_spacing: only for scattered points")
@@ -109,10 +109,21 @@ def training_data(
     return TrainingData(sets, horizon, full, grids, asked, unloaded, added)
 
 
-def listed(samples: Samples | Dataset | Sequence[Samples] | None) -> list[Samples]:
-    """One set, several or none as a list; of a data set the one called train, or the only one."""
+def listed(
+    samples: Samples | Dataset | Sequence[Samples] | None, name: str = "samples"
+) -> list[Samples]:
+    """One set, several or none as a list; of a data set the one called train, or the only one.
+
+    Raises InputError, which begins with the name, for anything else.
+    """
     if samples is None:
         return []
     if isinstance(samples, Dataset):
         samples = samples.obvious("train")
-    return [samples] if isinstance(samples, Samples) else list(samples)
+    sets = [samples] if isinstance(samples, Samples) else samples
+    if not isinstance(sets, Sequence) or not all(isinstance(each, Samples) for each in sets):
+        raise InputError(
+            f"{name}: expected Samples (nodes with u and b), or a list of them, got "
+            f"{type(samples).__name__}"
+        )
+    return list(sets)

@@ -19,6 +19,8 @@ from warp_peri.errors import InputError
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.response import WaveResponse, products
 from warp_peri.learning.result import Fit
+from warp_peri.learning.scale import scale_of
+from warp_peri.learning.training_data import listed
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import check_noise, corrected, noise_loss
 from warp_peri.losses.reduced import Features, ReducedLoss, reduce
@@ -96,10 +98,13 @@ def fit_uncertainty(
     Raises InputError for data that the fit cannot have learned from, data in other units, or for a
     loss "output" on loads that are not single waves.
     """
-    model, settings = found.model, found.settings
+    model, settings = found.material, found.settings
     sets, fields = _sets_and_noise(points, noise, len(settings.conditions))
     for samples in (*sets, *fields):
         check_same(model.units, samples.points.units)
+    scale = scale_of(sets, model.horizon, lengths=found.influence is None)
+    sets, fields = ([scale.samples(each) for each in some] for some in (sets, fields))
+    model, settings = scale.inner_model(model), scale.inner_settings(settings)
     weights = sample_weights(sets, normalise=settings.normalise)
     losses = [_linearised(found.loss.name, model, *each) for each in zip(sets, fields, weights)]
     own = model.dilatation if settings.two_functions else None
@@ -127,7 +132,11 @@ def fit_uncertainty(
     if found.loss.name == "corrected":
         _warn_of_curvature(step.T @ np.concatenate(bends) @ step)
     steps = (axes[:, : len(deviation)] * deviation).T[deviation > 1e-12 * deviation[0]]
-    return Uncertainty([_beside(problem, y, model, step) for step in steps])
+    pairs = [_beside(problem, y, model, step) for step in steps]
+    back = found.material
+    return Uncertainty(
+        [(scale.outer_model(a, back), scale.outer_model(b, back), off) for a, b, off in pairs]
+    )
 
 
 def _beside(
@@ -337,8 +346,7 @@ def _sets_and_noise(
     points: Samples | Sequence[Samples], noise: Samples | Sequence[Samples], number: int
 ) -> tuple[list[Samples], list[Samples]]:
     """Training sets and their noise, as lists of the number that the fit knows."""
-    sets = [points] if isinstance(points, Samples) else list(points)
-    fields = [noise] if isinstance(noise, Samples) else list(noise)
+    sets, fields = listed(points, "points"), listed(noise, "noise")
     if not len(sets) == len(fields) == number:
         raise InputError(
             f"points, noise: expected {number} sets each, got {len(sets)} and {len(fields)}"

@@ -16,6 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.losses.reduced import Features, ReducedLoss, with_rows
 from warp_peri.operator.gradient_sweeps import GradientSweeps
+from warp_peri.points.axis import axis_of
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import Samples
 
@@ -63,10 +64,9 @@ class NonlinearFeatures:
     """What t3, tq2, q3, λ and μ of Ψ do to L u, each at 1, on one lattice.
 
     Args:
-        points: the lattice.
+        points: the lattice, which states the axis of the crystal.
         horizon: δ [Å].
         weights: p_in and p_out by class, each of shape [C].
-        axis: angle of the crystal's zigzag direction [rad].
     """
 
     def __init__(
@@ -74,12 +74,11 @@ class NonlinearFeatures:
         points: Samples,
         horizon: float,
         weights: tuple[np.ndarray, np.ndarray],
-        axis: float,
     ) -> None:
         self.sweeps = GradientSweeps(points, horizon)
         none = np.zeros_like(weights[0])
         self.bonds = self.sweeps.bonds(2 * np.stack([none, none, *weights]))
-        turned = np.exp(-6j * axis)
+        turned = np.exp(-6j * axis_of(points))
         self.numbers = np.zeros((5, 6))
         self.numbers[[0, 1, 3, 4], [2, 3, 0, 1]] = 1.0
         self.numbers[2, 4:] = turned.real, turned.imag
@@ -99,17 +98,14 @@ def reduce_nonlinear(
     horizon: float,
     sample_weights: Sequence[np.ndarray],
     weights: tuple[np.ndarray, np.ndarray],
-    *,
-    axis: float = 0.0,
 ) -> GradientLoss:
     """Sweep data once and factorise their features.
 
     Args:
-        sets: samples on lattices of one spacing.
+        sets: samples on lattices of one spacing, each with an axis of the crystal.
         horizon: δ [Å].
         sample_weights: of each sample of each set in the loss, shape [S].
         weights: p_in and p_out by class, each of shape [C].
-        axis: angle of the crystal's zigzag direction [rad].
 
     Raises InputError for sets of several spacings or without the collar.
     """
@@ -119,7 +115,7 @@ def reduce_nonlinear(
     R = None
     for points, weight in zip(sets, sample_weights):
         features = Features(points, horizon)
-        nonlinear = NonlinearFeatures(points, horizon, weights, axis)
+        nonlinear = NonlinearFeatures(points, horizon, weights)
         columns = features.width + 6
         R = np.zeros((0, columns)) if R is None else R
         block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))

@@ -8,7 +8,7 @@ import os
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,8 +17,13 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
 from warp_peri.models.solid import Solid
+from warp_peri.points.arrays import is_number
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
+
+if TYPE_CHECKING:  # the operator stands above its numbers
+    from warp_peri.points.samples import PointsLike
+    from warp_peri.statics.lps import PlacedLPS
 
 FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
@@ -91,6 +96,7 @@ class Model:
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
     file: Path | None = None
+    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", check_units(self.units))
@@ -140,6 +146,11 @@ class Model:
     def solid(self) -> Solid:
         """λ, μ, α, D and D of the dilatation as one value."""
         return Solid(self.lam, self.mu, self.alpha, self.D, self.dilatation)
+
+    @property
+    def linear(self) -> Model:
+        """Itself: the linear solid at zero strain, which nonlinear laws have too."""
+        return self
 
     @property
     def bond_based(self) -> bool:
@@ -214,9 +225,9 @@ class Model:
     def in_units(self, units: Units) -> Model:
         """The same material with its numbers in other units.
 
-        K keeps its coefficients, whose common scale has no effect. Figures of the certificate and
-        records of errors and provenance stay in the units that they were made in, which the
-        provenance then names.
+        K keeps its coefficients, whose common scale has no effect. The figures of the certificate
+        go along, for a transfer asks for as much as is proven; its statement and records of errors
+        and provenance stay in the units that they were made in, which the provenance then names.
 
         Raises InputError for units that are not known, or that no factor leads to.
         """
@@ -232,14 +243,63 @@ class Model:
             trained_on=tuple(spacing * length for spacing in self.trained_on),
             certified_on=tuple(spacing * length for spacing in self.certified_on),
             largest_wave_number=None if shortest is None else shortest / length,
+            certificate={
+                f"{h * length:g}": _figures_in(self.certificate[f"{h:g}"], length, stress)
+                for h in dict.fromkeys((*self.certified_on, *self.trained_on))
+                if f"{h:g}" in self.certificate
+            },
             provenance={**self.provenance, "units_before": list(self.units)},
             units=check_units(units),
             file=None,
         )
 
+    def on(self, points: PointsLike, **options: Any) -> PlacedLPS:
+        """The model on points: transferred there, certified, its bonds built when first needed.
+
+        Args:
+            points: a lattice or scattered points.
+            options: transfer=False refuses what the model itself holds no certificate for;
+                allow_uncertified=True takes its own numbers, with a warning; device,
+                quadrature_degree.
+
+        Raises InputError as LPSOperator does.
+        """
+        from warp_peri.statics.lps import PlacedLPS
+
+        return PlacedLPS(self, points, **options)
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the model holds."""
+        return model_content(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Constants, lattices and errors, as plain values."""
+        names = ("mu", "E", "nu", "alpha", "degree", "horizon")
+        lists = ("units", "trained_on", "certified_on")
+        return {
+            "format": "model",
+            "lambda": self.lam,
+            **{name: getattr(self, name) for name in names},
+            **{name: list(getattr(self, name)) for name in lists},
+            "errors": self.errors,
+            "versions": self.versions,
+        }
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
-        write_json(path, model_content(self))
+        write_json(path, self.content())
+
+
+def _figures_in(figures: Any, length: float, stress: float) -> Any:
+    """Figures of a certificate in other units; anything else as it is."""
+    if not isinstance(figures, dict):
+        return figures
+    times = {"spacing": length} | dict.fromkeys(("symbol_min", "symbol_bound"), stress)
+    times |= dict.fromkeys(("gamma_min", "gamma_minus_2phi_min", "gamma_max"), length**-2)
+    return {
+        name: value * times[name] if name in times and is_number(value) else value
+        for name, value in figures.items()
+    }
 
 
 def model_content(model: Model) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -25,14 +27,16 @@ from warp_peri.points.unit_names import Units, factors
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
+    from warp_peri.points.samples import PointsLike
+    from warp_peri.statics.nonlinear import PlacedThirdOrder
 
 KIND = "nonlinear"
 OWN = 1e-4
 """What Σ n r² p of a `gradient` may miss 1 by on the lattice that it was made for."""
 CUBIC = ("t3", "tq2", "q3")
 _RECORDS = ("proven", "errors", "provenance")
-_OPTIONAL = {"sha256", "gradient"}
-_KEYS = {"format", "version", "kind", "linear", "smoothing", "axis", *_OPTIONAL, *CUBIC, *_RECORDS}
+_OPTIONAL = {"sha256", "gradient", "axis"}
+_KEYS = {"format", "version", "kind", "linear", "smoothing", *_OPTIONAL, *CUBIC, *_RECORDS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +45,12 @@ class NonlinearModel:
 
     Attributes:
         linear: the linear solid, which is the tangent at zero; its λ and μ are those of Ψ.
-        t3, tq2, q3: third-order elastic constants [TPa].
+        t3, tq2, q3: third-order elastic constants [TPa], q3 in the frame of the crystal, whose
+            zigzag direction the points state (Points.axis).
         smoothing: of the data, for the filtered form; None for the energy form, whose gradient and
             force have the weights of the linear dilatation.
         gradient: weights by bond class [1/Å²] of the gradient and the force of an energy form that
             was transferred to another lattice (theory.md, N21); None for those of the dilatation.
-        axis: angle [rad] of the crystal's zigzag direction from the x axis of the points.
         proven: figures of the guarantee of uniqueness, by spacing.
         errors: on data sets, by name.
         provenance: of the data and the fit.
@@ -60,11 +64,11 @@ class NonlinearModel:
     tq2: float
     q3: float
     smoothing: Smoothing | None = None
-    axis: float = 0.0
     proven: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     gradient: tuple[float, ...] | None = None
+    dimension: ClassVar[int] = 2
 
     @property
     def units(self) -> Units:
@@ -72,7 +76,7 @@ class NonlinearModel:
         return self.linear.units
 
     def __post_init__(self) -> None:
-        for name in (*CUBIC, "axis"):
+        for name in CUBIC:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
                 raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
@@ -100,8 +104,12 @@ class NonlinearModel:
 
     @property
     def numbers(self) -> np.ndarray:
-        """λ, μ, t3, tq2, Re and Im of q3 e^(−6ia) [TPa], shape [6]."""
-        turned = self.q3 * np.exp(-6j * self.axis)
+        """λ, μ, t3, tq2, q3 and 0 [TPa], shape [6]: of a crystal along x."""
+        return self.numbers_at(0.0)
+
+    def numbers_at(self, axis: float) -> np.ndarray:
+        """λ, μ, t3, tq2, Re and Im of q3 e^(−6ia) [TPa], shape [6], of a crystal at a [rad]."""
+        turned = self.q3 * np.exp(-6j * axis)
         linear = self.linear
         return np.array([linear.lam, linear.mu, self.t3, self.tq2, turned.real, turned.imag])
 
@@ -172,16 +180,31 @@ class NonlinearModel:
             },
         )
 
+    def on(self, points: PointsLike, **options: Any) -> PlacedThirdOrder:
+        """The model on a lattice, its linear part transferred; as PlacedThirdOrder."""
+        from warp_peri.statics.nonlinear import PlacedThirdOrder
+
+        return PlacedThirdOrder(self, points, **options)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""
+        write_json(path, self.content())
+
+    def summary(self) -> dict[str, Any]:
+        """Constants, guarantee and errors, and those of the linear part, as plain values."""
+        own = {name: getattr(self, name) for name in (*CUBIC, "proven", "errors")}
+        return self.linear.summary() | {"format": f"model, nonlinear, {self.form} form"} | own
+
+    def content(self) -> dict[str, Any]:
+        """What the file of the model holds."""
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "kind": KIND}
         content["linear"] = model_content(self.linear)
-        content |= {name: getattr(self, name) for name in (*CUBIC, "axis", *_RECORDS)}
+        content |= {name: getattr(self, name) for name in (*CUBIC, *_RECORDS)}
         content["smoothing"] = None if self.smoothing is None else asdict(self.smoothing)
         if self.gradient is not None:
             content["gradient"] = list(self.gradient)
         content["sha256"] = content_hash(content)
-        write_json(path, content)
+        return content
 
 
 def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
@@ -207,7 +230,13 @@ def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
         raise InputError(
             "sha256: the contents are not what was written; remove this key to accept them"
         )
-    numbers = {name: content[name] for name in (*CUBIC, "axis", *_RECORDS)}
+    numbers = {name: content[name] for name in (*CUBIC, *_RECORDS)}
+    if content.get("axis"):
+        warnings.warn(
+            f"axis: the file has {content['axis']!r:.20} rad of the points that it was learned on; "
+            "points state their own now, Points(…, axis=degrees)",
+            stacklevel=3,
+        )
     gradient = content.get("gradient")
     if not (gradient is None or (isinstance(gradient, list) and all(map(is_number, gradient)))):
         raise InputError(f"gradient: expected a list of numbers, got {gradient!r:.50}")
@@ -232,6 +261,9 @@ def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
     content = read_content(path)
     nonlinear = isinstance(content, dict) and content.get("kind") == KIND
     try:
-        return nonlinear_from(content) if nonlinear else model_from(content)
+        model = nonlinear_from(content) if nonlinear else model_from(content)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if isinstance(model, Model):
+        return replace(model, file=Path(path))
+    return replace(model, linear=replace(model.linear, file=Path(path)))

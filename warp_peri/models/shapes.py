@@ -25,6 +25,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
+from warp_peri.points.unit_names import USUAL, Units
 
 DEGREES = ((10, 0.0), (20, 0.0), (40, 0.0), (60, 0.0), (80, 1e-6))
 """Degrees M that are tried, one after the other, to write a function as a polynomial, with the
@@ -132,7 +133,7 @@ class InfluenceFunction:
         if not np.isfinite(K).all():
             where = distance[~np.isfinite(K)].flat[0]
             raise InputError(
-                f"influence '{self.name}': K is not finite at r = {where:g} Å with "
+                f"influence '{self.name}': K is not finite at r = {where:g} with "
                 f"{dict(self.parameters)}; give `bounds` that keep it so"
             )
         return K
@@ -202,19 +203,29 @@ class InfluenceFunction:
             )
         return D * size, departure
 
-    def model(self, *, lam: float, mu: float, horizon: float, spacings: Sequence[float]) -> Model:
+    def model(
+        self,
+        *,
+        lam: float,
+        mu: float,
+        horizon: float,
+        spacings: Sequence[float],
+        units: Units = USUAL,
+    ) -> Model:
         """The solid with this influence function and these constants, not certified.
 
         Args:
             lam, mu: Lamé parameters [TPa].
             horizon: δ [Å].
             spacings: of the lattices [Å] whose bonds shall have exactly K(r).
+            units: names of the units of length and stress of all these, if others.
 
         Raises InputError as `coefficients` does, and for numbers out of range.
         """
         lengths = np.concatenate([bond_classes(spacing, horizon).r for spacing in spacings])
         D, departure = self.coefficients(lengths, horizon)
-        return Model(lam, mu, 0.0, D, horizon, provenance={"influence": self.record(departure)})
+        kept = {"influence": self.record(departure)}
+        return Model(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
 
     def record(self, departure: float) -> dict[str, Any]:
         """What a model keeps of it beside the polynomial, with the departure of that."""

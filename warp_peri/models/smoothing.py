@@ -42,7 +42,7 @@ class Smoothing:
 
     def __post_init__(self) -> None:
         if not is_positive(self.radius):
-            raise InputError(f"radius: expected a length > 0 Å, got {self.radius!r}")
+            raise InputError(f"radius: expected a length > 0, got {self.radius!r}")
         if not (is_number(self.ridge) and 0 <= self.ridge < np.inf):
             raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")
 

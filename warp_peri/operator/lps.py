@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, overload
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 import warp as wp
 from torch.autograd.function import once_differentiable
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.models.solid import Solid
@@ -102,7 +103,9 @@ class NodeOperator:
     out.
     """
 
-    @renamed(box="part of Points(…, box=…)", outside="part of Points(…, outside=…)")
+    at_once = True
+    """Whether bonds are built at the start; solves by stencils need none."""
+
     def __init__(
         self,
         model: Model,
@@ -113,19 +116,28 @@ class NodeOperator:
         device: str = DEVICE,
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
-        points = on_nominal_lattice(model, points)
-        self.model = model
-        self.bonds = Bonds(
-            points,
-            model.horizon,
-            bond_based=model.bond_based,
-            quadrature_degree=quadrature_degree,
-            device=device,
+        self.model, self.nodes = model, on_nominal_lattice(model, points)
+        self.quadrature_degree, self.device = quadrature_degree, device
+        if self.at_once:
+            _ = self.bonds
+
+    @cached_property
+    def bonds(self) -> Bonds:
+        """The bonds of the nodes, on the device."""
+        bonds = Bonds(
+            self.nodes,
+            self.model.horizon,
+            bond_based=self.model.bond_based,
+            quadrature_degree=self.quadrature_degree,
+            device=self.device,
         )
-        check_volumes(self.bonds, model)
-        self._tabulated: Tabulated | None = None
-        if not self.bonds.lattice and device == DEVICE:
-            self._tabulated = Tabulated(self.bonds)
+        check_volumes(bonds, self.model)
+        return bonds
+
+    @cached_property
+    def _tabulated(self) -> Tabulated | None:
+        apart = not self.bonds.lattice and self.device == DEVICE
+        return Tabulated(self.bonds) if apart else None
 
     @overload
     def __call__(self, u: np.ndarray) -> np.ndarray: ...

@@ -19,6 +19,7 @@ from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.tangent import TangentMatrices
+from warp_peri.points.axis import axis_of
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import PointsLike
 
@@ -129,7 +130,8 @@ class NonlinearOperator:
 
     Args:
         model: the model.
-        points: a lattice, whose interior has the 2δ collar.
+        points: a lattice, whose interior has the 2δ collar; their axis is that of the crystal, x
+            where none is stated, which is said once.
         radius: largest |H| that the stress sees, projected to it from beyond (theory.md, N10); 0
             for none.
         allow_uncertified: warn instead of raising when the linear part holds no certificate for
@@ -165,7 +167,8 @@ class NonlinearOperator:
             weights = torch.from_numpy(p_in), torch.from_numpy(p_out)
         self.tables = class_tables(self.sweeps.classes, mu, alpha, D, D_dilatation, weights)
         self.bulk = torch.tensor([linear.lam - linear.mu], dtype=torch.float64)
-        self.numbers = torch.from_numpy(model.numbers)
+        axis = axis_of(points) if model.q3 else 0.0
+        self.numbers = torch.from_numpy(model.numbers_at(axis))
         self._matrices: TangentMatrices | None = None
 
     @overload

@@ -104,7 +104,7 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndar
         if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
             raise InputError(
                 "influence function: its weighted volume m (theory.md, 5) is zero on the lattice "
-                f"of spacing {classes.spacing:g} Å: positive and negative parts cancel"
+                f"of spacing {classes.spacing:g}: positive and negative parts cancel"
             )
         tables.append(model.mu * kw / terms.sum())
     return tables[0], tables[1], (model.lam - model.mu) / model.mu**2

@@ -65,6 +65,8 @@ def save_dataset(
             group.attrs["spacing"] = float(points.spacing)
             if points.box is not None:
                 group.attrs["box"] = np.asarray(points.box, dtype=float)
+            if points.axis is not None:
+                group.attrs["axis"] = points.axis
             for key, value in _arrays(points).items():
                 group[key] = _fixed(value) if value.dtype.kind in "USO" else value
         file.attrs["sha256"] = _fixed(content_hash(dataset))
@@ -99,6 +101,8 @@ def content_hash(dataset: Dataset) -> str:
         add(name.encode(), repr(float(points.spacing)).encode())
         if points.box is not None:
             add(repr(tuple(map(float, points.box))).encode())
+        if points.axis is not None:
+            add(b"axis", repr(points.axis).encode())
         arrays = _arrays(points)
         for key in sorted(arrays):
             value = arrays[key]
@@ -233,6 +237,7 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
         box=None if box is None else _periods(box),
         outside=fields["outside"],
         units=units,
+        axis=_attribute(group.attrs, "axis") if "axis" in group.attrs else None,
     )
     return Samples(points, fields["u"], fields["b"], extra)
 

@@ -41,6 +41,7 @@ EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
 large; beyond that the nodes are too far apart to be one body."""
 
 BOND_COLLAR = "interior nodes need complete families"
+AT_EDGES = "Free edges and holes: solve_body, whose elements take what an edge cuts"
 
 
 @dataclass(frozen=True)
@@ -401,5 +402,5 @@ def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float, uni
     candidates = np.unique(length[(length >= 2) & (length <= reach)])
     number = bisect.bisect_left(candidates, True, key=lambda horizon: not fits(horizon))
     if number == 0:
-        return "no horizon of two spacings or more fits"
+        return f"no horizon of two spacings or more fits. {AT_EDGES}"
     return f"the largest that fits is {candidates[number - 1] * spacing:g} {unit}"

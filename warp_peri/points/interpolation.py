@@ -102,7 +102,7 @@ def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = FOR_DATA
     Raises InputError for a spacing that is no length, or fewer nodes than neighbours.
     """
     if not (np.isfinite(spacing) and spacing > 0):
-        raise InputError(f"spacing: expected a lattice spacing > 0 Å, got {spacing}")
+        raise InputError(f"spacing: expected a lattice spacing > 0, got {spacing}")
     tree = cKDTree(samples.x)
     low, high = samples.x.min(axis=0), samples.x.max(axis=0)
     lines = [
@@ -121,7 +121,7 @@ def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = FOR_DATA
     parts = np.split(carried, len(fields), axis=1)
     u, *b = (part.reshape(len(y), -1, 2).transpose(1, 0, 2) for part in parts)
     return Samples(
-        Points(y, interior, spacing, units=samples.points.units),
+        Points(y, interior, spacing, units=samples.points.units, axis=samples.axis),
         u,
         b[0] if b else None,
         samples.arrays,

@@ -77,7 +77,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: float) 
     lengths = [size, *(o.radius for o in outlines if isinstance(o, Circle))]
     lengths += [o.size for o in outlines if o.size is not None]
     if not all(np.isfinite(length) and length > 0 for length in lengths):
-        raise InputError(f"outline: expected radii and sizes > 0 Å, got {lengths}")
+        raise InputError(f"outline: expected radii and sizes > 0, got {lengths}")
     geometry = SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)

@@ -26,6 +26,8 @@ class Points:
             balls that the quadrature integrates over, and bonds to them are broken (theory.md,
             40–42).
         units: names of the units of length and stress that these nodes and their fields are in.
+        axis: angle [degrees] from the x axis of the nodes to the axis of the material, a crystal's
+            zigzag direction; None where it is not stated. Only laws that depend on direction ask.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
     Periods are held against a horizon where there is one.
@@ -37,6 +39,7 @@ class Points:
     box: tuple[float, ...] | None = None
     outside: np.ndarray | None = None
     units: Units = USUAL
+    axis: float | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (("x", float), ("interior", bool)):
@@ -53,6 +56,10 @@ class Points:
         if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
             raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
         object.__setattr__(self, "units", check_units(self.units))
+        if self.axis is not None:
+            if not (is_number(self.axis) and np.isfinite(self.axis)):
+                raise InputError(f"axis: expected an angle [degrees], got {self.axis!r:.60}")
+            object.__setattr__(self, "axis", float(self.axis))
         if self.outside is not None:
             outside = np.asarray(self.outside)
             wrong = outside.shape != (n,) or outside.dtype != bool
@@ -62,6 +69,29 @@ class Points:
                     f"{outside.dtype} of shape {list(outside.shape)}"
                 )
             object.__setattr__(self, "outside", outside)
+
+    @classmethod
+    def sheet(
+        cls,
+        sides: tuple[int, int],
+        spacing: float,
+        *,
+        units: Units = USUAL,
+        axis: float | None = None,
+    ) -> Points:
+        """A periodic lattice along the axes, all of its nodes interior.
+
+        Args:
+            sides: nodes along each axis; node (i, j) is number i · sides[1] + j.
+            spacing: h [length].
+            units: of length and stress.
+            axis: of the material, as of Points.
+        """
+        grid = np.indices(sides).reshape(len(sides), -1).T
+        box = (sides[0] * spacing, sides[1] * spacing)
+        return cls(
+            spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
+        )
 
     @property
     def dimension(self) -> int:

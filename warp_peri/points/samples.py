@@ -79,6 +79,11 @@ class Samples:
         return self.points.outside
 
     @property
+    def axis(self) -> float | None:
+        """Angle [degrees] of the material's axis from the x axis of the points, or None."""
+        return self.points.axis
+
+    @property
     def loads(self) -> np.ndarray:
         """b [TPa/Å]; InputError where it is not known."""
         if self.b is None:

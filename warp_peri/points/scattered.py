@@ -13,7 +13,7 @@ from warp_peri.points.quadrature import RESIDUAL, family_weights
 
 COINCIDENT = 1e-6
 """Points closer than this fraction of the horizon are one point given twice."""
-BATCH_BONDS = 40_000
+BATCH_BONDS = 10_000
 """Bonds whose weights are solved for at once."""
 
 
@@ -33,12 +33,12 @@ def neighbours(
     Raises InputError for a box that is too small, or more bonds than int32 can number.
     """
     if not (np.isfinite(reach) and reach > 0):
-        raise InputError(f"horizon: expected a length > 0 Å, got {reach}")
+        raise InputError(f"horizon: expected a length > 0, got {reach}")
     corner = x.min(axis=0)
     extent = x.max(axis=0) - corner
     if box is not None:
         if not (np.shape(box) == (2,) and np.isfinite(box).all() and (2 * reach < min(box))):
-            raise InputError(f"box: expected two periods above {2 * reach:g} Å, got {box}")
+            raise InputError(f"box: expected two periods above {2 * reach:g}, got {box}")
         extent = np.array(box, dtype=float)
     most = np.sqrt(len(x)) + 1  # no more cells than points, or nearly so
     widest = extent / (reach * (1 + 1e-9))  # no rounding puts near points two cells apart

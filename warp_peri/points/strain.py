@@ -34,3 +34,23 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
         ),
         default=0.0,
     )
+
+
+def lattice_strain(u: np.ndarray, spacing: float) -> float:
+    """As largest_strain, of a field [Å] on a periodic lattice, shape [..., n₁, n₂, 2]."""
+    pairs = [np.roll(u[..., a], -1, axis=a - 2) - u[..., a] for a in (0, 1)]
+    return max(float(np.abs(pair).max(initial=0.0)) for pair in pairs) / spacing
+
+
+def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
+    """As largest_strain, between the ends of the edges of triangles.
+
+    Args:
+        x: corners [Å], shape [P, 2].
+        triangles: their corners, shape [T, 3].
+        u: displacement of the corners [Å], shape [P, 2].
+    """
+    after = np.roll(triangles, -1, axis=1)
+    xi, relative = x[after] - x[triangles], u[after] - u[triangles]
+    along = (xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)
+    return float(np.abs(along).max(initial=0.0))

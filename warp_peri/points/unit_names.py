@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from typing import Any, TypeAlias
 
 from warp_peri.errors import InputError
@@ -15,6 +17,8 @@ REDUCED = ("sigma", "epsilon/sigma^3")
 SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
 """How units are printed, where that is not by name."""
 SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
+USUAL_HORIZON = 16.0
+"""A horizon [Å] that the numbers of searches suit."""
 
 Units: TypeAlias = tuple[str, str]
 """Names of a unit of length and of one of stress."""
@@ -40,6 +44,25 @@ def check_units(units: Any) -> Units:
                 f"got {name!r:.60}"
             )
     return length, stress
+
+
+def unit_content(units: Units) -> dict[str, str]:
+    """How a file names units."""
+    return {"length_unit": units[0], "stress_unit": units[1]}
+
+
+def units_of(content: dict[str, Any], file: str) -> Units:
+    """The units that a file's content names, which are taken out of it.
+
+    Å and TPa with a warning where it names none. Raises InputError for units that are not known.
+    """
+    keys = list(unit_content(USUAL))
+    if not set(keys) & set(content):
+        warnings.warn(f"{file}: it names no units: taken as Å and TPa", stacklevel=3)
+        return USUAL
+    if missing := [key for key in keys if key not in content]:
+        raise InputError(f"missing keys: {', '.join(missing)}")
+    return check_units([content.pop(key) for key in keys])
 
 
 def symbols(units: Units) -> tuple[str, str]:
@@ -72,3 +95,25 @@ def check_same(model: Units, points: Units) -> None:
             f"units: the model is in {' and '.join(model)}, the points are in "
             f"{' and '.join(points)}; model.in_units(({theirs})) converts"
         )
+
+
+def search_unit(unit: str, size: float, usual: float, bits: int) -> float:
+    """A unit that a search works in, in one of some data.
+
+    Starts, steps, bounds and tolerances of a search are numbers. It works in Å and TPa, whatever
+    the data are in, so that it finds the same in any units; where the data are of another size
+    than usual ones, in powers of 2 to the bits of these.
+
+    Args:
+        unit: name of a unit of length or stress.
+        size: of the data, in it.
+        usual: size in Å or TPa that the search's own numbers suit.
+        bits: of a step.
+    """
+    known = LENGTHS.get(unit) or STRESSES.get(unit, 1.0)
+    return math.ldexp(1.0, bits * round(math.log2(size * known / usual) / bits)) / known
+
+
+def search_length(units: Units, horizon: float) -> float:
+    """The unit of length of a search, for a horizon; both in the unit of length of `units`."""
+    return search_unit(units[0], horizon, USUAL_HORIZON, 6)

@@ -43,7 +43,7 @@ class ShapeCoordinates:
             if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
                 raise InputError(
                     f"influence '{shape.name}': its weighted volume (theory.md, 5) is zero on the "
-                    f"lattice of spacing {classes.spacing:g} Å with {dict(shape.parameters)}"
+                    f"lattice of spacing {classes.spacing:g} with {dict(shape.parameters)}"
                 )
 
     def start(self, parameters: Parameters) -> np.ndarray:

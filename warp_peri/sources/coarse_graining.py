@@ -1,18 +1,24 @@
-"""From atoms to nodes: smoothed displacement and body force (theory.md, equations 1–3)."""
+"""From atoms to nodes: smoothed displacement and body force (theory.md, equations 1–3, 3a)."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
+from warp_peri.points.mesh import Mesh
 
 EV_PER_CUBIC_ANGSTROM = 0.1602176634
 """1 eV/Å³ in TPa."""
 
 SHAPES = ("cone", "paraboloid")
+FURTHEST = 1.0
+"""How far outside a mesh an atom may lie, in heights of the triangle that takes its force."""
 
 
 def smoothing_matrix(
@@ -39,7 +45,9 @@ def smoothing_matrix(
             an atom, and all of them are summed into the atom's column.
         spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
             over in the denominator; None sums over the given nodes, so that atoms outside their
-            reach or at the edge of the node set are shared out among fewer nodes.
+            reach or at the edge of the node set are shared out among fewer nodes. Of nodes that
+            reach beyond a box some are images of others, among which no atom may be shared: None
+            takes their spacing then.
         density: divide τ by its integral instead, ∫ω dx = 1 (2.1): for scattered nodes, which
             stand for no fixed area; coarse_grain then takes node_area = 1. Not with a spacing.
 
@@ -47,11 +55,15 @@ def smoothing_matrix(
         Sparse ω, shape [N, A], dimensionless; [Å⁻²] with `density`.
 
     Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
-    without two periods, nodes that are not on a lattice of the given spacing, or arrays of another
-    shape.
+    without two periods, nodes that are not on a lattice of the given spacing, or reach beyond a box
+    and are on no lattice along the axes, or arrays of another shape.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
     _check_smoothing(nodes, radius, shape, box, spacing, density=density)
+    beyond = box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, 1 - 1e-6)).any()
+    if beyond and spacing is None and not density:
+        spacing = _spacing_of(nodes)
+        _check_smoothing(nodes, radius, shape, box, spacing, density=density)
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
         return sp.csr_array((len(nodes), len(atoms)))
@@ -95,12 +107,30 @@ def _check_smoothing(
             raise InputError(f"spacing: expected a length > 0, got {spacing}")
         if not radius > spacing / np.sqrt(2):
             raise InputError(
-                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g} Å, "
+                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
                 f"got {radius}; some atoms would belong to no node"
             )
-        offset = nodes - nodes[0]
-        if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
-            raise InputError(f"nodes: expected a square lattice of spacing {spacing} Å")
+        if not _on_lattice(nodes, spacing):
+            raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
+
+
+def _spacing_of(nodes: np.ndarray) -> float:
+    """The spacing [Å] of nodes on a square lattice along the axes; InputError for others."""
+    nearest = float(cKDTree(nodes).query(nodes, k=2)[0][:, 1].min())
+    extent = float(np.ptp(nodes, axis=0).max())
+    spacing = extent / max(1.0, np.rint(extent / nearest)) if nearest > 0 else 0.0
+    if not (spacing > 0 and _on_lattice(nodes, spacing)):
+        raise InputError(
+            "nodes: some are periodic images of others, among which no force may be shared; "
+            "expected nodes within one period, on a square lattice along the axes, or density"
+        )
+    return spacing
+
+
+def _on_lattice(nodes: np.ndarray, spacing: float) -> bool:
+    """Whether nodes lie on a square lattice of a spacing, along the axes."""
+    offset = nodes - nodes[0]
+    return bool(np.abs(offset - spacing * np.rint(offset / spacing)).max() <= 1e-6 * spacing)
 
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
@@ -160,6 +190,68 @@ def coarse_grain(
     u = _apply(weighted, fields["displacement"]) / density[:, None]
     b = _apply(omega, fields["force"]) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
     return u, b
+
+
+def force_on_mesh(
+    mesh: Mesh, atoms: ArrayLike, force: ArrayLike, *, thickness: float
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Body force density that does the work of the atoms' forces, up to free edges (equation 3a).
+
+    Linear on the triangles, so that force and moment are kept, and the work on every displacement
+    that is linear on them; nothing is smeared over an edge. Triangles that hold few atoms give a
+    ragged density, those wider than a tenth of a wave one that is off between its corners, where
+    a bulk's lattice reads it.
+
+    Args:
+        mesh: the body [Å].
+        atoms: reference positions [Å], shape [A, 2]; those a little outside, beside an edge, push
+            the nearest triangle as if it went on.
+        force: external force on the atoms [eV/Å], shape [A, 2].
+        thickness: of the sheet [Å].
+
+    Returns:
+        b [TPa/Å] as a function of positions [Å], both of shape [n, 2]; for `solve_body`.
+
+    Raises InputError for arrays of another shape or not finite, a thickness that is not > 0, or
+    atoms that lie outside the mesh.
+    """
+    atoms, force = _positions("atoms", atoms), _positions("force", force)
+    if len(force) != len(atoms):
+        raise InputError(f"force: expected shape [{len(atoms)}, 2], got {list(force.shape)}")
+    if not 0 < thickness < np.inf:
+        raise InputError(f"thickness: expected a length > 0, got {thickness}")
+    linear = _linear_functions(mesh, atoms)
+    off = np.flatnonzero(linear.min(axis=1).toarray().ravel() < -FURTHEST)
+    if len(off):
+        raise InputError(f"atoms: {len(off)} lie outside the mesh, the first is {off[0]}")
+    work = linear.T @ force * (EV_PER_CUBIC_ANGSTROM / thickness)
+    density = splu(_mass_matrix(mesh)).solve(work)
+    return lambda x: np.asarray(_linear_functions(mesh, x) @ density)
+
+
+def _linear_functions(mesh: Mesh, x: np.ndarray) -> sp.csr_array:
+    """Values at positions [n, 2] of the functions of a mesh's corners, shape [n, P].
+
+    Linear on the triangles; outside, those of the triangle with the nearest centre go on.
+    """
+    triangle, corners = mesh.holding(x), mesh.x[mesh.triangles]
+    outside = triangle < 0
+    triangle[outside] = cKDTree(corners.mean(axis=1)).query(x[outside])[1]
+    corners = corners[triangle]
+    sides = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
+    last = np.linalg.solve(sides, (x - corners[:, 0])[..., None])[..., 0]
+    values = np.column_stack([1 - last.sum(axis=1), last])
+    place = np.repeat(np.arange(len(x)), 3), mesh.triangles[triangle].ravel()
+    return sp.csr_array((values.ravel(), place), shape=(len(x), len(mesh.x)))
+
+
+def _mass_matrix(mesh: Mesh) -> sp.csc_array:
+    """∫ φ_i φ_j dx of these functions over the triangles [Å²], shape [P, P]."""
+    corners = mesh.x[mesh.triangles]
+    area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
+    values = area[:, None, None] * (1 + np.eye(3)) / 12
+    place = np.repeat(mesh.triangles, 3, axis=1).ravel(), np.tile(mesh.triangles, 3).ravel()
+    return sp.csc_array((values.ravel(), place), shape=(len(mesh.x), len(mesh.x)))
 
 
 def _apply(matrix: sp.csr_array, values: np.ndarray) -> np.ndarray:

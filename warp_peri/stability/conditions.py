@@ -40,7 +40,7 @@ class Conditions:
                 f"conditions: expected one of {', '.join(CONDITIONS)}, got {self.kind!r}"
             )
         if self.zeta is not None and not (np.isfinite(self.zeta) and self.zeta > 0):
-            raise InputError(f"zeta: expected a stiffness > 0 TPa, got {self.zeta}")
+            raise InputError(f"zeta: expected a stiffness > 0, got {self.zeta}")
 
 
 @dataclass(frozen=True)

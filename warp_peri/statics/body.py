@@ -22,6 +22,7 @@ from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
+from warp_peri.points.strain import edge_strain, largest_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.body_loads import check_part, loads_on
@@ -29,16 +30,14 @@ from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
+from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.statics.whole_body import WholeBody
 from warp_peri.transfer.cache import model_at
+from warp_peri.transfer.lattice import LARGEST
 
 OVERLAP = 2.0
 """Overlap of rim and bulk where none is given, in horizons."""
 TOLERANCE = 1e-8
-ALONE = (
-    "mesh: no triangle is {:g} {} from the body's edge, two horizons and the overlap; it is solved "
-    "by elements alone"
-)
 
 
 @dataclass(frozen=True)
@@ -189,6 +188,8 @@ def solve_body(
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
+    Warns of strains far beyond the data that the model was trained on.
+
     Raises InputError for unknown parts, other shapes, loads that are not finite, a body free to
     move, a mesh in another unit, a hole below the overlap, or what is not positive definite.
     """
@@ -210,11 +211,14 @@ def solve_body(
         _refuse_soft_edges(problem)
     told = model, spacing, tried, stiff, rim
     if lattice is None or kept.all():
-        warnings.warn(ALONE.format(collar + overlap, symbols(model.units)[0]), stacklevel=2)
+        deepest = depth[mesh.triangles].min(axis=1).max()
+        warnings.warn(_alone(model, collar + overlap, deepest, coupling), stacklevel=2)
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
         alone = u.reshape(-1, 2), None, np.zeros((0, 2))
-        return BodySolution(*told, *alone, overlap, record, problem)
+        solution = BodySolution(*told, *alone, overlap, record, problem)
+        warn_beyond(model, lambda: _largest_strain(solution))
+        return solution
     _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
     points, triangle = lattice
     bulk = Bulk(model, points)
@@ -225,7 +229,19 @@ def solve_body(
     b_bulk = loads.density(points.x[bulk.inside])
     u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
     fields = u_rim, points, bulk.field(inner, two.to_bulk @ u_rim)
-    return BodySolution(*told, *fields, overlap, record, two)
+    solution = BodySolution(*told, *fields, overlap, record, two)
+    warn_beyond(model, lambda: _largest_strain(solution))
+    return solution
+
+
+def _largest_strain(found: BodySolution) -> float:
+    """Largest strain along an edge of the rim's triangles, or between nodes of the bulk."""
+    rim = found.rim
+    triangles = np.searchsorted(rim.corners, rim.mesh.triangles[rim.cells >= 0])
+    of_rim = edge_strain(rim.mesh.x[rim.corners], triangles, found.u_rim[rim.corner_nodes])
+    if found.points is None:
+        return of_rim
+    return max(of_rim, largest_strain(found.points, found.u_bulk))
 
 
 def _on_lattice(
@@ -237,6 +253,29 @@ def _on_lattice(
         return here, coupling.spacing, ()
     here, tried = bulk_lattice(model, mesh, b, coupling.overlap)
     return here, tried[-1].spacing, tried
+
+
+def _alone(model: Model, needed: float, deepest: float, coupling: Coupling) -> str:
+    """Why elements are alone, and what gives the lattice room.
+
+    Args:
+        model: on the lattice that was tried.
+        needed: depth of a triangle without elements: two horizons, a margin and the overlap [Å].
+        deepest: of the mesh's triangles [Å].
+        coupling: what was asked for.
+    """
+    unit = symbols(model.units)[0]
+    cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
+    own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
+    room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
+    if room > 0:
+        digits = 10.0 ** (np.floor(np.log10(room)) - 1)
+        cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")
+    return (
+        f"mesh: no triangle is {needed:g} {unit} from the body's edge, two horizons and the "
+        f"overlap (the deepest is {deepest:.3g} {unit}); it is solved by elements alone. Room for "
+        f"the lattice: {', or '.join(cures)}"
+    )
 
 
 def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
@@ -255,7 +294,8 @@ def long_wave(model: Model, spacing: float) -> Moduli:
     if not (stiff.C44 > 0 and stiff.C11 > abs(stiff.C12)):
         raise InputError(
             "model: expected long-wave moduli of positive energy, got C11, C12, C44 = "
-            f"{stiff.C11:.4g}, {stiff.C12:.4g}, {stiff.C44:.4g} TPa"
+            f"{stiff.C11:.4g}, {stiff.C12:.4g}, {stiff.C44:.4g} "
+            f"{symbols(model.units)[1]}"
         )
     return stiff
 

@@ -14,14 +14,12 @@ from warp_peri.points.unit_names import symbols
 from warp_peri.statics.bulk import check_extent
 from warp_peri.statics.rim import Field
 from warp_peri.transfer.cache import on_lattice
-from warp_peri.transfer.lattice import TOLERANCE
+from warp_peri.transfer.lattice import LEAST, TOLERANCE
 
 RATIOS = (2.0, 1.5, 1.0, 0.75, 0.5)
 """Spacings that are tried, over the coarsest that the model is certified on; coarse ones first."""
 SHARE = 0.5
 """Of the body's area that lies two horizons inside, at least."""
-LEAST = 2.0
-"""Smallest horizon that a lattice has, in spacings."""
 SAMPLES = 20_000
 """About how many points of the box around a body its depth and its load are looked at."""
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,15 +26,16 @@ from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stencil import stencil
+from warp_peri.operator.stress import node_fields
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
-from warp_peri.statics.solve import checked_fields
+from warp_peri.statics.lps import checked_fields
+from warp_peri.statics.settings import Newton, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
 from warp_peri.transfer.nonlinear import nonlinear_for
 
-TOLERANCE = 1e-8
-"""Residual ‖L u − b‖ over the linear right-hand side ‖b − L u_C‖."""
 LINEAR_SHARE = 1e-2
 """Iterative linear solves are carried to this share of the tolerance."""
 DIRECT = 4_000
@@ -67,67 +70,119 @@ class NonlinearRecord:
     eigenvalue: float | None = None
 
 
-def solve_nonlinear(
-    model: NonlinearModel,
-    points: PointsLike,
-    b: ArrayLike,
-    u_collar: ArrayLike,
-    *,
-    tolerance: float = TOLERANCE,
-    transfer: bool = True,
-    allow_uncertified: bool = False,
-    records: list[NonlinearRecord] | None = None,
-    eigenvalues: bool = False,
-) -> np.ndarray:
-    """Displacement in equilibrium with b on the interior, given on the collar.
+class PlacedThirdOrder(NonlinearOperator):
+    """A nonlinear solid on a lattice, its linear part transferred where need be.
 
     Args:
-        model: certified on some lattice; on others its linear part is transferred.
-        points: a lattice; its u and b are not looked at.
-        b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
-        u_collar: displacement [Å], same shape; only collar values count.
-        tolerance: residual over the linear right-hand side.
+        model: certified on some lattice.
+        points: a lattice.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
-        records: takes one NonlinearRecord for each sample.
-        eigenvalues: compute the smallest eigenvalue of the tangent at each answer, for the record.
 
-    Returns:
-        u [Å], shape as given. A UserWarning says where |H| exceeds the proven strain, so that
-        another solution is not ruled out.
-
-    Raises InputError for arrays that do not fit, an uncertified spacing, and a sample for which no
-    equilibrium was found.
+    ``op(u)`` is that of NonlinearOperator. Raises InputError for scattered points and an
+    uncertified spacing.
     """
-    asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-    model = nonlinear_for(model, points, **asked)
-    with warnings.catch_warnings():  # said once, above
-        warnings.filterwarnings("ignore", message="spacing: the model is certified")
-        operator = NonlinearOperator(model, points, allow_uncertified=allow_uncertified)
-    nodes, inside = len(points.x), points.interior
-    load, u = checked_fields(nodes_of(points), b, u_collar)
-    solver = _Solver(operator, points, tolerance)
-    loads = load.reshape(-1, nodes, 2)
-    answers = u.reshape(-1, nodes, 2)
-    made = []
-    for number, (load, field) in enumerate(zip(loads, answers)):
-        try:
-            field[inside], record = solver.solve(load[inside], field)
-        except InputError as error:
-            raise InputError(f"sample {number}: {error}") from None
-        if eigenvalues:
-            record.eigenvalue = solver.smallest_eigenvalue(field)
-        if records is not None:
+
+    def __init__(
+        self,
+        model: NonlinearModel,
+        points: PointsLike,
+        *,
+        transfer: bool = True,
+        allow_uncertified: bool = False,
+    ) -> None:
+        asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+        here = nonlinear_for(model, points, **asked)
+        self.home, self.points = model, nodes_of(points)
+        with warnings.catch_warnings():  # said once, above
+            warnings.filterwarnings("ignore", message="spacing: the model is certified")
+            super().__init__(here, points, allow_uncertified=allow_uncertified)
+
+    @cached_property
+    def straight(self) -> NodeOperator:
+        """The linear part alone."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="spacing: the model is certified")
+            return NodeOperator(self.model.linear, self.points, allow_uncertified=True)
+
+    def figures(self, solution: Solution) -> dict[str, Any]:
+        """What solves took, and whether their answers are the only ones, for `evaluate`."""
+        records = solution.details
+        return {
+            "linear_solves": max(record.solves for record in records),
+            "largest_gradient": max(record.largest_gradient for record in records),
+            "unique": all(record.unique for record in records),
+        }
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on the interior nodes, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The derivative at u along v, of one field [N, 2]: shape [I, 2]."""
+        return np.asarray((self.tangent(u) @ np.ravel(v)).reshape(-1, 2))
+
+    def energy(self, u: np.ndarray) -> None:
+        """None: the filtered form has no energy."""
+
+    def stress(self, u: np.ndarray) -> np.ndarray:
+        """σ of the linear solid and P of Ψ [TPa] at the interior nodes, [..., I, 2, 2] (N2)."""
+        _, P = self.gradients(u)
+        linear = node_fields(self.model.linear, self.points, u).stress
+        linear = linear if np.ndim(u) == 3 else linear[0]
+        return np.asarray(linear + P[..., self.points.interior[self.sweeps.full], :, :])
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """Equilibrium with b on the interior, u given on the collar.
+
+        Args:
+            b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
+            u: displacement [Å], same shape; only collar values count.
+            solver: Newton(…).
+
+        A UserWarning says where |H| exceeds the proven strain, so that another solution is not
+        ruled out. The details of the solution are one NonlinearRecord for each sample.
+
+        Raises InputError for arrays that do not fit, and a sample for which no equilibrium was
+        found.
+        """
+        refuse_solver(solver, (Newton,), "a nonlinear solid")
+        asked = solver if isinstance(solver, Newton) else Newton()
+        load, field = checked_fields(self.points, b, u)
+        way, inside, nodes = (
+            _Solver(self, self.points, asked.tolerance),
+            self.points.interior,
+            len(self.points.x),
+        )
+        answers, records = field.reshape(-1, nodes, 2), []
+        for number, (force, one) in enumerate(zip(load.reshape(-1, nodes, 2), answers)):
+            try:
+                one[inside], record = way.solve(force[inside], one)
+            except InputError as error:
+                raise InputError(f"sample {number}: {error}") from None
+            if asked.eigenvalues:
+                record.eigenvalue = way.smallest_eigenvalue(one)
             records.append(record)
-        made.append(record)
-    _warn(made, model.proven_strain(points.spacing))
-    return answers.reshape(u.shape)
+        proven = self.model.proven_strain(self.points.spacing)
+        _warn(records, proven)
+        sure = f"no other solution has |H| ≤ {proven:.2%}" if proven > 0 else None
+        return Solution(
+            answers.reshape(field.shape),
+            self.points,
+            self,
+            self.load(load),
+            records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
+            tuple(record.solves for record in records),
+            sure if all(record.unique for record in records) else None,
+            details=tuple(records),
+            measured=max(record.residual for record in records),
+        )
 
 
 class _Solver:
     """Solves of one model on one point set."""
 
-    def __init__(self, operator: NonlinearOperator, points: PointsLike, tolerance: float) -> None:
+    def __init__(self, operator: PlacedThirdOrder, points: PointsLike, tolerance: float) -> None:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
         self.linear = linear_solver(operator, points, LINEAR_SHARE * tolerance)
@@ -136,7 +191,6 @@ class _Solver:
             self.clipped = NonlinearOperator(
                 operator.model, points, radius=self.proven, allow_uncertified=True
             )
-            self.straight = NodeOperator(operator.model.linear, points, allow_uncertified=True)
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.
@@ -146,7 +200,7 @@ class _Solver:
         record = NonlinearRecord()
         field = field.copy()
         field[self.inside] = 0
-        right = load - self.straight(field)
+        right = load - self.operator.straight(field)
         scale = float(np.linalg.norm(right))
         if scale == 0:
             record.residual, record.unique = 0.0, self.proven > 0

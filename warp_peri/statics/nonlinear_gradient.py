@@ -18,7 +18,9 @@ from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import nonlinear_force
 from warp_peri.operator.tangent import TangentMatrices
 from warp_peri.points.samples import PointsLike
-from warp_peri.statics.nonlinear import TOLERANCE, solve_nonlinear
+from warp_peri.statics.equilibrium import TOLERANCE
+from warp_peri.statics.nonlinear import PlacedThirdOrder
+from warp_peri.statics.settings import Newton
 
 
 class _Equilibrium(torch.autograd.Function):
@@ -89,15 +91,16 @@ def nonlinear_equilibrium(
         b: body force density [TPa/Å], shape [S, N, 2]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
         tables, bulk, numbers: as for nonlinear_force.
-        tolerance: as for solve_nonlinear.
+        tolerance: as for PlacedThirdOrder.rest.
 
     Returns:
         u [Å], shape [S, N, 2].
 
-    Raises InputError as solve_nonlinear does.
+    Raises InputError as PlacedThirdOrder.rest does.
     """
     nodes = on_nominal_lattice(model.linear, points)
     fields = (b.detach().numpy(), u_collar.detach().numpy())
-    solved = solve_nonlinear(model, nodes, *fields, transfer=False, tolerance=tolerance)
+    operator = PlacedThirdOrder(model, nodes, transfer=False)
+    solved = operator.rest(*fields, Newton(tolerance)).u
     sweeps = GradientSweeps(nodes, model.horizon)
     return _equilibrium(sweeps, torch.from_numpy(solved), b, u_collar, tables, bulk, numbers)

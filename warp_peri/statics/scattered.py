@@ -13,7 +13,9 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.interpolation import NEIGHBOURS
 from warp_peri.points.samples import PointsLike
+from warp_peri.points.strain import largest_strain
 from warp_peri.statics.direct import MatrixProblem
+from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.transfer.carrier import Carrier
 
 
@@ -80,7 +82,9 @@ class ThroughLattice(Carrier):
         self._check(u)
         right = np.zeros(u.shape)
         right[:, self.points.interior] = self.load(b)
-        return self.problem.solve(right, u)
+        answer = self.problem.solve(right, u)
+        warn_beyond(self.model, lambda: largest_strain(self.points, answer))
+        return answer
 
     def _check(self, u: np.ndarray) -> None:
         shape = len(self.points.x), 2

@@ -15,11 +15,12 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.bond_slopes import bond_slopes
-from warp_peri.tissue.energy_fit import largest_stretch, lower_bounds
+from warp_peri.tissue.energy_fit import lower_bounds
 from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem
 from warp_peri.tissue.factors import positive_factors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
+from warp_peri.tissue.stretch_range import largest_stretch
 from warp_peri.tissue.thickness import Thickness
 
 SCALE_WEIGHT = 1e3
@@ -36,14 +37,14 @@ class DisplacementFit:
     """A solid known up to its scale.
 
     Attributes:
-        solid: with an initial stiffness (H14) of one.
+        material: with an initial stiffness (H14) of one.
         errors: relative error of the solved displacement of every training frame.
         history: root mean square of those errors after every step.
         frames_left_out: frames whose equilibrium was not found at the start.
         thickness: of the sheet, where it was an unknown.
     """
 
-    solid: HyperelasticSolid
+    material: HyperelasticSolid
     errors: np.ndarray
     history: list[float]
     frames_left_out: list[int]
@@ -165,7 +166,11 @@ class Search:
         op = self.problem.op
         samples = Samples(op.points, self.data)
         solid = HyperelasticSolid(
-            op.dictionary, self.c, op.points.spacing, stretch=largest_stretch(op, samples)
+            op.dictionary,
+            self.c,
+            op.points.spacing,
+            largest_stretch(op, samples.u),
+            units=op.points.units,
         )
         return DisplacementFit(solid, np.sqrt(self.squares), history, self.left_out, self.thickness)
 

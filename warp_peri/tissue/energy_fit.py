@@ -15,6 +15,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 from warp_peri.tissue.stable_fit import stable_coefficients
+from warp_peri.tissue.stretch_range import largest_stretch
 from warp_peri.tissue.uniform_strain import UniformTangents, strains_of
 
 ROWS = 4096
@@ -115,14 +116,14 @@ class EnergyFit:
     """A fitted solid.
 
     Attributes:
-        solid: dictionary and coefficients.
+        material: dictionary and coefficients.
         residual: root mean squared relative residual on the training samples.
         guaranteed: whether no coefficient is below its bound, so that (H9) holds.
         margin: least ratio (H20) of the sampled waves in the sampled strains [stress]; none where
             stability was not asked for. It is measured, no bound for other waves and strains.
     """
 
-    solid: HyperelasticSolid
+    material: HyperelasticSolid
     residual: float
     guaranteed: bool
     margin: float | None = None
@@ -174,7 +175,9 @@ def fit_energy(
         c = non_negative(system, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
     else:
         c = least_squares(system, lower=deviations_only(dictionary, stiffness), ridge=ridge)
-    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch=largest_stretch(op, samples))
+    solid = HyperelasticSolid(
+        dictionary, c, samples.spacing, largest_stretch(op, samples.u), units=samples.points.units
+    )
     return EnergyFit(solid, residual(system, c), positive, margin)
 
 
@@ -200,10 +203,3 @@ def deviations_only(dictionary: Dictionary, stiffness: float) -> np.ndarray | No
     places = np.arange(len(dictionary))
     held = (places >= dictionary.first_deviation) & (places < dictionary.first_term) & (least > 0)
     return np.where(held, least, -np.inf) if held.any() else None
-
-
-def largest_stretch(op: HyperelasticOperator, samples: Samples) -> float:
-    """Largest principal stretch of the nodal strain in the samples."""
-    E = op.strain(samples.u).reshape(-1, 3)
-    mean, half = (E[:, 0] + E[:, 1]) / 2, np.hypot((E[:, 0] - E[:, 1]) / 2, E[:, 2] / 2)
-    return float(np.sqrt(1 + 2 * (mean + half).max()))

@@ -24,6 +24,7 @@ from warp_peri.tissue.factors import positive_factors
 from warp_peri.tissue.laplacian import laplacian
 from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.tissue.solid import HyperelasticSolid, Term
+from warp_peri.tissue.stretch_range import warn_beyond
 from warp_peri.tissue.tangent import TangentPattern
 
 DIRECT = 12_000
@@ -396,10 +397,13 @@ def solve_hyperelastic(
 ) -> Equilibrium:
     """The stable equilibrium of a solid on a lattice; see StaticProblem.solve for the arguments.
 
-    A thickness of every node, shape [N], makes the sheet uneven, (H18).
+    A thickness of every node, shape [N], makes the sheet uneven, (H18). Warns of stretches beyond
+    the data that the solid was learned from.
     """
     op = HyperelasticOperator(solid.dictionary, points, thickness=thickness)
-    return StaticProblem(op).solve(solid.coefficients, b, u)
+    found = StaticProblem(op).solve(solid.coefficients, b, u)
+    warn_beyond(solid, op, found.u)
+    return found
 
 
 def _inverse(factor: Any) -> LinearOperator:

@@ -12,13 +12,13 @@ from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import (
     Equations,
     equations,
-    largest_stretch,
     lower_bounds,
     non_negative,
     residual,
 )
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import ACROSS, Dictionary, HyperelasticSolid, Term
+from warp_peri.tissue.stretch_range import largest_stretch
 
 LARGEST_EXPONENT = 60.0
 TURN, GROWTH = 0.2, 1.0
@@ -177,19 +177,19 @@ def read_material(
     dictionary = Dictionary(3.0, (), deviations, (*terms, *rose(directions)))
     op = HyperelasticOperator(dictionary, few)
     c = non_negative(equations(op, few), lower=lower_bounds(dictionary, stiffness))
-    stretch = largest_stretch(op, few)
-    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch)
+    stretch = largest_stretch(op, few.u)
+    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch, units=samples.points.units)
     for within, share in ((1.6 * np.pi / directions, 0.02), (0.1, 0.01)):
         dictionary, c = families(solid, within=within, share=share)
         solid = move(
             few,
-            HyperelasticSolid(dictionary, c, samples.spacing, stretch),
+            replace(solid, dictionary=dictionary, coefficients=c),
             stiffness=stiffness,
             most_steps=most_steps,
         )
     op = HyperelasticOperator(solid.dictionary, samples)
     c = non_negative(equations(op, samples), lower=lower_bounds(solid.dictionary, stiffness))
-    return replace(solid, coefficients=c, stretch=largest_stretch(op, samples)).sparse
+    return replace(solid, coefficients=c, stretch=largest_stretch(op, samples.u)).sparse
 
 
 def move(

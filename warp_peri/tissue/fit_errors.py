@@ -10,6 +10,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import HyperelasticSolid
+from warp_peri.tissue.stretch_range import warn_beyond
 
 
 def hyperelastic_errors(
@@ -34,9 +35,12 @@ def hyperelastic_errors(
         E_res where there are loads; E_u over the samples that were solved, not_solved, their
         number, and left_branch, the number of those that (Equilibrium.followed) another branch may
         hold; residuals and displacements with the errors of every sample, NaN where not solved.
+
+    Warns of fields, solved where that is asked for, that are stretched beyond the data that the
+    solid was learned from.
     """
     op = HyperelasticOperator(solid.dictionary, samples, thickness=thickness)
-    inner, errors_of = op.interior, {}
+    inner, errors_of, fields = op.interior, {}, samples.u
     if samples.b is not None:
         left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]
         residuals = _size(np.asarray(left)) / _size(samples.b[:, inner])
@@ -44,10 +48,12 @@ def hyperelastic_errors(
     if solve:
         truth = samples.u if truth is None else truth
         problem, errors, left_branch = StaticProblem(op), np.full(len(samples), np.nan), 0
+        fields = np.zeros_like(samples.u)
         for n in range(len(samples)):
             b = None if samples.b is None else samples.b[n]
             solved = problem.find(solid.coefficients, b, samples.u[n])
             if solved is not None:
+                fields[n] = solved.u
                 gap = (solved.u - truth[n])[inner]
                 errors[n] = np.linalg.norm(gap) / np.linalg.norm(truth[n][inner])
                 left_branch += not solved.followed
@@ -59,6 +65,7 @@ def hyperelastic_errors(
             "left_branch": left_branch,
             "displacements": errors,
         }
+    warn_beyond(solid, op, fields)
     return errors_of
 
 

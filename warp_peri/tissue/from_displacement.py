@@ -84,7 +84,7 @@ def fit_displacement(
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
         c = search.scaled(np.clip(start, search.lower, search.upper))
     fit = search.descended(c, most_steps, tolerance, progress)
-    warn_of_interpolation(fit.solid)
+    warn_of_interpolation(fit.material)
     return fit
 
 

@@ -62,6 +62,11 @@ class HyperelasticOperator:
         thickness: np.ndarray | None = None,
         dtype: Any = wp.float64,
     ) -> None:
+        if points.axis:
+            raise InputError(
+                "axis: directions of a hyperelastic solid are told from the x axis of the points; "
+                f"expected none or 0°, got {points.axis:g}°"
+            )
         self.dictionary, self.points, self.scalar = dictionary, nodes_of(points), dtype
         self.bonds = lattice_bonds(self.points, dictionary.reach)
         self.interior = np.flatnonzero(points.interior)

@@ -7,12 +7,19 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
+
+if TYPE_CHECKING:  # the operator stands above its numbers
+    from warp_peri.points.samples import PointsLike, Samples
+    from warp_peri.tissue.displacement_search import DisplacementFit
+    from warp_peri.tissue.energy_fit import EnergyFit
+    from warp_peri.tissue.placed import PlacedSheet
 
 FORMAT, VERSION = "warp_peri.hyperelastic", 1
 
@@ -191,6 +198,17 @@ class Dictionary:
             term.kind in GUARANTEED for term in self.terms
         )
 
+    def learn(self, samples: Samples, **options: Any) -> EnergyFit | DisplacementFit:
+        """A solid of these energies: from loads by fit_energy, without loads by fit_displacement.
+
+        `options` are those of the two functions, and the errors theirs.
+        """
+        from warp_peri.tissue.energy_fit import fit_energy
+        from warp_peri.tissue.from_displacement import fit_displacement
+
+        learned = fit_energy if samples.b is not None else fit_displacement
+        return learned(samples, self, **options)
+
     def with_terms(self, terms: Sequence[Term]) -> Dictionary:
         """The same bonds with other strain energies."""
         return replace(self, terms=tuple(terms))
@@ -206,8 +224,9 @@ class HyperelasticSolid:
         spacing: of the lattice it was learned on [length]; others take the same coefficients.
         stretch: largest nodal stretch of the data it was learned from, if known.
         provenance: of data and fit.
+        units: names of the units of length and stress that it is in, those of its data.
 
-    Raises InputError for coefficients of another number or not finite.
+    Raises InputError for coefficients of another number or not finite, and units not known.
     """
 
     dictionary: Dictionary
@@ -215,8 +234,11 @@ class HyperelasticSolid:
     spacing: float
     stretch: float | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    units: Units = USUAL
+    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", check_units(self.units))
         values = np.array(self.coefficients, float)
         if values.shape != (len(self.dictionary),) or not np.isfinite(values).all():
             raise InputError(
@@ -236,55 +258,71 @@ class HyperelasticSolid:
         values = np.concatenate([self.coefficients[:first], self.coefficients[first:][kept]])
         return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
 
+    def on(self, points: PointsLike, *, thickness: np.ndarray | None = None) -> PlacedSheet:
+        """The solid on a lattice, of an even sheet or with a thickness of every node [N] (H18)."""
+        from warp_peri.tissue.placed import PlacedSheet
+
+        return PlacedSheet(self, points, thickness=thickness)
+
+    @property
+    def horizon(self) -> float:
+        """δ on the lattice it was learned on [length]."""
+        return self.dictionary.reach * self.spacing
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a JSON file, whole or not at all."""
-        dictionary = self.dictionary
-        terms = [vars(term) for term in dictionary.terms]
-        write_json(
-            path,
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                "reach": dictionary.reach,
-                "bonds": list(dictionary.bonds),
-                "deviations": [list(step) for step in dictionary.deviations],
-                "terms": terms,
-                "coefficients": self.coefficients,
-                "spacing": self.spacing,
-                "stretch": self.stretch,
-                "provenance": self.provenance,
-            },
-        )
+        write_json(path, self.content())
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> HyperelasticSolid:
-        """Read such a file; InputError for one that is none, or holds what no solid has."""
-        try:
-            with open(path, encoding="utf-8") as file:
-                content = json.load(file)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: expected a JSON file ({error})") from None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise InputError(f"{path}: expected a file of format {FORMAT}")
-        if content.get("version") != VERSION:
-            raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
-        try:
-            dictionary = Dictionary(
-                float(content["reach"]),
-                tuple(content["bonds"]),
-                tuple(tuple(map(int, step)) for step in content["deviations"]),  # type: ignore[misc]
-                tuple(Term(**term) for term in content["terms"]),
-            )
-            stretch = content["stretch"]
-            return cls(
-                dictionary,
-                np.array(content["coefficients"], float),
-                float(content["spacing"]),
-                None if stretch is None else float(stretch),
-                dict(content["provenance"]),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: {error}") from None
+    def content(self) -> dict[str, Any]:
+        """What the file of the solid holds."""
+        dictionary = self.dictionary
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            **unit_content(self.units),
+            "reach": dictionary.reach,
+            "bonds": list(dictionary.bonds),
+            "deviations": [list(step) for step in dictionary.deviations],
+            "terms": [vars(term) for term in dictionary.terms],
+            "coefficients": self.coefficients,
+            "spacing": self.spacing,
+            "stretch": self.stretch,
+            "provenance": self.provenance,
+        }
+
+
+def load_hyperelastic(path: str | os.PathLike[str]) -> HyperelasticSolid:
+    """Read such a file; InputError for one that is none, or holds what no solid has.
+
+    Of a file that names no units Å and TPa are taken, with a warning.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            content = json.load(file)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected a JSON file ({error})") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(f"{path}: expected a file of format {FORMAT}")
+    if content.get("version") != VERSION:
+        raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
+    try:
+        dictionary = Dictionary(
+            float(content["reach"]),
+            tuple(content["bonds"]),
+            tuple(tuple(map(int, step)) for step in content["deviations"]),  # type: ignore[misc]
+            tuple(Term(**term) for term in content["terms"]),
+        )
+        stretch = content["stretch"]
+        return HyperelasticSolid(
+            dictionary,
+            np.array(content["coefficients"], float),
+            float(content["spacing"]),
+            None if stretch is None else float(stretch),
+            dict(content["provenance"]),
+            units_of(content, f"{path}"),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 @cache

@@ -84,7 +84,8 @@ class Carrier:
     @property
     def lattice(self) -> Points:
         """The places, of which those with a load are the interior."""
-        return Points(self.x, self.loaded, self.spacing, units=self.model.units)
+        axis = self.points.axis
+        return Points(self.x, self.loaded, self.spacing, units=self.model.units, axis=axis)
 
     @cached_property
     def _for_loads(self) -> sp.csr_array:

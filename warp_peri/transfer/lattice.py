@@ -12,7 +12,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, model_content
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.unit_names import STRESSES, symbols
+from warp_peri.points.unit_names import STRESSES, search_length, symbols
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -40,9 +40,11 @@ SMOOTHNESS = 1e-6
 directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
 ZETA = 0.01
 """c [TPa] that is asked for, or what is proven at home where that is less."""
+LEAST = 2.0
+"""Smallest horizon that a lattice has, in spacings."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 5
+RECIPE = 6
 """Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""
@@ -199,7 +201,7 @@ def _horizons(spacing: float, largest: float | None) -> list[float]:
     reach = int(LARGEST)
     a, b = np.mgrid[0 : reach + 1, 0 : reach + 1]
     squares = np.unique(a**2 + b**2)
-    lengths = spacing * np.sqrt(squares[(squares >= 4) & (squares <= LARGEST**2)])
+    lengths = spacing * np.sqrt(squares[(squares >= LEAST**2) & (squares <= LARGEST**2)])
     kept = [
         float(length) for length in lengths if largest is None or length <= largest * (1 + 1e-9)
     ]
@@ -215,10 +217,12 @@ def _fitted(
     home: Home, spacing: float, horizon: float, band: float, asked: float
 ) -> _Candidate | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
-    classes = bond_classes(spacing, horizon)
+    length = search_length(home.model.units, home.model.horizon)
+    classes = bond_classes(spacing / length, horizon / length)
     k, weight = weighed_waves(band, WAVES, LONG_WEIGHT)
     unit = home.model.mu  # of stiffness, so that soft materials meet the same tolerances
-    loss = wave_loss(dispersion(home.model, home.spacing, k) / unit, k, classes, weight)
+    target = dispersion(home.model, home.spacing, k) * length**2 / unit
+    loss = wave_loss(target, k * length, classes, weight)
     terms = len(classes.r) + 1
     two = not np.array_equal(home.model.D, home.model.dilatation)
     start = Parameters(home.model.lam / unit, 1.0, 1.0, np.ones(terms))

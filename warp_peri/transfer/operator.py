@@ -8,12 +8,12 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
 from warp_peri.operator import lps
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.transfer.carrier import Carrier
 from warp_peri.transfer.points import model_for
 
@@ -36,6 +36,8 @@ class LPSOperator(lps.NodeOperator):
         device: where the kernels run, as for Bonds.
 
     Attributes:
+        home: the model that was given.
+        points: the nodes that were given.
         model: the one that is used.
         bonds: of the lattice that L is taken on.
         carrier: T; None on a lattice.
@@ -47,7 +49,6 @@ class LPSOperator(lps.NodeOperator):
     [S, I, 2]: NumPy in, NumPy out; torch in, differentiable torch out.
     """
 
-    @renamed(box="part of Points(…, box=…)", outside="part of Points(…, outside=…)")
     def __init__(
         self,
         model: Model,
@@ -59,7 +60,7 @@ class LPSOperator(lps.NodeOperator):
         device: str = DEVICE,
     ) -> None:
         self.carrier: Carrier | None = None
-        self._interior = points.interior
+        self.home, self.points = model, nodes_of(points)
         if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
             self.carrier = Carrier(model, points)
             here, points = self.carrier.model, self.carrier.lattice
@@ -107,13 +108,13 @@ class LPSOperator(lps.NodeOperator):
 
         Raises InputError for other shapes.
         """
-        b, nodes = np.asarray(b, dtype=float), len(self._interior)
+        b, nodes = np.asarray(b, dtype=float), len(self.points.x)
         if self.carrier is None:
             if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, 2):
                 raise InputError(
                     f"b: expected shape [S, {nodes}, 2] or [{nodes}, 2], got {list(b.shape)}"
                 )
-            return b[..., self._interior, :]
+            return b[..., self.points.interior, :]
         carried = self.carrier.load(b[None] if b.ndim == 2 else b)
         return carried[0] if b.ndim == 2 else carried
 

@@ -12,7 +12,9 @@ from scipy.optimize import least_squares
 from warp_peri.errors import InputError
 from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.models.lps import Model
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import SMALLEST_ALPHA, Coordinates
 from warp_peri.regression.optimum import Problem
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
@@ -68,16 +70,24 @@ def one_kernel(
         A model certified on nine lattices in equal steps of h/δ; its provenance tells, under
         "many_lattices", the errors by h/δ on ten that it was not fitted on.
 
-    Raises InputError for ratios that are none, or a kernel without a proof on each of them.
+    Raises InputError for a horizon that is no length, ratios that are none, or a kernel without a
+    proof on each of them.
     """
     (low, high), unit = ratios, model.mu
+    if not is_positive(horizon):
+        raise InputError(
+            f"horizon: expected a length > 0 {symbols(model.units)[0]}, got {horizon!r}"
+        )
     if not 0.02 <= low < high <= 0.45:
         raise InputError(f"ratios: expected 0.02 ≤ smallest < largest ≤ 0.45, got {ratios}")
     home = home_of(model, horizon * high)
     band = min(home.largest, 0.5 * np.pi / home.spacing, 0.5 * np.pi / (horizon * high))
-    lattices = [bond_classes(horizon * ratio, horizon) for ratio in _fitted_on(low, high)]
+    length = search_length(model.units, horizon)
+    lattices = [
+        bond_classes(horizon * ratio / length, horizon / length) for ratio in _fitted_on(low, high)
+    ]
     start = Parameters(model.lam / unit, 1.0, 1.0, np.ones(degree + 1))
-    parameters = _least_squares(_losses(home, band, lattices, unit), start)
+    parameters = _least_squares(_losses(home, band, lattices, (length, unit)), start)
     kernel = Model(
         unit * parameters.lam,
         unit * parameters.mu,
@@ -157,11 +167,17 @@ def _fitted_on(low: float, high: float) -> list[float]:
     ]
 
 
-def _losses(home: Home, band: float, lattices: list[BondClasses], unit: float) -> list[ReducedLoss]:
-    """(M8) on each lattice: waves up to a |k|, and very long ones that hold the moduli."""
+def _losses(
+    home: Home, band: float, lattices: list[BondClasses], units: tuple[float, float]
+) -> list[ReducedLoss]:
+    """(M8) on each lattice: waves up to a |k|, and very long ones that hold the moduli.
+
+    Lattices are in the units of length and stiffness that are given.
+    """
+    length, stiffness = units
     k, weight = weighed_waves(band, WAVES, LONG_WEIGHT)
-    target = dispersion(home.model, home.spacing, k) / unit
-    return [wave_loss(target, k, lattice, weight / len(lattices)) for lattice in lattices]
+    target = dispersion(home.model, home.spacing, k) * length**2 / stiffness
+    return [wave_loss(target, k * length, lattice, weight / len(lattices)) for lattice in lattices]
 
 
 def _record(

@@ -1,5 +1,7 @@
-"""LAMMPS dumps, read frame by frame: what users call warp_peri.dumps."""
+"""From atoms and frames to fields on nodes: `warp_peri.atoms`."""
 
+from warp_peri.sources.coarse_graining import coarse_grain, force_on_mesh, smoothing_matrix
+from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
 from warp_peri.sources.dumps import (
     Atoms,
     Average,
@@ -13,6 +15,12 @@ from warp_peri.sources.dumps import (
 )
 
 __all__ = [
+    "coarse_grain",
+    "force_on_mesh",
+    "frames_on_lattice",
+    "noise_of",
+    "read_frame",
+    "smoothing_matrix",
     "Atoms",
     "Average",
     "Frame",

@@ -1,0 +1,183 @@
+"""Whatever is saved comes back whole: units, certificates and records, in any units."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from tests.support.sheets import hgo_dictionary
+from warp_peri import InputError, Model, Points
+from warp_peri.damage.solid import BrittleSolid, load_brittle_solid
+from warp_peri.diffusion.conductor import Conductor, load_conductor
+from warp_peri.flow.gaussian_process import fit_process
+from warp_peri.flow.law_file import load_law, save_law
+from warp_peri.flow.spring_law import SpringLaw
+from warp_peri.models.lps import load_model
+from warp_peri.models.nonlinear import NonlinearModel, load_any, load_nonlinear
+from warp_peri.models.smoothing import Smoothing
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import factors
+from warp_peri.shapes import InfluenceFunction
+from warp_peri.tissue.solid import HyperelasticSolid, load_hyperelastic
+
+UNITS = [("angstrom", "TPa"), ("m", "Pa"), ("mm", "GPa")]
+
+
+def certified(units):
+    """A linear model with every field filled in."""
+    return Model(
+        lam=-0.2,
+        mu=0.7,
+        alpha=1.5,
+        D=np.array([1.0, -0.3, 0.4]),
+        horizon=20.0,
+        D_dilatation=np.array([0.5, 0.1, 1.0]),
+        trained_on=(5.0,),
+        certified_on=(5.0, 2.5),
+        trained_strain=0.01,
+        largest_wave_number=0.3,
+        certificate={"5": {"smallest": 0.01, "proven": True}},
+        errors={"test": {"E_u": 0.0103}},
+        provenance={"data": "graphene.h5", "sha256": "ab"},
+        versions={"warp_peri": "0.1.0"},
+    ).in_units(units)
+
+
+def nonlinear(units, smoothing):
+    stress, length = factors(("angstrom", "TPa"), units)[::-1]
+    return NonlinearModel(
+        certified(units),
+        *(stress * np.array([1.0, -2.0, 0.5])),
+        Smoothing(7.5 * length, 0.1) if smoothing else None,
+        {f"{5 * length:g}": {"strain": 0.03}},
+        {"test": 0.002},
+        {"data": "strained.h5"},
+        None if smoothing else (0.1 / length**2, 0.2 / length**2),
+    )
+
+
+def brittle(units, **criterion):
+    one = dataclasses.replace(certified(units), D_dilatation=None)
+    return BrittleSolid(one, 2.2, **criterion, tension_only=False)
+
+
+def hyperelastic(units):
+    c, provenance = np.arange(7.0), {"data": "sheet.h5"}
+    return HyperelasticSolid(hgo_dictionary(), c, 0.1, 1.4, provenance, units)
+
+
+def dataset(units):
+    x = np.argwhere(np.ones((4, 3))).astype(float)
+    points = Points(x, np.ones(12, bool), 1.0, units=units)
+    return Dataset({"train": Samples(points, np.ones((2, 12, 2)), np.ones((2, 12, 2)))}, 3.35, 2e3)
+
+
+def spring(units):
+    X = np.linspace(0, 1, 12)[:, None] * [1.0, 0.5]
+    return SpringLaw(fit_process(X, X[:, 0] ** 2))
+
+
+def put(thing, path):
+    thing.save(path)
+
+
+KINDS = {
+    "model": (certified, put, load_model),
+    "model of either kind": (certified, put, load_any),
+    "nonlinear, energy": (lambda units: nonlinear(units, False), put, load_nonlinear),
+    "nonlinear, filtered": (lambda units: nonlinear(units, True), put, load_any),
+    "brittle, toughness": (lambda units: brittle(units, toughness=3.0), put, load_brittle_solid),
+    "brittle, energy": (lambda units: brittle(units, critical_energy=1.0), put, load_brittle_solid),
+    "hyperelastic": (hyperelastic, put, load_hyperelastic),
+    "conductor": (
+        lambda units: Conductor(3.0, 2.0, 1.3, np.array([1.0, 0.4]), units),
+        put,
+        load_conductor,
+    ),
+    "data set": (dataset, lambda data, path: save_dataset(path, data), load_dataset),
+    "law of flow, which has reduced units": (
+        spring,
+        lambda law, path: save_law(path, law, {}),
+        load_law,
+    ),
+}
+
+
+def same(one, other, where=""):
+    """Every field, however deep; the file a model was read from is not part of it."""
+    if dataclasses.is_dataclass(one):
+        assert type(one) is type(other), where
+        for field in dataclasses.fields(one):
+            if field.name != "file":
+                name = f"{where}.{field.name}"
+                same(getattr(one, field.name), getattr(other, field.name), name)
+    elif isinstance(one, dict):
+        assert list(one) == list(other), where
+        for key in one:
+            same(one[key], other[key], f"{where}[{key}]")
+    elif isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, other, err_msg=where)
+    else:
+        assert one == other, where
+
+
+@pytest.mark.parametrize("units", UNITS, ids=" ".join)
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_saved_comes_back_whole(kind, units, tmp_path):
+    make, save, load = KINDS[kind]
+    path, thing = tmp_path / ("kept.h5" if kind == "data set" else "kept.json"), make(units)
+    save(thing, path)
+    same(thing, load(path), kind)
+
+
+NAMED = ("hyperelastic", "conductor")
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_files_without_units_say_that_they_are_taken_for_granted(kind, tmp_path):
+    make, save, load = KINDS[kind]
+    path = tmp_path / "kept.json"
+    save(make(("mm", "GPa")), path)
+    content = json.loads(path.read_text())
+    bare = {key: value for key, value in content.items() if not key.endswith("_unit")}
+    path.write_text(json.dumps(bare))
+    with pytest.warns(UserWarning, match=r"kept.json: it names no units: taken as Å and TPa"):
+        assert load(path).units == ("angstrom", "TPa")
+    path.write_text(json.dumps({**bare, "length_unit": "mm"}))
+    with pytest.raises(InputError, match=r"kept.json: missing keys: stress_unit"):
+        load(path)
+    path.write_text(json.dumps({**content, "length_unit": "inch"}))
+    with pytest.raises(InputError, match="length_unit: expected one of"):
+        load(path)
+
+
+def test_an_older_brittle_solid_says_what_it_does_not_know(tmp_path):
+    path = tmp_path / "old.json"
+    old = {"format": "warp_peri.brittle_solid", "version": 1, "lambda": 0.5, "mu": 1.0, "D": [1.0]}
+    old |= {"alpha": 1.0, "horizon": 3.0, "density": 1.0, "toughness": 3.0, "tension_only": True}
+    old |= {"critical_stretch": None, "critical_energy": None}
+    path.write_text(json.dumps(old))
+    with pytest.warns(UserWarning, match="it names no units: taken as Å and TPa"):
+        solid = load_brittle_solid(path)
+    assert (solid.model.lam, solid.toughness) == (0.5, 3.0)
+    path.write_text(json.dumps({**old, "version": 3}))
+    with pytest.raises(InputError, match="expected warp_peri.brittle_solid version 2"):
+        load_brittle_solid(path)
+    brittle(("m", "Pa"), toughness=1.0).save(path)
+    new = json.loads(path.read_text())
+    path.write_text(json.dumps({**new, "tension_only": "no"}))
+    with pytest.raises(InputError, match=r"old.json: tension_only: expected a bool, got 'no'"):
+        load_brittle_solid(path)
+    new["model"]["mu"] *= 2
+    path.write_text(json.dumps(new))
+    with pytest.raises(InputError, match=r"old.json: sha256: the contents are not what was"):
+        load_brittle_solid(path)
+
+
+def test_the_model_of_an_influence_function_is_in_the_units_that_are_said():
+    shape = InfluenceFunction(lambda r: 1 / r)
+    numbers = {"lam": 1e9, "mu": 1e9, "horizon": 2e-3, "spacings": [1e-3]}
+    assert shape.model(**numbers, units=("m", "Pa")).units == ("m", "Pa")

@@ -1,0 +1,292 @@
+"""Whatever searches for an optimum finds the same material in any units."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.support.nonlinear import solid
+from tests.support.plates import plate
+from tests.support.problems import kernel, lattice, manufactured, smooth
+from tests.support.sheets import hgo_dictionary, square
+from tests.support.solving import solve_nonlinear
+from tests.support.waves import fluctuation, noisy, waves
+from warp_peri import Bernstein, Samples, choose_model, diagnose, evaluate
+from warp_peri.choice import Scene
+from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.methods import (
+    Conditions,
+    Constrained,
+    Optimum,
+    Smoothing,
+    TwoStage,
+    fit_uncertainty,
+    sweep,
+)
+from warp_peri.models.lps import load_model
+from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.operator.symbol import stiffnesses
+from warp_peri.points.families import bond_classes
+from warp_peri.points.mesh import Mesh
+from warp_peri.points.unit_names import USUAL, factors
+from warp_peri.points.units import in_units_of, scaled
+from warp_peri.shapes import InfluenceFunction
+from warp_peri.statics.body import solve_body
+from warp_peri.statics.scattered import ThroughLattice
+from warp_peri.tissue.energy_fit import fit_energy
+from warp_peri.tissue.equilibrium import StaticProblem
+from warp_peri.tissue.from_displacement import fit_displacement
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.transfer.nonlinear import nonlinear_for
+from warp_peri.transfers import on_lattice, one_kernel
+
+UNITS = [("nm", "Pa"), ("m", "Pa"), ("mm", "GPa")]
+AGREE = 1e-6
+HOME = dataclasses.replace(
+    kernel("1/r", 3.0), largest_wave_number=2.0, certificate={"1": {"symbol_bound": 0.007}}
+)
+TWO = dataclasses.replace(kernel("two functions", 3.0), largest_wave_number=2.0)
+TRUE = kernel("positive", 2.5, lam=0.1, mu=0.7)
+LATTICE = lattice(5, 2.5)
+
+
+def there(samples, units):
+    """Samples in Å and TPa, in other units."""
+    return in_units_of(scaled(samples, *factors(USUAL, units)), units)
+
+
+def numbers(model, spacing=1.0):
+    """Stiffnesses of all bonds, moduli and proof of a model on a lattice of a spacing [Å]."""
+    home = model.in_units(USUAL)
+    v, z, kappa = stiffnesses(home, bond_classes(spacing, home.horizon))
+    return np.concatenate([v, z, [kappa * home.mu, home.lam, home.mu, home.horizon]])
+
+
+def length_of(units):
+    return factors(USUAL, units)[0]
+
+
+def transfer(spacing, model=HOME, **asked):
+    def run(units, _):
+        h = length_of(units)
+        lengths = {k: v * h for k, v in asked.items() if k != "tolerance"}
+        other = {k: v for k, v in asked.items() if k == "tolerance"}
+        found = on_lattice(model.in_units(units), spacing=spacing * h, **lengths, **other)
+        record = found.provenance["transfer"]
+        bound = found.certificate[f"{spacing * h:g}"]["symbol_bound"] / factors(USUAL, units)[1]
+        return np.concatenate([numbers(found, spacing), record["error"], [bound]])
+
+    return run
+
+
+def chosen(units, _):
+    h = length_of(units)
+    scene = Scene((40.0 * h, 40.0 * h), 8.0 * h)
+    choice = choose_model(tolerance=0.01, scene=scene, model=HOME.in_units(units))
+    return np.array([choice.spacing / h, choice.horizon / h, choice.degree, choice.error])
+
+
+def shared(units, _):
+    asked = {"horizon": 3.0 * length_of(units), "ratios": (0.28, 0.3), "degree": 4}
+    return numbers(one_kernel(HOME.in_units(units), **asked), 0.9)
+
+
+def body(units, _):
+    h, stress = factors(USUAL, units)
+    mesh = plate(12.0, 60.0, 8, 32)
+    moved = Mesh(mesh.x * h, mesh.triangles, mesh.edges, mesh.middle * h, mesh.parts)
+    found = solve_body(
+        HOME.in_units(units), moved, displacement={"sides": lambda x: 0.01 * x * (1, -0.3)}
+    )
+    u, sigma = found.on_corners()
+    return np.concatenate([u.ravel() / h, sigma.ravel() / stress, [found.spacing / h]])
+
+
+MADE = noisy(manufactured(TRUE, LATTICE, 5), 0.02, 5)
+WAVES = waves(TRUE, cells=5, highest=3)
+QUIET = fluctuation(LATTICE, 4, 0.02, 1)
+
+
+def learned(samples=MADE, noise=None, kernel=None, **asked):
+    def run(units, _):
+        quiet = {} if noise is None else {"noise": there(noise, units)}
+        made = Bernstein(3) if kernel is None else kernel(units)
+        horizon = 2.5 * length_of(units)
+        found = fit(there(samples, units), horizon, made, progress=False, **quiet, **asked)
+        return numbers(found.material)
+
+    return run
+
+
+def gaussian(units):
+    def K(r, width):
+        return np.exp(-((r / width) ** 2))
+
+    return InfluenceFunction(K, {"width": 2.0 * length_of(units)})
+
+
+def swept(units, path):
+    h = length_of(units)
+    asked = {"horizons": (2.0 * h, 2.5 * h), "degrees": (0, 2), "jobs": 1}
+    train, val = (there(manufactured(TRUE, LATTICE, 5, seed=n), units) for n in (0, 1))
+    found = sweep(train, val, path / units[0], progress=False, **asked)
+    best = load_model(path / units[0] / found.cheapest.model)
+    return np.append(numbers(best), found.average)
+
+
+def uncertain(units, _):
+    train, quiet = there(MADE, units), there(QUIET, units)
+    found = fit(train, 2.5 * length_of(units), Bernstein(2), noise=quiet, loss="corrected")
+    sure = fit_uncertainty(found, train, quiet)
+    return sure.deviation(lambda model: numbers(model))
+
+
+def constants(smoothing):
+    def run(units, _):
+        h = length_of(units)
+        known = solid("filtered" if smoothing else "energy", 2.5)
+        u = 0.02 * smooth(LATTICE.x, 6, 0, wave_number=0.8)
+        b = np.zeros_like(u)
+        b[:, LATTICE.interior] = NonlinearOperator(known, LATTICE)(u)
+        b *= 1 + 1e-4 * np.random.default_rng(0).normal(size=b.shape)
+        found = fit(
+            there(Samples(LATTICE, u, b), units),
+            2.5 * h,
+            Bernstein(3, two_functions=True),
+            method=Optimum(moduli="isotropic"),
+            normalise=True,
+            nonlinear=Nonlinear(smoothing and Smoothing(smoothing * h)),
+            progress=False,
+        ).material
+        strain = found.proven_strain(h)
+        there_ = found.in_units(USUAL)
+        return np.concatenate([numbers(there_.linear), there_.numbers, [strain]])
+
+    return run
+
+
+def nonlinear_transfer(form):
+    def run(units, _):
+        h = length_of(units)
+        known = solid(form)
+        linear = dataclasses.replace(known.linear, largest_wave_number=2.0)
+        known = dataclasses.replace(known, linear=linear)
+        points = lattice(4, 2.5, spacing=0.8)
+        x = dataclasses.replace(points, x=points.x * h, spacing=0.8 * h, units=units)
+        found = nonlinear_for(known.in_units(units), x)
+        u = 0.002 * h * smooth(points.x, 1, 0, wave_number=0.8)
+        b = np.zeros_like(u)
+        solved = solve_nonlinear(found, x, b, u)
+        weights = found.weights(bond_classes(0.8 * h, found.horizon))
+        flat = np.concatenate([w * h**2 for w in weights])
+        return np.concatenate([solved.ravel() / h, flat, [found.proven_strain(0.8 * h)]])
+
+    return run
+
+
+def scattered(units, _):
+    points = lattice(9, 4.0)
+    x = points.x + 0.15 * np.random.default_rng(0).normal(size=points.x.shape)
+    loose = dataclasses.replace(points, x=x, spacing=0.0)
+    u = 1e-3 * smooth(x, 1, 0, wave_number=0.6)
+    given = there(Samples(loose, u, 0.01 * u), units)
+    found = ThroughLattice(HOME.in_units(units), given).solve(given.b, given.u)
+    return found / length_of(units)
+
+
+def errors(units, _):
+    table = evaluate(TRUE.in_units(units), there(MADE, units))
+    return np.array([table[key] for key in ("E_res", "E_u", "E_shape")])
+
+
+def causes(units, _):
+    found = diagnose(TRUE.in_units(units), there(noisy(WAVES, 0.02, 5), units))
+    return np.array([found.residual, *found.shares.values()])
+
+
+SHEET = square(4, spacing=1.0)
+
+
+def energies(**asked):
+    def run(units, _):
+        truth = np.array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
+        u = 0.1 * smooth(SHEET.x, 3, 0, wave_number=0.4)
+        b = HyperelasticOperator(hgo_dictionary(), SHEET).everywhere(u, truth)
+        b += 1e-2 * np.abs(b).max() * np.random.default_rng(0).normal(size=b.shape)
+        stress = factors(USUAL, units)[1]
+        stiff = {k: v if v is True else v * stress for k, v in asked.items()}
+        found = fit_energy(there(Samples(SHEET, u, b), units), hgo_dictionary(), **stiff)
+        return np.append(found.solid.coefficients / stress, found.residual)
+
+    return run
+
+
+def from_displacement(units, _):
+    truth = np.array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
+    problem = StaticProblem(HyperelasticOperator(hgo_dictionary(), SHEET))
+    edges = SHEET.x @ np.array([[0.1, 0.02], [0.0, 0.08]])
+    edges = edges + 0.1 * smooth(SHEET.x, 2, 0, wave_number=0.4)
+    u = np.stack([problem.solve(truth, None, edge).u for edge in edges])
+    found = fit_displacement(
+        there(Samples(SHEET, u), units), hgo_dictionary(), stiffness=0.0, thickness=1, most_steps=3
+    )
+    return np.append(found.solid.coefficients, found.thickness.numbers)
+
+
+CASES = {
+    "finer": transfer(0.6),
+    "coarser": transfer(1.9),
+    "given horizon": transfer(1.3, horizon=3.9),
+    "given tolerance": transfer(0.8, tolerance=0.003),
+    "given waves": transfer(0.7, shortest_wave=4.0, largest_horizon=2.9),
+    "two functions": transfer(0.8, TWO, horizon=2.4),
+    "choice": chosen,
+    "one kernel": shared,
+    "body": body,
+    "fit": learned(),
+    "fit, paper": learned(conditions=Conditions("paper")),
+    "fit, normalised": learned(normalise=True),
+    "fit, two stages": learned(
+        method=Constrained(TwoStage(epochs=50, inner_epochs=30, outer_iterations=2))
+    ),
+    "fit, corrected": learned(MADE, QUIET, loss="corrected"),
+    "fit, output at waves": learned(noisy(WAVES, 0.02, 5), loss="output"),
+    "fit, output": learned(MADE, loss="output"),
+    "fit, own function": learned(kernel=gaussian),
+    "sweep": swept,
+    "uncertainty": uncertain,
+    "constants, energy": constants(None),
+    "constants, filtered": constants(2.0),
+    "nonlinear transfer, energy": nonlinear_transfer("energy"),
+    "nonlinear transfer, filtered": nonlinear_transfer("filtered"),
+    "scattered": scattered,
+    "errors": errors,
+    "causes": causes,
+    "sheet": energies(),
+    "sheet, positive": energies(positive=True, stiffness=0.12),
+    "sheet, stable": energies(positive=True, stable=0.05),
+    "sheet from displacement": from_displacement,
+}
+
+
+QUICK = ("given horizon", "two functions", "fit")
+"""Not marked as slow."""
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=name, marks=[] if name in QUICK else pytest.mark.slow)
+        for name, case in CASES.items()
+    ],
+)
+def test_any_units_give_the_same(case, tmp_path):
+    usual = case(USUAL, tmp_path)
+    assert np.isfinite(usual).all()
+    for units in UNITS:
+        found = case(units, tmp_path)
+        assert found.shape == usual.shape, units
+        off = np.abs(found - usual).max() / np.abs(usual).max()
+        assert off <= AGREE, (units, off)

@@ -1,0 +1,48 @@
+"""Solves and motions with what they are asked for one by one, which tests like to vary."""
+
+import numpy as np
+
+from warp_peri import Direct, Dirichlet, Krylov, Newton, Periodic, Points, move
+from warp_peri import solve as solved
+from warp_peri.statics.dirichlet import PRECONDITIONERS
+
+
+def solve(model, points, b, u, *, method="auto", iteration=None, quadrature_degree=None, **options):
+    """Displacement; the method by its name, `iteration` as tolerance, device and records."""
+    iteration = dict(iteration or {})
+    records = iteration.pop("records", None)
+    solver = None
+    if method in PRECONDITIONERS or (method == "auto" and iteration):
+        solver = Krylov(None if method == "auto" else method, **iteration)
+    elif method != "auto":
+        degree = {} if quadrature_degree is None else {"quadrature_degree": quadrature_degree}
+        solver = Direct(method == "gmres", **degree)
+    solution = solved(model, Dirichlet(points, b, u), solver=solver, **options)
+    if records is not None and solution.details:
+        records.extend(solution.details)
+    return solution.u
+
+
+def solve_nonlinear(
+    model, points, b, u, *, records=None, tolerance=1e-8, eigenvalues=False, **options
+):
+    """Displacement; `records` takes one NonlinearRecord for each sample."""
+    solution = solved(
+        model, Dirichlet(points, b, u), solver=Newton(tolerance, eigenvalues), **options
+    )
+    if records is not None:
+        records.extend(solution.details)
+    return solution.u
+
+
+def solve_periodic(model, b, *, spacing, **options):
+    """Displacement on a sheet of shape [..., n₁, n₂, 2]."""
+    b = np.asarray(b, dtype=float)
+    points = Points.sheet(b.shape[-3:-1], spacing, units=model.units)
+    flat = b.reshape(-1, len(points.x), 2)
+    return solved(model, Periodic(points, flat), **options).u.reshape(b.shape)
+
+
+def velocity_verlet(model, points, u, v, *, b=None, **options):
+    """The motion from u and v."""
+    return move(model, Dirichlet(points, b, u), v=v, **options)

@@ -1,0 +1,117 @@
+"""What may be learned from fields, and the one verb that learns it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+from warp_peri.contract import offered
+from warp_peri.errors import InputError
+from warp_peri.learning.fit import learn, learn_third_order
+from warp_peri.learning.methods import Bernstein, Kernel, Method
+from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit
+from warp_peri.learning.result import Fit
+from warp_peri.models.smoothing import Smoothing
+from warp_peri.points.arrays import is_number
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.samples import Samples
+from warp_peri.regression.settings import Optimum
+from warp_peri.stability.conditions import Conditions
+
+Sets = Samples | Dataset | Sequence[Samples]
+
+
+@dataclass(frozen=True)
+class LPS:
+    """The linear peridynamic solid, its influence function learned (theory.md, 4–9).
+
+    Attributes:
+        horizon: δ [Å], at least one spacing.
+        kernel: Bernstein polynomials, or on lattices a function of the bond length whose parameters
+            are learned, from the values it has. Several functions are several starts, and the best
+            is kept.
+        method: Optimum() starts at the constrained optimum, from plain kernels; TwoStage() is
+            Algorithm 1 of You et al. (2021); Constrained() goes on from it to the optimum.
+        conditions: what must hold on every lattice.
+        loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
+            fit displacement; "auto" takes the residual where noise does not matter.
+        normalise: divide each sample by ‖b‖ in the residual.
+    """
+
+    horizon: float
+    kernel: Kernel = Bernstein(10)  # noqa: RUF009 (frozen values)
+    method: Method = Optimum()  # noqa: RUF009
+    conditions: Conditions = Conditions()  # noqa: RUF009
+    loss: str = "auto"
+    normalise: bool = False
+
+    def learn(
+        self,
+        samples: Sets,
+        *,
+        noise: Samples | Sequence[Samples] | None = None,
+        progress: bool | None = None,
+    ) -> Fit:
+        """The fit; arguments and errors as for learning.fit.learn."""
+        return learn(samples, **vars(self), noise=noise, progress=progress)
+
+
+@dataclass(frozen=True)
+class ThirdOrder:
+    """A linear solid with third-order elastic constants t3, tq2, q3 (theory.md, N1–N6).
+
+    Attributes:
+        linear: the linear solid, learned with them: by Optimum, of Bernstein polynomials, on
+            lattices of one spacing. Moduli held isotropic, two influence functions and normalised
+            samples are the better choice.
+        smoothing: of the data, for the filtered form; None learns the energy form.
+
+    The direction of the crystal is stated by the samples' points (Points.axis).
+    """
+
+    linear: LPS
+    smoothing: Smoothing | None = None
+
+    def learn(
+        self,
+        samples: Sets,
+        *,
+        noise: Samples | Sequence[Samples] | None = None,
+        progress: bool | None = None,
+    ) -> NonlinearFit:
+        """The fit; arguments and errors as for learning.fit.learn."""
+        three = Nonlinear(self.smoothing)
+        options = vars(self.linear) | {"noise": noise, "progress": progress}
+        return learn_third_order(samples, three, **options)
+
+
+@overload
+def fit(samples: Sets, law: LPS, **options: Any) -> Fit: ...
+@overload
+def fit(samples: Sets, law: ThirdOrder, **options: Any) -> NonlinearFit: ...
+@overload
+def fit(samples: Any, law: Any, **options: Any) -> Any: ...
+def fit(samples: Any, law: Any = None, *were: Any, **options: Any) -> Any:
+    """Learn a law from samples.
+
+    Args:
+        samples: one set or several; of a Dataset `train`, or its only set.
+        law: what may be learned, and how: LPS(horizon, …), ThirdOrder(LPS(…)),
+            tissue.Dictionary(…).
+        options: of the law's `learn`; all take `progress`, linear solids `noise`: fields of noise
+            alone on the nodes of each training set.
+
+    Returns:
+        A fit with `material`, and with `certificate` and `history` where the law has them.
+
+    Raises InputError for input that cannot be used, RuntimeError where a search fails.
+    """
+    for name in ("horizon", "kernel", "method", "conditions", "loss", "normalise"):
+        if name in options:
+            raise InputError(f"fit: {name} is now part of the law, as LPS(horizon, kernel, …)")
+    if were or is_number(law):
+        raise InputError("fit: what follows the samples is now a law, as LPS(horizon, kernel, …)")
+    return offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")(
+        samples, **options
+    )

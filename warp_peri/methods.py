@@ -1,0 +1,22 @@
+"""How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
+
+from warp_peri.learning.methods import Constrained, TwoStage
+from warp_peri.learning.sweep import Sweep, sweep
+from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
+from warp_peri.models.smoothing import Smoothing
+from warp_peri.models.solid import Solid
+from warp_peri.regression.settings import Optimum
+from warp_peri.stability.conditions import Conditions
+
+__all__ = [
+    "Conditions",
+    "Constrained",
+    "Optimum",
+    "Smoothing",
+    "Solid",
+    "Sweep",
+    "TwoStage",
+    "Uncertainty",
+    "fit_uncertainty",
+    "sweep",
+]

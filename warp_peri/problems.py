@@ -1,0 +1,122 @@
+"""Problems that a material is solved for: what is given, in one value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from warp_peri.contract import offered, placed
+from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.verlet import march
+from warp_peri.points.mesh import Mesh
+from warp_peri.points.points import Points
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.statics.body import Coupling, solve_body
+from warp_peri.statics.rim import Field, Traction
+from warp_peri.statics.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Dirichlet:
+    """Load on the interior, displacement given on the collar (theory.md, 29).
+
+    Attributes:
+        points: a lattice or scattered points, or samples on them.
+        b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load, where
+            the law takes it. Only interior values count. Of diffusion the source, shape [N].
+        u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
+    """
+
+    points: PointsLike
+    b: Any
+    u: Any
+
+    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+        """The material at rest."""
+        extra = {name: options.pop(name) for name in ("parameters",) if name in options}
+        operator = placed(material, nodes_of(self.points), **options)
+        return operator.rest(self.b, self.u, solver, **extra)  # type: ignore[no-any-return]
+
+    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+        """The material in motion, from the displacement u.
+
+        `options` are those of the law's own motion, or of dynamics.verlet.march: `v`, `density`,
+        `step`, `steps`, `every`; and `transfer`, `allow_uncertified`.
+        """
+        on = {"transfer", "allow_uncertified"} & options.keys()
+        how = {name: options.pop(name) for name in on}
+        operator = placed(material, nodes_of(self.points), **how)
+        if hasattr(operator, "march"):
+            return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
+        offered(operator, "product", "move", "a material that moves on points")
+        return march(operator, self.b, self.u, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """A load of zero mean on a periodic lattice (theory.md, 59).
+
+    Attributes:
+        points: a lattice with a box, all of its nodes interior; see Points.sheet.
+        b: body force density [stress/length], shape [N, d] or [S, N, d]; its mean is removed.
+    """
+
+    points: Points
+    b: Any
+
+    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+        """The material at rest, with a displacement of zero mean."""
+        operator = placed(material, nodes_of(self.points), **options)
+        rest = offered(operator, "rest_periodic", "solve", "a law that solves periodic problems")
+        return rest(self.b, solver)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A body with free edges on a mesh: held in part, pulled in part (theory.md, B1–B7).
+
+    Attributes:
+        mesh: the body.
+        displacement: [length] by part of the outline, vectors or functions of positions [n, 2];
+            NaN leaves a component free.
+        traction: force per area [stress] by part, or functions of positions and outward normals.
+        b: body force density [stress/length] as a function of positions [n, 2].
+        edge: stiffness of an edge of its own [stress · length] by part (B10).
+        coupling: how elements and lattice meet.
+    """
+
+    mesh: Mesh
+    displacement: Mapping[str, Field | ArrayLike]
+    traction: Mapping[str, Traction | ArrayLike] | None = None
+    b: Field | None = None
+    edge: Mapping[str, float] | None = None
+    coupling: Coupling = field(default_factory=Coupling)
+
+    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+        """The material at rest; the details of the solution are a BodySolution."""
+        offered(material, "influence", "solve", "a linear material for a Body")
+        body = solve_body(
+            material,
+            self.mesh,
+            displacement=self.displacement,
+            traction=self.traction,
+            b=self.b,
+            edge=self.edge,
+            coupling=self.coupling,
+            allow_uncertified=bool(options.get("allow_uncertified", False)),
+        )
+        u, _ = body.on_corners()
+        exchange = body.exchange
+        return Solution(
+            u,
+            None,
+            None,
+            None,
+            "elements" if body.points is None else "elements and lattice",
+            (exchange.exchanges,),
+            details=body,
+            measured=max(exchange.rim_residual, exchange.bulk_residual),
+        )

@@ -1,0 +1,56 @@
+"""The two verbs of mechanics: what is at rest, and what moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from warp_peri.contract import offered
+from warp_peri.dynamics.motion import Motion
+from warp_peri.errors import InputError
+from warp_peri.statics.settings import Solver
+from warp_peri.statics.solution import Solution, told
+
+PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
+
+
+def solve(
+    material: Any, problem: Any, *were: Any, solver: Solver = None, **options: Any
+) -> Solution:
+    """A material at rest.
+
+    Args:
+        material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
+            points are solved on again.
+        problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
+        solver: Direct(…), Krylov(…) or Newton(…); chosen when not given.
+        options: transfer=False refuses points that the material itself holds no certificate for;
+            allow_uncertified=True takes its own numbers there, with a warning; parameters=Solid(…)
+            of tensors, of a linear solid, which the answer is then differentiable in.
+
+    Returns:
+        The solution, with its residual, what is proven of it, and what was warned of.
+
+    Raises InputError for what does not fit, naming what was expected.
+    """
+    if were:
+        raise InputError(f"solve: what follows the material is now one value, {PROBLEMS}")
+    solved = offered(problem, "solved", "solve", PROBLEMS)
+    return told(lambda: solved(material, solver, options))
+
+
+def move(material: Any, problem: Any, **options: Any) -> Motion:
+    """A material in motion: waves, growing cracks, loads that rise slowly, flow.
+
+    Args:
+        material: as for `solve`.
+        problem: what is given; its displacement is that of the start.
+        options: of the law's motion: `step` and `steps`, `density`, `every` (steps between two
+            records), `checkpoint`, `progress`; see the `moved` of the problem.
+
+    Returns:
+        The motion: times, histories by name, the fields at the end.
+
+    Raises InputError for what does not fit, and for a step that is not proven stable.
+    """
+    moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
+    return moved(material, options)  # type: ignore[no-any-return]

@@ -1,0 +1,329 @@
+"""The linear peridynamic solid on points: its force, its stress, and its equilibria."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator, gmres, spilu
+
+from warp_peri.errors import InputError
+from warp_peri.launch import known_device
+from warp_peri.models.solid import Solid
+from warp_peri.operator.matrices import matrices
+from warp_peri.operator.stress import node_fields
+from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.points.families import bond_classes, lattice_steps
+from warp_peri.points.points import Points
+from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike
+from warp_peri.points.strain import largest_strain, lattice_strain
+from warp_peri.statics.definiteness import refuse_indefinite
+from warp_peri.statics.direct import RESIDUAL, MatrixProblem
+from warp_peri.statics.dirichlet import SolveRecord
+from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
+from warp_peri.statics.scattered import ThroughLattice
+from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
+from warp_peri.statics.strain_range import warn_beyond
+from warp_peri.transfer.operator import LPSOperator
+
+DIRECT, LARGEST_LU = 4_000, 40_000
+"""Most unknown nodes that are solved for directly, on lattices and on other point sets."""
+STIFF = 30.0
+"""λ/μ from which the strip at the edge costs less than the iterations that it saves."""
+SINGULAR = 1e-13
+"""Eigenvalues of the symbol below this fraction of the largest count as zero."""
+
+
+class PlacedLPS(LPSOperator):
+    """A linear solid on points: resolved once, bonds built when they are first asked for.
+
+    Arguments, attributes, errors and ``op(u)`` are those of LPSOperator.
+    """
+
+    at_once = False
+
+    def __init__(self, model: Any, points: PointsLike, **options: Any) -> None:
+        super().__init__(model, points, **options)
+        self.allowed = bool(options.get("allow_uncertified", False))
+
+    @cached_property
+    def through(self) -> ThroughLattice:
+        """The assembled operator on scattered points."""
+        return ThroughLattice(self.home, self.points)
+
+    @property
+    def proven(self) -> str | None:
+        """What the certificate of the lattice says, if it holds."""
+        spacing = self.carrier.spacing if self.carrier else self.points.spacing
+        if not self.model.is_certified_on(spacing):
+            return None
+        figures = self.model.certificate.get(f"{self.model.nominal_spacing(spacing):g}", {})
+        return str(figures["statement"]) if "statement" in figures else None
+
+    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The derivative along v, which is L v for every u."""
+        return np.asarray(self(np.asarray(v, dtype=float)))
+
+    def energy(self, u: np.ndarray) -> np.ndarray | None:
+        """h² (½ u_I·L u_I + u_I·L u_C) [stress · area], shape [...]; on lattices."""
+        if self.carrier is not None or self.points.spacing == 0:
+            return None
+        u = np.asarray(u, dtype=float)
+        inside = self.points.interior[:, None]
+        inner = u[..., self.points.interior, :]
+        own, collar = (self(np.where(m, u, 0.0)) for m in (inside, ~inside))
+        return np.asarray(self.points.spacing**2 * (inner * (own / 2 + collar)).sum(axis=(-2, -1)))
+
+    def stress(self, u: np.ndarray) -> np.ndarray | None:
+        """σ [TPa] at the interior nodes, [..., I, 2, 2]; None on scattered points."""
+        if self.carrier is not None:
+            return None
+        stress = node_fields(self.model, self.points, u).stress
+        return stress if np.ndim(u) == 3 else stress[0]
+
+    def rest(
+        self, b: Any, u: Any, solver: Solver = None, *, parameters: Solid | None = None
+    ) -> Solution:
+        """Equilibrium with b on the interior, u given on the collar (theory.md, 29).
+
+        Args:
+            b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
+            u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
+                is one, differentiable in both.
+            solver: Direct(…) or Krylov(…); None takes the cheapest by size and shape.
+            parameters: λ, μ, α and D, the material's own by default; the answer is differentiable
+                in tensors among them.
+
+        Raises InputError for arrays that do not fit, a solver that does not go with the points, or
+        an operator that is singular or (with allow_uncertified a warning) not positive definite.
+        """
+        refuse_solver(solver, (Direct, Krylov), "a linear solid")
+        if isinstance(b, torch.Tensor) or isinstance(u, torch.Tensor) or parameters is not None:
+            return self._differentiable(b, u, solver, parameters)
+        load, field = checked_fields(self.points, b, u)
+        if self.carrier is not None:
+            return self._through_lattice(load, field, solver)
+        records: list[SolveRecord] = []
+        nodes, method = self.nodes, self._method(solver)
+        flat_load, flat = (f.reshape(-1, len(nodes.x), 2) for f in (load, field))
+        if isinstance(solver, Krylov) or method not in ("lu", "gmres"):
+            answer = self._iterated(flat_load, flat, method, solver, records)
+        else:
+            degree = self.quadrature_degree
+            if isinstance(solver, Direct):
+                degree = solver.quadrature_degree
+            answer = self._factorised(flat_load, flat, method, degree)
+        flat[:, nodes.interior] = answer[:, nodes.interior]
+        warn_beyond(self.model, lambda: largest_strain(nodes, flat))
+        return self._told(field, self.load(load), method, records)
+
+    def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
+        """Equilibrium of a periodic sheet under a load whose mean is removed, as sheet_at_rest."""
+        refuse_solver(solver, (), "a periodic sheet, which has one way")
+        return sheet_at_rest(self, b)
+
+    def _told(self, u: Any, load: Any, method: str, records: list[SolveRecord]) -> Solution:
+        measured = max((r.residual for r in records), default=None)
+        count = tuple(record.iterations for record in records)
+        proven, details = self.proven, tuple(records) or None
+        return Solution(u, self.points, self, load, method, count, proven, (), details, measured)
+
+    def _method(self, solver: Solver) -> str:
+        """The name of the method; InputError where it does not go with the points."""
+        plain = self.nodes.is_plain_lattice
+        if isinstance(solver, Direct):
+            return solver.method
+        chosen = solver.preconditioner if isinstance(solver, Krylov) else None
+        if isinstance(solver, Krylov) and not (plain and self.quadrature_degree == DEGREE):
+            raise InputError(
+                "solver: Krylov(…) is for lattices without a box and without broken bonds, with "
+                "quadrature of the usual degree; try Direct()"
+            )
+        if chosen is not None:
+            return chosen
+        stiff = self.model.lam > STIFF * self.model.mu
+        direct = 0 if isinstance(solver, Krylov) else None
+        return choose_method(self.nodes, plain=plain, stiff=stiff, direct=direct)
+
+    def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
+        """The solution of the assembled problem."""
+        model, nodes = self.model, self.nodes
+        parts = matrices(model, nodes, quadrature_degree=degree)
+        problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
+        answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
+        stiffness, allowed = problem.stiffness, self.allowed
+        refuse_indefinite(
+            nodes, model.horizon, model.solid, stiffness, degree=degree, allowed=allowed
+        )
+        return answer
+
+    def _iterated(
+        self,
+        load: np.ndarray,
+        u: np.ndarray,
+        method: str,
+        solver: Solver,
+        records: list[SolveRecord],
+    ) -> np.ndarray:
+        """The solution by conjugate gradients, where they are asked to run."""
+        asked = solver if isinstance(solver, Krylov) else Krylov(device=self.device)
+        there = known_device(asked.device)
+        with torch.no_grad():
+            answer = equilibrium(
+                self.nodes,
+                torch.from_numpy(load).to(there),
+                torch.from_numpy(u).to(there),
+                self.model.solid,
+                horizon=self.model.horizon,
+                method=method,
+                tolerance=asked.tolerance,
+                records=records,
+            )
+        return answer.cpu().numpy()
+
+    def _through_lattice(self, load: np.ndarray, u: np.ndarray, solver: Solver) -> Solution:
+        """The solution on scattered points by the operator of a certified lattice."""
+        if solver is not None and solver != Direct():
+            raise InputError(
+                f"solver: expected Direct() on scattered points, got {solver!r}, which is for the "
+                "model's own numbers there (allow_uncertified)"
+            )
+        flat = u.reshape(-1, len(self.points.x), 2)
+        answer = self.through.solve(load.reshape(flat.shape), flat)
+        return self._told(answer.reshape(u.shape), self.load(load), "lu", [])
+
+    def _differentiable(self, b: Any, u: Any, solver: Solver, parameters: Solid | None) -> Solution:
+        """Equilibrium in torch, by the implicit adjoint."""
+        if self.carrier is not None:
+            raise InputError("points: a differentiable solve is for lattices, got scattered points")
+        b, u = (torch.as_tensor(field) for field in (b, u))
+        solid = self.model.solid if parameters is None else parameters
+        records: list[SolveRecord] = []
+        tolerance = solver.tolerance if isinstance(solver, Krylov) else TOLERANCE
+        method = self._method(solver)
+        options: dict[str, Any] = {"horizon": self.model.horizon, "method": method}
+        options |= {"tolerance": tolerance, "records": records}
+        answer = equilibrium(self.nodes, b, u, solid, **options)
+        inside = torch.from_numpy(self.points.interior).to(b.device)
+        told = self._told(answer, b[..., inside, :].detach().cpu().numpy(), method, records)
+        return told if parameters is None else replace(told, proven=None)
+
+
+def checked_fields(
+    points: Points, b: ArrayLike | None, u_collar: ArrayLike
+) -> tuple[np.ndarray, np.ndarray]:
+    """Load and displacement as arrays, the second a copy; InputError where they do not fit."""
+    if b is None:
+        raise InputError("b: expected loads, got None")
+    load, u = np.ascontiguousarray(b, dtype=float), np.array(u_collar, dtype=float, order="C")
+    if load.shape != u.shape or load.ndim not in (2, 3) or load.shape[-2:] != (len(points.x), 2):
+        raise InputError(
+            f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
+            f"[{len(points.x)}, 2], got {list(load.shape)} and {list(u.shape)}"
+        )
+    free = points.interior
+    if not (np.isfinite(load[..., free, :]).all() and np.isfinite(u[..., ~free, :]).all()):
+        raise InputError("b, u_collar: expected finite values")
+    return load, u
+
+
+def choose_method(
+    points: PointsLike, *, plain: bool, stiff: bool = False, direct: int | None = None
+) -> str:
+    """The cheapest method for a point set.
+
+    Args:
+        points: whose interior nodes are solved for.
+        plain: a lattice without a box or broken bonds.
+        stiff: λ ≫ μ.
+        direct: most unknown nodes that are factorised; DIRECT by default.
+    """
+    nodes = int(np.count_nonzero(points.interior))
+    if not plain:
+        return "lu" if nodes <= LARGEST_LU else "gmres"
+    if nodes <= (DIRECT if direct is None else direct):
+        return "lu"
+    if stiff:
+        return "strip"
+    inside, _ = lattice_steps(
+        Points(points.x[points.interior], np.ones(nodes, bool), points.spacing)
+    )
+    return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
+
+
+def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The solution by GMRES with an incomplete factorisation, where a whole one is too large."""
+    rough = spilu(problem.stiffness, drop_tol=1e-4, fill_factor=10)
+    preconditioner = LinearOperator(problem.stiffness.shape, rough.solve)
+    right, columns = problem.right(b, u), []
+    for column in right.T:
+        solved, failed = gmres(
+            problem.stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
+        )
+        if failed:
+            raise InputError("GMRES did not converge on these nodes; try the method lu")
+        columns.append(solved)
+    solution = np.stack(columns, axis=1)
+    problem.check(solution, right)
+    return problem.filled(u, solution)
+
+
+def sheet_at_rest(operator: PlacedLPS, b: ArrayLike) -> Solution:
+    """Displacement of a periodic sheet under a load of zero mean, by FFT of the symbol.
+
+    Args:
+        operator: of a lattice with a box, all of whose nodes are interior.
+        b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; its mean is removed.
+
+    Returns:
+        A solution whose u [Å] has zero mean.
+
+    Raises InputError for other points, a load that does not fit, or a symbol that is singular at a
+    wave vector of the sheet.
+    """
+    nodes, model = operator.nodes, operator.model
+    steps, sides = whole_sheet(nodes)
+    load, _ = checked_fields(nodes, b, np.zeros_like(np.asarray(b, dtype=float)))
+    grid = np.empty((*load.shape[:-2], *sides, 2))
+    place = (..., *steps.T, slice(None))
+    grid[place] = load - load.mean(axis=-2, keepdims=True)
+    classes = bond_classes(nodes.spacing, model.horizon)
+    waves = [2 * np.pi * np.fft.fftfreq(n, nodes.spacing) for n in sides]
+    k = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1).reshape(-1, 2)
+    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
+    d11[0] = d22[0] = 1.0  # k = 0: a mean load has no answer; the transform below is zeroed there
+    D = np.stack([d11, d12, d12, d22], axis=1).reshape(*sides, 2, 2)
+    transform = np.fft.fftn(grid, axes=(-3, -2))
+    transform[..., 0, 0, :] = 0
+    size = np.abs(np.linalg.eigvalsh(D))
+    if not size.min() > SINGULAR * size.max():
+        raise InputError("the symbol is singular at a wave vector of this sheet")
+    wave = np.linalg.solve(D, transform[..., None])[..., 0]
+    field = np.fft.ifftn(wave, axes=(-3, -2)).real
+    warn_beyond(model, lambda: lattice_strain(field, nodes.spacing))
+    u = np.ascontiguousarray(field[place])
+    load = load - load.mean(axis=-2, keepdims=True)
+    return Solution(u, operator.points, operator, load, "fft", proven=operator.proven)
+
+
+def whole_sheet(nodes: Points) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Places [N, 2] in lattice steps, and sides in steps, of a full periodic sheet.
+
+    Raises InputError for points without a box, with a collar, or with holes.
+    """
+    if nodes.box is None or nodes.spacing == 0 or not nodes.interior.all():
+        raise InputError(
+            "points: expected a lattice with a box, all of its nodes interior, for a periodic "
+            "problem; see Points.sheet"
+        )
+    sides = tuple(int(n) for n in np.rint(np.divide(nodes.box, nodes.spacing)))
+    steps = np.rint((nodes.x - nodes.x.min(axis=0)) / nodes.spacing).astype(int)
+    if len(nodes.x) != np.prod(sides) or (steps >= sides).any():
+        raise InputError(f"points: expected {np.prod(sides)} nodes that fill the box")
+    return steps, sides

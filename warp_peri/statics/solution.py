@@ -1,0 +1,177 @@
+"""What a static problem comes to, whatever the law."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.points import Points
+from warp_peri.points.unit_names import symbols
+from warp_peri.shown import as_table, in_rows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution:
+    """A body at rest.
+
+    Attributes:
+        u: displacement [length] (of diffusion φ), shape as given: what was given on the collar,
+            the answer on the interior; of a body on the corners of its mesh.
+        points: the nodes; None for a body on a mesh.
+        operator: the material on these points.
+        load: what ``operator(u)`` equals in equilibrium, shape [..., I, d].
+        method: that solved it.
+        iterations: of each sample, as many as the method counts; 0 of a factorisation.
+        proven: what is proven of the answer, in one sentence; None for nothing.
+        warnings: what was said on the way.
+        details: what only this law or problem knows: records of the solver, of a body its
+            elements and lattice.
+    """
+
+    u: Any
+    points: Points | None
+    operator: Any
+    load: Any
+    method: str
+    iterations: tuple[int, ...] = ()
+    proven: str | None = None
+    warnings: tuple[str, ...] = ()
+    details: Any = None
+    measured: float | None = field(default=None, repr=False)
+
+    @property
+    def residual(self) -> float:
+        """Largest ‖op(u) − load‖ of a sample over ‖load − op(u of the collar alone)‖."""
+        if self.measured is not None:
+            return self.measured
+        assert self.points is not None
+        u = np.asarray(self.u, dtype=float)
+        held = np.where(_spread(self.points.interior, u), 0.0, u)
+        left, right = (_sizes(self.load - self.operator(f), len(self.load)) for f in (u, held))
+        return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
+
+    def stress(self) -> np.ndarray:
+        """σ [stress] at the interior nodes, [..., I, d, d]; of a body at the mesh's corners.
+
+        Raises InputError for a law that has none.
+        """
+        if self.points is None:
+            return np.asarray(self.details.on_corners()[1])
+        stress = self.operator.stress(self.u)
+        if stress is None:
+            raise InputError("stress: this law has none")
+        return np.asarray(stress)
+
+    def energy(self) -> np.ndarray:
+        """Elastic energy, as the operator's `energy`; InputError for a law without one."""
+        energy = self.operator.energy(self.u)
+        if energy is None:
+            raise InputError("energy: this law has none")
+        return np.asarray(energy)
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """Displacement at positions of the body, both of shape [m, d]; InputError for lattices."""
+        if not hasattr(self.details, "displacement"):
+            raise InputError("at: only of bodies on meshes; u holds the values at the nodes")
+        return np.asarray(self.details.displacement(np.asarray(x, dtype=float)))
+
+    def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
+        """The size of the displacement over the body, as coloured nodes; a slice in space.
+
+        Args:
+            sample: which, of several.
+            ax: where to draw; a new figure by default.
+        """
+        import matplotlib.pyplot as plt
+
+        x, u = self._nodes(sample)
+        if x.shape[1] == 3:
+            near = np.abs(x[:, 2] - np.median(x[:, 2])).min() + 1e-9 * np.ptp(x)
+            kept = np.abs(x[:, 2] - np.median(x[:, 2])) <= near
+            x, u = x[kept], u[kept]
+        ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
+        size = np.abs(u) if u.ndim == 1 else np.linalg.norm(u, axis=1)
+        unit = symbols(self._units)[0]
+        shown = ax.scatter(x[:, 0], x[:, 1], c=size, s=9, linewidths=0)
+        ax.figure.colorbar(shown, ax=ax, label="φ" if u.ndim == 1 else f"|u| [{unit}]")
+        ax.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+        return ax
+
+    def to_pyvista(self, sample: int = 0) -> Any:
+        """Nodes and displacement as a pyvista.PolyData; InputError without pyvista."""
+        try:
+            import pyvista
+        except ImportError:
+            raise InputError("pyvista is not installed: pip install 'warp_peri[view]'") from None
+        x, u = self._nodes(sample)
+        cloud = pyvista.PolyData(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
+        cloud["u"] = u if u.ndim == 1 else np.pad(u, ((0, 0), (0, 3 - u.shape[1])))
+        return cloud
+
+    @property
+    def _units(self) -> tuple[str, str]:
+        return self.points.units if self.points is not None else self.details.model.units
+
+    def _nodes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and displacement of one sample."""
+        x = self.details.rim.mesh.x if self.points is None else self.points.x
+        u = np.asarray(self.u.detach() if hasattr(self.u, "detach") else self.u)
+        several = u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape)
+        return x, u[sample] if several else u
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        shape = list(self.u.shape)
+        lines = [("displacement", f"shape {shape}"), ("solved by", self.method)]
+        if any(self.iterations):
+            lines.append(("iterations", f"{max(self.iterations)} at most"))
+        lines.append(("residual", f"{self.residual:.1e}"))
+        lines.append(("proven", self.proven or "nothing"))
+        return lines + [("warning", text) for text in self.warnings]
+
+    def __repr__(self) -> str:
+        return in_rows("Solution", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """Warnings raised inside, as texts; they are said again, to the caller's caller, at the end."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            yield texts
+        finally:
+            kinds = [(str(one.message), one.category) for one in caught]
+    texts += [text for text, _ in kinds]
+    for text, kind in kinds:
+        warnings.warn(text, kind, stacklevel=5)
+
+
+def told(solved: Callable[[], Solution]) -> Solution:
+    """A solution with what was said on the way to it."""
+    with heard() as texts:
+        solution = solved()
+    return replace(solution, warnings=tuple(dict.fromkeys(texts))) if texts else solution
+
+
+def _spread(mask: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """A mask of nodes that goes with fields of vectors, or of numbers."""
+    return mask[:, None] if u.shape[-1] != len(mask) else mask
+
+
+def _sizes(values: np.ndarray, count: int) -> np.ndarray:
+    flat = np.reshape(values, (count, -1)) if np.ndim(values) == 3 else np.reshape(values, (1, -1))
+    return np.asarray(np.linalg.norm(flat, axis=1))
