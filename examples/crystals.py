@@ -23,7 +23,7 @@ from tools.crystal_ball import ball
 from tools.crystals import RECIPES, Waves, force_constants, lattice_parameter, waves
 from tools.isotropic_rival import isotropic_lps
 from warp_peri.errors import exit_status
-from warp_peri.micromodulus.elastic import allowed_tensors, voigt
+from warp_peri.micromodulus.elastic import allowed_tensors, directional, voigt
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.groups import point_group
@@ -164,6 +164,34 @@ def told(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def picture(name: str, path: Path) -> None:
+    """Branches of the law and of the atoms, and Young's modulus over direction."""
+    import matplotlib.pyplot as plt
+
+    a = lattice_parameter(name)
+    atoms = force_constants(name, a)
+    law = from_phonons(atoms, a, a * SHELLS[80], symmetry="m-3m", units=UNITS)
+    figure = plt.figure(figsize=(9, 3.6), layout="constrained")
+    axes = figure.add_subplot(1, 2, 1)
+    reach = np.linspace(0.03, 1, 40) * np.pi / 2
+    for number, (label, direction) in enumerate(PATHS.items()):
+        k = reach[:, None] / a * np.array(direction) / np.linalg.norm(direction)
+        true, own = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k))) for D in (atoms.effective, law.symbol))
+        axes.plot(reach, own, color=f"C{number}", label=[label, *[None] * 2])
+        axes.plot(reach[::3], true[::3], ".", color=f"C{number}")
+    axes.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]")
+    axes.legend()
+    round_ = figure.add_subplot(1, 2, 2, projection="polar")
+    angle = np.linspace(0, 2 * np.pi, 181)
+    young = [
+        directional(1e3 * law.tensor(), np.array([np.cos(t), np.sin(t), 0]), np.eye(3)[2])[0]
+        for t in angle
+    ]
+    round_.plot(angle, young)
+    round_.set_title("E [GPa] in (001)")
+    figure.savefig(path, dpi=110)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Print one crystal."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -171,9 +199,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--bonds", type=int, choices=list(SHELLS), default=80)
     parser.add_argument("--no-ball", action="store_true", help="leave the free ball out")
     parser.add_argument("--json", action="store_true", help="one object on stdout")
+    parser.add_argument("--picture", type=Path, help="draw the law there, and nothing else")
     given = parser.parse_args(arguments)
 
     def work() -> None:
+        if given.picture is not None:
+            picture(given.crystal, given.picture)
+            return
         found = study(given.crystal, given.bonds, not given.no_ball)
         print(json.dumps(found) if given.json else told(found))
 

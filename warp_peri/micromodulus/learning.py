@@ -38,7 +38,9 @@ from warp_peri.points.unit_names import USUAL, Units, factors
 FLOOR = 0.3
 """ζ over the softest acoustic modulus."""
 AS_GOOD = 1.02
-"""A group is taken while the loss with it is at most so many times that without any."""
+"""A group is taken while the loss with it is at most so many times that without any,"""
+SMALL = 0.003
+"""and this much of the loads."""
 WAVES, LARGEST_WAVE = 400, 2.0
 """Waves that a symbol is matched on, and their largest |k| h."""
 LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
@@ -126,7 +128,10 @@ def _found(samples: Samples, reach: float, turn: np.ndarray, normalise: bool) ->
         long = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))[1]
         if free is None:
             free = (loss, long)
-        elif loss <= AS_GOOD * free[0] and long <= AS_GOOD * free[1]:
+        elif (
+            loss <= AS_GOOD * free[0] + SMALL * float(np.linalg.norm(y))
+            and long <= AS_GOOD * free[1] + SMALL
+        ):
             break
     return name, loss / max(free[0], 1e-300) if free else 1.0
 
