@@ -8,6 +8,7 @@ python examples/crystals.py W --no-ball   without the free ball of atoms, the lo
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 import time
@@ -19,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-from tools.crystal_ball import ball
+from tools.crystal_ball import SEEN, ball
 from tools.crystals import RECIPES, Waves, force_constants, lattice_parameter, waves
 from tools.isotropic_rival import isotropic_lps
 from warp_peri.errors import exit_status
@@ -55,7 +56,9 @@ def dispersion(atoms: ForceConstants, symbol: Symbol, h: float) -> dict[str, flo
 
 def ball_errors(law: Micromodulus, seen: Samples) -> tuple[float, float]:
     """Means of E_res and E_u [%] inside a free ball of atoms, displacement given around."""
-    operator, inside = law.on(seen), seen.interior
+    far, h = np.linalg.norm(seen.x, axis=1), seen.spacing
+    inside = seen.interior & (far <= SEEN * h - law.horizon + 1e-9)  # a long reach asks more collar
+    operator = law.on(dataclasses.replace(seen.points, interior=inside))
     u, _ = solve(operator, seen.loads, seen.u)
     left = operator(seen.u) - seen.loads[:, inside]
     pairs = ((left, seen.loads[:, inside]), ((u - seen.u)[:, inside], seen.u[:, inside]))

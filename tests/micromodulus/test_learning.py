@@ -8,7 +8,6 @@ from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 
 import warp_peri
-import warp_peri.micromodulus.statics
 from tests.micromodulus.crystals import cubic_tensor, dispersive, lattice, learned
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
@@ -24,8 +23,10 @@ from warp_peri.micromodulus.force_constants import (
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.learning import fit, fit_symbol, from_phonons, transferred
 from warp_peri.micromodulus.states import tensors_of
+from warp_peri.micromodulus.statics import solve
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.transfer.operator import LPSOperator
 
 ISOTROPIC = {2: point_group("isotropic", 2), 3: point_group("m-3m", 3)}
 
@@ -77,24 +78,24 @@ def test_moduli_are_held_as_given():
     np.testing.assert_allclose(held.elastic_tensor(), given, atol=1e-12)
 
 
-def test_long_waves_of_graphene_have_its_moduli():
-    data = warp_peri.load_dataset("data/graphene_0K.h5")
+def test_long_waves_of_graphene_have_its_moduli(graphene):
+    data = warp_peri.load(graphene)
     group = point_group("6mm", 2)
     C, misfit = long_wave_moduli(data["train"], allowed_tensors("6mm", group, np.eye(2)))
     assert voigt(C)[[0, 0, 2], [0, 1, 2]] == pytest.approx([1.2475, -0.1972, 0.7223], abs=0.004)
     assert misfit < 0.02
 
 
-def test_graphene_from_fields():
+def test_graphene_from_fields(graphene):
     """What is claimed of 20 bonds, on sets that the fit did not see."""
-    data = warp_peri.load_dataset("data/graphene_0K.h5")
+    data = warp_peri.load(graphene)
     law = fit(data["train"], 12.5)
     assert (law.bonds, law.symmetry) == (20, "isotropic")
     error = {}
     for name in ("val", "test"):
         samples = data[name]
         operator = law.on(samples)
-        u, _ = warp_peri.micromodulus.statics.solve(operator, samples.b, samples.u)
+        u, _ = solve(operator, samples.b, samples.u)
         inside = samples.interior
         wrong, size = (
             np.linalg.norm(field[:, inside].reshape(len(u), -1), axis=1)
@@ -213,7 +214,7 @@ def test_a_linear_peridynamic_solid_is_one_of_twice_the_range(name):
     law = tensors_of(model, 1.0)
     points = plane_lattice(5, 2.0)
     u = np.random.default_rng(3).normal(size=points.x.shape)
-    force = warp_peri.LPSOperator(model, points, allow_uncertified=True)(u)
+    force = LPSOperator(model, points, allow_uncertified=True)(u)
     np.testing.assert_allclose(law.on(Points(points.x, points.interior, 1.0))(u), force, atol=1e-11)
     assert law.horizon <= 2 * model.horizon
 

@@ -18,7 +18,7 @@ from warp_peri.micromodulus.regression import laplacian, ratios, zone_sample
 
 SAMPLE = {2: 60, 3: 20}
 """Intervals of the grid that the minimum is sampled on."""
-SHARES = (0.95, 0.9, 0.75, 0.5, 0.25, 0.05)
+SHARES = (0.92, 0.75, 0.5, 0.25, 0.05)
 """Of the sampled minimum, tried one after another."""
 FIRST = 8
 """Cells along an axis of the zone, or of a face of directions."""
