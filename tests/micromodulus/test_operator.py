@@ -163,3 +163,15 @@ def test_cut_bonds_other_spacings_and_units_are_refused():
         learned(2).on(points)
     with pytest.raises(InputError, match="shape"):
         law.on(points)(np.zeros((3, 3)))
+
+
+def test_rest_is_what_the_one_face_solves_with():
+    law, points = learned(2), body(2, "ball")
+    operator = law.on(points)
+    u = np.random.default_rng(8).normal(size=points.x.shape)
+    b = np.zeros_like(u)
+    b[points.interior] = operator(u)
+    found = operator.rest(b, u)
+    np.testing.assert_allclose(found.u, u, atol=1e-6)
+    assert found.residual <= 1e-8
+    assert "one stable answer" in found.proven

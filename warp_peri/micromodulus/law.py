@@ -278,6 +278,7 @@ class Micromodulus:
             method=method,
             dtype=dtype,
             why=why,
+            model=self,
         )
 
     def _stress(self, unit: str | None) -> float:

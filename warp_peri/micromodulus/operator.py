@@ -9,8 +9,11 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.nodes import Nodes, lay_out
+from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product
 from warp_peri.points.points import Points
+from warp_peri.statics.settings import Krylov, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
 
 METHODS = ("auto", "rows", "fft")
 
@@ -27,6 +30,7 @@ class Operator:
         method: "rows", "fft", or "auto", which takes what is faster.
         dtype: float64 or float32.
         why: said beside the error for nodes whose bonds are cut.
+        model: the law, as it is told.
 
     Raises InputError as nodes.lay_out does.
     """
@@ -42,12 +46,13 @@ class Operator:
         method: str = "auto",
         dtype: Any = np.float64,
         why: str = "",
+        model: Any = None,
     ) -> None:
         if method not in METHODS:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         if np.dtype(dtype) not in SCALARS:
             raise InputError(f"dtype: expected float64 or float32, got {np.dtype(dtype)}")
-        self.points, self.spacing = points, spacing
+        self.points, self.spacing, self.model = points, spacing, model
         self.steps, self.tensors, self.elastic = steps, tensors, elastic
         self.nodes: Nodes = lay_out(points, steps, why=why)
         self.dtype = np.dtype(dtype)
@@ -63,9 +68,42 @@ class Operator:
         u [length], shape [..., N, d]; returns shape [..., I, d]. Raises InputError for another
         shape or values that are not finite.
         """
-        fields, lead = self._checked(u)
+        fields, lead = self.checked(u)
         force = self.nodes.take_up(self.pull(self.nodes.lay_out(fields, self.dtype)))
         return force.reshape(*lead, *force.shape[1:])
+
+    def load(self, b: ArrayLike) -> np.ndarray:
+        """b [stress/length] on the interior nodes, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """In equilibrium with b on the interior, u given on the collar, shape [..., N, d].
+
+        Args:
+            b, u: on all nodes.
+            solver: Krylov(preconditioner, tolerance), the first a name of statics.METHODS or None.
+
+        Raises InputError as statics.solve does.
+        """
+        refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
+        asked = solver if isinstance(solver, Krylov) else Krylov()
+        answer, record = solve(self, np.asarray(b), np.asarray(u), method=asked.preconditioner or "auto",
+                               tolerance=asked.tolerance)  # fmt: skip
+        proof = getattr(self.model, "certificate", None)
+        proven = None
+        if proof is not None and proof.holds:
+            proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
+        return Solution(
+            answer,
+            self.points,
+            self,
+            self.load(b),
+            record.method,
+            (record.iterations,),
+            proven,
+            details=record,
+            measured=record.residual,
+        )
 
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative of L u along v, shape [..., I, d]: L v, whatever u, for L is linear."""
@@ -76,7 +114,7 @@ class Operator:
 
         Its derivative to the interior displacement is h^d L u. (In the plane for a unit thickness.)
         """
-        fields, lead = self._checked(u)
+        fields, lead = self.checked(u)
         planes = self.nodes.lay_out(fields)
         nodes, r = self.nodes, self.nodes.reach
         asked = np.zeros(nodes.wide, bool)
@@ -99,7 +137,7 @@ class Operator:
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
-        fields, lead = self._checked(u)
+        fields, lead = self.checked(u)
         planes, nodes, r = self.nodes.lay_out(fields), self.nodes, self.nodes.reach
         d = nodes.dimension
         xi = self.spacing * self.steps
@@ -134,7 +172,7 @@ class Operator:
         C = np.einsum("ai,bj,ck,dl,ijkl->abcd", A, A, A, A, self.elastic, optimize=True)
         return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
 
-    def _checked(self, u: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
+    def checked(self, u: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
         """Fields [S, N, d] and the shape of what stands before a field."""
         values = np.asarray(u)
         shape = self.points.x.shape

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.coarse import Filter, multigrid, sine, torus_inverse
-from warp_peri.micromodulus.operator import Operator
+
+if TYPE_CHECKING:
+    from warp_peri.micromodulus.operator import Operator
 
 METHODS = ("auto", "fft", "sine", "multigrid", "cg")
 MOST_ITERATIONS = 1500
@@ -49,8 +52,8 @@ def solve(
 
     Raises InputError for shapes, a method that does not fit, or a solve that stalls.
     """
-    fields, lead = operator._checked(u)
-    loads = operator._checked(b)[0]
+    fields, lead = operator.checked(u)
+    loads = operator.checked(b)[0]
     if loads.shape != fields.shape:
         raise InputError(f"b: expected shape {list(fields.shape)}, got {list(loads.shape)}")
     nodes, points = operator.nodes, operator.points
