@@ -87,8 +87,10 @@ class Operator:
         """
         refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
         asked = solver if isinstance(solver, Krylov) else Krylov()
-        answer, record = solve(self, np.asarray(b), np.asarray(u), method=asked.preconditioner or "auto",
-                               tolerance=asked.tolerance)  # fmt: skip
+        method = asked.preconditioner or "auto"
+        answer, record = solve(
+            self, np.asarray(b), np.asarray(u), method=method, tolerance=asked.tolerance
+        )
         proof = getattr(self.model, "certificate", None)
         proven = None
         if proof is not None and proof.holds:
