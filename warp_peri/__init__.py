@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from warp_peri import export as export
     from warp_peri import flow as flow
     from warp_peri import methods as methods
+    from warp_peri import micromodulus as micromodulus
     from warp_peri import plots as plots
     from warp_peri import proofs as proofs
     from warp_peri import shapes as shapes
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, ThirdOrder, fit
     from warp_peri.learning.methods import Bernstein
+    from warp_peri.micromodulus.laws import Micromodulus
     from warp_peri.models.lps import Model
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
@@ -60,6 +62,7 @@ __all__ = [
     "Krylov",
     "LPS",
     "Mesh",
+    "Micromodulus",
     "Model",
     "Motion",
     "Newton",
@@ -90,6 +93,7 @@ _NAMES = {
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "ThirdOrder", "fit"),
     "learning.methods": ("Bernstein",),
+    "micromodulus.laws": ("Micromodulus",),
     "models.lps": ("Model",),
     "points.dataset": ("Dataset",),
     "points.mesh": ("Mesh",),
@@ -111,6 +115,7 @@ _MODULES = (
     "export",
     "flow",
     "methods",
+    "micromodulus",
     "plots",
     "proofs",
     "shapes",

@@ -20,6 +20,7 @@ READERS = {
     "warp_peri.model": ("models.nonlinear", "load_any"),
     "warp_peri.brittle_solid": ("damage.solid", "load_brittle_solid"),
     "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
+    "warp_peri.micromodulus": ("micromodulus.law", "load_crystal"),
     "warp_peri.hyperelastic": ("tissue.solid", "load_hyperelastic"),
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),
     "warp_peri.coupled_solid": ("diffusion.coupled", "load_coupled_solid"),

@@ -19,7 +19,7 @@ FLOORS = (
     ("regression",),
     ("transfer",),
     ("statics", "dynamics"),
-    ("damage", "tissue"),
+    ("damage", "tissue", "micromodulus"),
     ("learning", "diffusion"),
     ("choice", "plots", "export", "flow", "problems"),
     ("solving", "storage"),

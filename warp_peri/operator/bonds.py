@@ -79,7 +79,7 @@ class Bonds:
         self._places = (np.array(points.x) if self.lattice else points.x, points.box)
         self.kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}
 
-    def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, float] | None) -> Any:
+    def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, ...] | None) -> Any:
         """The kernels' struct; of what only the other kind of point set has, one idle entry."""
         families, lattice = self.families, self.families.lattice
         bond_class = np.zeros(1) if lattice is None else lattice.bond_class

@@ -121,7 +121,7 @@ class Rows:
 def rows_of(
     families: Families,
     x: np.ndarray,
-    box: tuple[float, float] | None,
+    box: tuple[float, ...] | None,
     scalar: Any,
     *,
     sparse: bool = False,
@@ -181,7 +181,7 @@ def rows_of(
 
 
 def _grid(
-    classes: BondClasses, pattern: np.ndarray, x: np.ndarray, box: tuple[float, float] | None
+    classes: BondClasses, pattern: np.ndarray, x: np.ndarray, box: tuple[float, ...] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Steps of all nodes from the first corner, of all bonds, and of the period (0 for none), the
     axis along which the nodes are numbered last."""

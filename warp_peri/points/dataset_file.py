@@ -242,10 +242,10 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
     return Samples(points, fields["u"], fields["b"], extra)
 
 
-def _periods(value: Any) -> tuple[float, float]:
-    if np.shape(value) != (2,) or not np.isfinite(np.asarray(value, dtype=float)).all():
-        raise InputError(f"box: expected two periods, got {value!r}")
-    return float(value[0]), float(value[1])
+def _periods(value: Any) -> tuple[float, ...]:
+    if np.shape(value) not in ((2,), (3,)) or not np.isfinite(np.asarray(value, float)).all():
+        raise InputError(f"box: expected two or three periods, got {value!r}")
+    return tuple(float(side) for side in value)
 
 
 def _text(value: Any) -> Any:

@@ -16,12 +16,12 @@ class Points:
     """Nodes of one body.
 
     Attributes:
-        x: positions [Å], shape [N, 2].
+        x: positions [Å], shape [N, d], d = 2 or 3.
         interior: nodes where equilibrium is asked and displacement unknown in a solve, [N] bool;
             the others are the collar, whose displacement is data.
         spacing: lattice spacing [Å]; 0 for scattered points.
-        box: periods (Lx, Ly) along the axes [Å], more than twice the horizon and on a lattice whole
-            multiples of the spacing; None when the points are not periodic.
+        box: periods (Lx, Ly), or (Lx, Ly, Lz), along the axes [Å], more than twice the horizon and
+            on a lattice whole multiples of the spacing; None when the points are not periodic.
         outside: nodes that are not part of the body, shape [N] bool, or None: they complete the
             balls that the quadrature integrates over, and bonds to them are broken (theory.md,
             40–42).
@@ -36,7 +36,7 @@ class Points:
     x: np.ndarray
     interior: np.ndarray
     spacing: float
-    box: tuple[float, float] | None = None
+    box: tuple[float, ...] | None = None
     outside: np.ndarray | None = None
     units: Units = USUAL
     axis: float | None = None
@@ -44,8 +44,10 @@ class Points:
     def __post_init__(self) -> None:
         for name, kind in (("x", float), ("interior", bool)):
             object.__setattr__(self, name, checked(name, getattr(self, name), kind))
-        if self.x.ndim != 2 or self.x.shape[1] != 2 or len(self.x) == 0:
-            raise InputError(f"x: expected shape [N, 2] with N > 0, got {list(self.x.shape)}")
+        if self.x.ndim != 2 or self.x.shape[1] not in (2, 3) or len(self.x) == 0:
+            raise InputError(
+                f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(self.x.shape)}"
+            )
         n = len(self.x)
         if self.interior.shape != (n,):
             raise InputError(f"interior: expected shape [{n}], got {list(self.interior.shape)}")
@@ -90,6 +92,11 @@ class Points:
         return cls(
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
         )
+
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return int(self.x.shape[1])
 
     @property
     def is_plain_lattice(self) -> bool:

@@ -23,8 +23,8 @@ class Samples:
 
     Attributes:
         points: the nodes; x, interior, spacing, box and outside are theirs.
-        u: displacements [Å], shape [S, N, 2].
-        b: body force densities [TPa/Å], shape [S, N, 2]; None where the load is not known.
+        u: displacements [Å], shape [S, N, d].
+        b: body force densities [TPa/Å], shape [S, N, d]; None where the load is not known.
         arrays: optional per-sample arrays by name, each with first dimension S.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
@@ -40,10 +40,10 @@ class Samples:
             raise InputError(f"points: expected Points, got {type(self.points).__name__}")
         for name in ("u", "b") if self.b is not None else ("u",):
             object.__setattr__(self, name, checked(name, getattr(self, name), float))
-            shape, n = getattr(self, name).shape, len(self.x)
-            if len(shape) != 3 or shape[1:] != (n, 2) or shape[0] != len(self.u):
+            shape, (n, d) = getattr(self, name).shape, self.x.shape
+            if len(shape) != 3 or shape[1:] != (n, d) or shape[0] != len(self.u):
                 raise InputError(
-                    f"{name}: expected shape [{len(self.u)}, {n}, 2], got {list(shape)}"
+                    f"{name}: expected shape [{len(self.u)}, {n}, {d}], got {list(shape)}"
                 )
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
@@ -57,7 +57,7 @@ class Samples:
 
     @property
     def x(self) -> np.ndarray:
-        """Positions [Å], shape [N, 2]."""
+        """Positions [Å], shape [N, d]."""
         return self.points.x
 
     @property
@@ -71,7 +71,7 @@ class Samples:
         return self.points.spacing
 
     @property
-    def box(self) -> tuple[float, float] | None:
+    def box(self) -> tuple[float, ...] | None:
         """Periods [Å] of the points, or None."""
         return self.points.box
 

@@ -18,7 +18,7 @@ BATCH_BONDS = 10_000
 
 
 def neighbours(
-    x: np.ndarray, reach: float, box: tuple[float, float] | None = None
+    x: np.ndarray, reach: float, box: tuple[float, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points within reach of each point, itself excluded.
 
@@ -97,7 +97,7 @@ def bonds_of(
     nodes: np.ndarray,
     row: np.ndarray,
     neighbour: np.ndarray,
-    box: tuple[float, float] | None,
+    box: tuple[float, ...] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bond vectors of some nodes [Å], shape [E', 2], their bonds [E'], and family sizes [nodes]."""
     size = row[nodes + 1] - row[nodes]
@@ -130,7 +130,7 @@ def weights(
     nodes: np.ndarray,
     row: np.ndarray,
     neighbour: np.ndarray,
-    box: tuple[float, float] | None,
+    box: tuple[float, ...] | None,
     horizon: float,
     degree: int,
 ) -> np.ndarray:

@@ -37,7 +37,7 @@ def scaled(samples: Samples, length: float, stress: float) -> Samples:
     if length == stress == 1.0:
         return samples
     points = samples.points
-    box = None if points.box is None else (points.box[0] * length, points.box[1] * length)
+    box = None if points.box is None else tuple(side * length for side in points.box)
     moved: dict[str, Any] = {"x": points.x * length, "spacing": points.spacing * length, "box": box}
     arrays = {
         key: value / length if key == "wave_vector" else value

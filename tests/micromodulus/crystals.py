@@ -1,0 +1,87 @@
+"""Small laws and lattices that the tests of micromodulus tensors share."""
+
+import itertools
+
+import numpy as np
+
+from warp_peri.micromodulus.family import family
+from warp_peri.micromodulus.groups import checked_orientation, point_group, shared_with_nodes
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.points.points import Points
+
+CUBIC = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}
+COPPER = {"C11": 0.170, "C12": 0.122, "C44": 0.076}
+
+
+def cubic_tensor(d, C11=0.170, C12=0.122, C44=0.076):
+    """C_ijkl of a cubic or square crystal along its axes."""
+    one = np.eye(d)
+    tensor = C12 * np.einsum("ij,kl->ijkl", one, one)
+    tensor += C44 * (np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one))
+    for i in range(d):
+        tensor[i, i, i, i] = C11
+    return tensor
+
+
+def dispersive(tensor, length=1.0):
+    """Γ(k) of an elastic tensor, softer at short waves as a lattice is, [K, d] to [K, d, d]."""
+
+    def symbol(k):
+        local = np.einsum("ijkl,nj,nl->nik", tensor, k, k)
+        return local / (1 + 0.05 * length**2 * (k**2).sum(axis=1))[:, None, None]
+
+    return symbol
+
+
+def learned(d, spacing=1.5, orientation=None, symmetry=None):
+    """A certified law of a copper-like crystal."""
+    name, reach = CUBIC[d]
+    turn = checked_orientation(orientation, d)
+    tensor = np.einsum("ai,bj,ck,dl,ijkl->abcd", *[turn] * 4, cubic_tensor(d))
+    return fit_symbol(
+        dispersive(tensor),
+        spacing,
+        spacing * reach,
+        symmetry=symmetry or name,
+        orientation=turn,
+        tensor=tensor,
+    )
+
+
+def random_law(d, reach=2.0, spacing=1.5, symmetry="m-3m", seed=0):
+    """Tensors of a symmetry, of any sign, that are no crystal's."""
+    name = symmetry if d == 3 else "4mm"
+    bonds = family(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
+    p = np.random.default_rng(seed).normal(size=len(bonds.basis))
+    return Crystal(spacing, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
+
+
+def lattice(d, n, collar, spacing=1.5, ball=False, box=False):
+    """Nodes of a cube, or of a ball in it, with a collar; or a period of n nodes each way."""
+    line = np.arange(0 if box else -collar, n + (0 if box else collar)) * spacing
+    x = np.array(list(itertools.product(line, repeat=d)))
+    inside = ((x > -1e-9) & (x < (n - 0.5) * spacing)).all(axis=1)
+    if ball:
+        middle = (n - 1) * spacing / 2
+        inside &= np.linalg.norm(x - middle, axis=1) <= n * spacing / 2
+    return Points(x, inside, spacing, box=(n * spacing,) * d if box else None)
+
+
+def plain_force(law, points, u):
+    """L u at the interior nodes by a loop over nodes and bonds."""
+    place = {
+        tuple(key): n for n, key in enumerate(np.rint(points.x / law.spacing).astype(int).tolist())
+    }
+    sides = None if points.box is None else np.rint(np.array(points.box) / law.spacing).astype(int)
+    force = []
+    for i in np.flatnonzero(points.interior):
+        at = np.rint(points.x[i] / law.spacing).astype(int)
+        total = np.zeros(law.dimension)
+        for step, C in zip(
+            np.concatenate([law.steps, -law.steps]), np.tile(law.tensors, (2, 1, 1))
+        ):
+            other = at + step if sides is None else (at + step) % sides
+            total += C @ (u[i] - u[place[tuple(other.tolist())]])
+        force.append(total)
+    return np.array(force)

@@ -1,0 +1,148 @@
+"""The law itself: symmetry, symbol, moduli, units and files."""
+
+import numpy as np
+import pytest
+
+from tests.micromodulus.crystals import COPPER, cubic_tensor, learned, random_law
+from warp_peri.errors import InputError
+from warp_peri.micromodulus import elastic
+from warp_peri.micromodulus.elements import q1_tensors
+from warp_peri.micromodulus.family import family
+from warp_peri.micromodulus.groups import point_group, shared_with_nodes
+from warp_peri.micromodulus.law import Crystal, load_crystal
+
+
+@pytest.mark.parametrize(
+    ("name", "d", "reach", "bonds", "numbers"),
+    [
+        ("4mm", 2, 2.5, 20, 9),
+        ("4mm", 2, 3.0, 28, 13),
+        ("1", 2, 2.0, 12, 18),
+        ("m-3m", 3, 2**0.5, 18, 5),
+        ("m3m", 3, 2.0, 32, 9),
+        ("m-3m", 3, 6**0.5, 80, 17),
+        ("m-3m", 3, 3.0, 122, 26),
+        ("-1", 3, 2**0.5, 18, 54),
+    ],
+)
+def test_numbers_of_a_family(name, d, reach, bonds, numbers):
+    found = family(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
+    assert (2 * len(found.steps), len(found.basis)) == (bonds, numbers)
+
+
+@pytest.mark.parametrize(
+    ("name", "d", "order"), [("6mm", 2, 12), ("m-3m", 3, 48), ("6/mmm", 3, 24), ("23", 3, 24)]
+)
+def test_groups_hold_their_inversion(name, d, order):
+    group = point_group(name, d)
+    assert len(group) == order
+    assert np.abs(group + np.eye(d)).max(axis=(1, 2)).min() < 1e-12
+
+
+def test_a_turned_crystal_shares_less_with_its_nodes():
+    turn = np.deg2rad(20)
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    assert len(shared_with_nodes(point_group("4mm", 2), R)) == 4  # quarter turns alone
+    assert len(shared_with_nodes(point_group("2mm", 2), R)) == 2
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_symbol_is_the_sum_over_all_bonds(d):
+    law = random_law(d)
+    k = np.random.default_rng(1).normal(size=(5, d))
+    xi = law.spacing * np.concatenate([law.steps, -law.steps])
+    C = np.concatenate([law.tensors] * 2)
+    plain = np.einsum("nij,kn->kij", C, 1 - np.cos(k @ xi.T))
+    np.testing.assert_allclose(law.symbol(k), plain, rtol=1e-12, atol=1e-12)
+    g = law.group[3]
+    turned = g @ law.symbol(k) @ g.T
+    np.testing.assert_allclose(law.symbol(k @ g.T), turned, rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_moduli_are_those_of_long_waves(d):
+    law = learned(d)
+    assert law.huang_defect() < 1e-10
+    assert law.moduli() == pytest.approx(COPPER, rel=1e-8)
+    assert law.moduli("GPa")["C44"] == pytest.approx(76.0, rel=1e-8)
+    k = 1e-4 * np.random.default_rng(2).normal(size=(4, d))
+    local = np.einsum("ijkl,nj,nl->nik", law.tensor(), k, k)
+    np.testing.assert_allclose(law.symbol(k), local, rtol=1e-5, atol=1e-14)
+    assert law.describe()["symmetry"] == ("square" if d == 2 else "cubic")
+    assert law.describe()["zener"] == pytest.approx(2 * 0.076 / 0.048)
+
+
+def test_brackets_and_elastic_tensors_are_inverse_to_one_another():
+    rng = np.random.default_rng(3)
+    matrix = rng.normal(size=(6, 6))
+    C = elastic.from_voigt(matrix + matrix.T)
+    again = elastic.elastic_from_brackets(elastic.brackets_from_elastic(C))
+    np.testing.assert_allclose(again, C, atol=1e-12)
+    np.testing.assert_allclose(elastic.voigt(C), matrix + matrix.T, atol=1e-12)
+
+
+def test_directional_moduli_and_anisotropy():
+    C = cubic_tensor(3)
+    axes = np.eye(3)
+    C11, C12, C44 = COPPER.values()
+    E, nu = elastic.directional(C, axes[0], axes[1])
+    assert E == pytest.approx((C11 - C12) * (C11 + 2 * C12) / (C11 + C12))
+    assert nu == pytest.approx(C12 / (C11 + C12))
+    zener = 2 * C44 / (C11 - C12)
+    assert elastic.universal_anisotropy(C) == pytest.approx(6 / 5 * (zener**0.5 - zener**-0.5) ** 2)
+    isotropic = cubic_tensor(3, 3.0, 1.0, 1.0)
+    assert elastic.universal_anisotropy(isotropic) == pytest.approx(0, abs=1e-12)
+    assert elastic.named_symmetry(isotropic) == "isotropic"
+    lam, mu = 1.0, 1.0  # of plane stress λ becomes 2 λ μ/(λ + 2 μ)
+    assert elastic.plane_stress(isotropic)[0, 0, 1, 1] == pytest.approx(
+        2 * lam * mu / (lam + 2 * mu)
+    )
+    assert elastic.plane_strain(isotropic)[0, 0, 1, 1] == lam
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_elements_have_the_moduli_of_their_solid(d):
+    rng = np.random.default_rng(4)
+    matrix = rng.normal(size=(3, 3) if d == 2 else (6, 6))
+    C = elastic.from_voigt(matrix @ matrix.T + np.eye(len(matrix)))
+    law = Crystal(2.0, *(lambda s, t: (s, t / 4.0))(*q1_tensors(C)))
+    np.testing.assert_allclose(law.tensor(), C, atol=1e-10)
+    assert law.huang_defect() < 1e-12
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_surface_traction_is_half_the_cauchy_defect(d):
+    assert learned(d).surface_traction() == pytest.approx(abs(0.122 - 0.076) / 2, rel=1e-8)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_file_holds_all_of_it_and_units_go_there_and_back(d, tmp_path):
+    law = learned(d)
+    law.save(tmp_path / "law.json")
+    again = load_crystal(tmp_path / "law.json")
+    np.testing.assert_array_equal(again.tensors, law.tensors)
+    assert again.certificate == law.certificate
+    assert again.content() == law.content()
+    other = law.in_units(("nm", "GPa"))
+    assert other.spacing == pytest.approx(law.spacing / 10)
+    assert other.moduli()["C11"] == pytest.approx(170.0)
+    assert other.certificate.proven == pytest.approx(1e3 * law.certificate.proven)
+    back = other.in_units(law.units)
+    np.testing.assert_allclose(back.tensors, law.tensors, rtol=1e-13)
+
+
+def test_what_is_wrong_is_named(tmp_path):
+    law = random_law(3)
+    with pytest.raises(InputError, match="each once"):
+        Crystal(1.0, np.array([[1, 0], [-1, 0]]), np.zeros((2, 2, 2)))
+    with pytest.raises(InputError, match="symmetric"):
+        Crystal(1.0, np.array([[1, 0]]), np.array([[[1.0, 2.0], [0.0, 1.0]]]))
+    skew = law.tensors.copy()
+    skew[0, 0, 0] += 1.0
+    with pytest.raises(InputError, match="break it"):
+        Crystal(1.0, law.steps, skew, symmetry="m-3m")
+    with pytest.raises(InputError, match="expected one of"):
+        point_group("5mm", 2)
+    (tmp_path / "law.json").write_text('{"format": "something"}')
+    with pytest.raises(InputError, match="format"):
+        load_crystal(tmp_path / "law.json")

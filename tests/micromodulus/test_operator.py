@@ -1,0 +1,177 @@
+"""Force, energy, stress and solves on nodes: what every law of the library has to keep."""
+
+import numpy as np
+import pytest
+
+from tests.micromodulus.crystals import lattice, learned, plain_force, random_law
+from warp_peri.errors import InputError
+from warp_peri.launch import set_threads, threads
+from warp_peri.micromodulus.statics import solve
+from warp_peri.points.points import Points
+
+SIZE = {2: 12, 3: 6}
+CASES = [(d, kind) for d in (2, 3) for kind in ("cube", "ball", "period")]
+
+
+def body(d, kind, n=None):
+    return lattice(d, n or SIZE[d], 2, ball=kind == "ball", box=kind == "period")
+
+
+@pytest.mark.parametrize(("d", "kind"), CASES)
+@pytest.mark.parametrize("method", ["rows", "fft"])
+def test_force_is_that_of_a_plain_loop(d, kind, method):
+    law, points = random_law(d), body(d, kind)
+    u = np.random.default_rng(0).normal(size=(2, *points.x.shape))
+    force = law.on(points, method=method)(u)
+    assert force.shape == (2, points.interior.sum(), d)
+    np.testing.assert_allclose(force[1], plain_force(law, points, u[1]), atol=1e-11)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_nodes_in_any_order_and_a_turned_lattice(d):
+    law, points = learned(d), body(d, "ball")
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=points.x.shape)
+    force = law.on(points)(u)
+    order = rng.permutation(len(u))
+    shuffled = Points(points.x[order], points.interior[order], points.spacing)
+    np.testing.assert_allclose(
+        law.on(shuffled)(u[order]),
+        force[np.argsort(np.argsort(order[points.interior[order]]))],
+        atol=1e-12,
+    )
+    turn = np.linalg.qr(rng.normal(size=(d, d)) + 3 * np.eye(d))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    turned = Points(points.x @ turn.T, points.interior, points.spacing)
+    found = law.on(turned)(u @ turn.T)  # the crystal turns with its nodes
+    np.testing.assert_allclose(found, force @ turn.T, atol=1e-11)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_the_bits_are_the_same_on_one_and_two_threads(d, dtype):
+    law, points = random_law(d), lattice(d, {2: 90, 3: 20}[d], 2)
+    u = np.random.default_rng(2).normal(size=points.x.shape)
+    before = threads()
+    try:
+        found = []
+        for count in (1, 2):
+            set_threads(count)
+            found.append([law.on(points, method=m, dtype=dtype)(u) for m in ("rows", "fft")])
+    finally:
+        set_threads(before)
+    for one, two in zip(*found):
+        assert one.dtype == dtype
+        np.testing.assert_array_equal(one, two)
+    exact = law.on(points)(u)
+    np.testing.assert_allclose(
+        found[0][0], exact, atol=(1e-5 if dtype == np.float32 else 1e-12) * np.abs(exact).max()
+    )
+
+
+@pytest.mark.parametrize(("d", "kind"), CASES)
+def test_affine_fields_and_rigid_motions(d, kind):
+    if kind == "period":
+        return
+    law, points = learned(d), body(d, kind)
+    operator = law.on(points)
+    rng = np.random.default_rng(3)
+    F = rng.normal(size=(d, d))
+    u = points.x @ F.T + rng.normal(size=d)
+    size = np.abs(law.tensors).sum() * np.abs(u).max()
+    assert np.abs(operator(u)).max() < 1e-13 * size
+    strain = (F + F.T) / 2
+    stress = np.einsum("ijkl,kl->ij", law.tensor(), strain)
+    np.testing.assert_allclose(
+        operator.stress(u), np.broadcast_to(stress, (points.interior.sum(), d, d)), atol=1e-12
+    )
+    np.testing.assert_allclose(operator.gradient(u)[0], F, atol=1e-12)
+    turn = F - F.T
+    assert np.abs(operator.stress(points.x @ turn.T)).max() < 1e-12
+    constant = operator(np.broadcast_to(rng.normal(size=d), points.x.shape))
+    assert np.abs(constant).max() == 0
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_momentum_on_a_period(d):
+    law, points = random_law(d), body(d, "period")
+    force = law.on(points)(np.random.default_rng(4).normal(size=points.x.shape))
+    assert np.abs(force.sum(axis=0)).max() < 1e-11 * np.abs(force).sum()
+
+
+@pytest.mark.parametrize(("d", "kind"), CASES)
+def test_force_is_the_derivative_of_energy_and_the_tangent_that_of_force(d, kind):
+    law, points = random_law(d), body(d, kind)
+    operator = law.on(points)
+    rng = np.random.default_rng(5)
+    u, v = rng.normal(size=(2, *points.x.shape))
+    v = v * points.interior[:, None]
+    step = 1e-4
+    slope = (operator.energy(u + step * v) - operator.energy(u - step * v)) / (2 * step)
+    work = (operator(u) * v[points.interior]).sum() * law.spacing**d
+    assert slope == pytest.approx(work, rel=1e-8)
+    tangent = (operator(u + v) - operator(u - v)) / 2
+    np.testing.assert_allclose(operator.product(u, v), tangent, atol=1e-10)
+
+
+@pytest.mark.parametrize(("d", "kind"), CASES)
+@pytest.mark.parametrize("method", ["auto", "fft", "sine", "multigrid", "cg"])
+def test_solves_find_the_field_whose_force_they_are_given(d, kind, method):
+    law, points = learned(d), body(d, kind, {2: 26, 3: 9}[d])
+    operator = law.on(points)
+    rng = np.random.default_rng(6)
+    u = rng.normal(size=points.x.shape)
+    if kind == "period":
+        u -= u.mean(axis=0)
+    b = np.zeros_like(u)
+    b[points.interior] = operator(u)
+    if method == "sine" and kind == "ball":
+        with pytest.raises(InputError, match="boxes"):
+            solve(operator, b, u, method=method)
+        return
+    found, record = solve(operator, b, u, method=method, tolerance=1e-10)
+    assert record.residual <= 1e-10
+    np.testing.assert_allclose(found, u, atol=1e-7)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_iterations_do_not_grow(d):
+    law = learned(d)
+    counts = []
+    for n in {2: (40, 80), 3: (12, 24)}[d]:
+        points = lattice(d, n, 2)
+        operator = law.on(points)
+        u = np.sin(2 * points.x / (n * law.spacing))
+        b = np.random.default_rng(7).normal(size=u.shape) * 1e-3
+        counts.append(
+            [solve(operator, b, u, method=m)[1].iterations for m in ("sine", "multigrid")]
+        )
+    assert (np.array(counts[1]) <= np.array(counts[0]) + 4).all()
+    assert max(counts[1]) <= 45
+
+
+def test_cut_bonds_other_spacings_and_units_are_refused():
+    law, points = learned(3), body(3, "cube")
+    whole = Points(points.x, np.ones(len(points.x), bool), points.spacing)
+    with pytest.raises(InputError, match="not objective.*per radian"):
+        law.on(whole)
+    with pytest.raises(InputError, match="spacing"):
+        law.on(Points(2 * points.x, points.interior, 3.0))
+    with pytest.raises(InputError, match="units"):
+        law.in_units(("nm", "GPa")).on(points)
+    with pytest.raises(InputError, match="coordinates"):
+        learned(2).on(points)
+    with pytest.raises(InputError, match="shape"):
+        law.on(points)(np.zeros((3, 3)))
+
+
+def test_rest_is_what_the_one_face_solves_with():
+    law, points = learned(2), body(2, "ball")
+    operator = law.on(points)
+    u = np.random.default_rng(8).normal(size=points.x.shape)
+    b = np.zeros_like(u)
+    b[points.interior] = operator(u)
+    found = operator.rest(b, u)
+    np.testing.assert_allclose(found.u, u, atol=1e-6)
+    assert found.residual <= 1e-8
+    assert "one stable answer" in found.proven

@@ -1,0 +1,156 @@
+"""A free ball of atoms under load, relaxed by LAMMPS, and what nodes see of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.fft
+from scipy.spatial import cKDTree
+
+from tools.crystals import EV_IN_TPA, session, smoothing, structure
+from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+
+RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
+"""Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""
+TOLERANCE = 1e-6
+BONDED = {"Si": 0.5}
+"""Of the lattice parameter: atoms closer than that are bonded, where few bonds can be left."""
+PUSH = 1e-3
+"""Largest displacement of the differences that stand for a product with the Hessian [Å]."""
+LIMIT = 600
+
+
+def ball(name: str, constants: ForceConstants, *, loads: int = 5) -> Samples:
+    """Displacement and load of a relaxed free ball on its nodes, interior 5.5 spacings, in TPa.
+
+    One node a cell, the first on an atom; smoothed with a cone of two spacings. The period's own
+    force constants precondition the answer, and are no part of it.
+    """
+    a = float(constants.cell[0, 0])
+    side = int(RADIUS) + 1
+    atoms = structure(name, a).repeat(2 * side).positions - side * a
+    kept = np.linalg.norm(atoms, axis=1) <= RADIUS * a
+    for _ in range(4):  # atoms of the edge that hang by one bond
+        inside = np.flatnonzero(kept)
+        near = cKDTree(atoms[inside]).query_ball_point(atoms[inside], BONDED.get(name, 1.0) * a)
+        kept[inside[[len(others) - 1 < 2 for others in near]]] = False
+    sites, atoms = np.flatnonzero(kept), atoms[kept]
+    filtered = _lattice_inverse(constants, 2 * side, sites)
+    with session(name, atoms, None) as lammps:
+        rest = lammps.relax()
+        lammps.forces(rest)
+
+        def stiffness(v: np.ndarray) -> np.ndarray:
+            scale = PUSH / np.abs(v).max()
+            ahead, behind = (lammps.nearby_forces(rest + s * scale * v) for s in (1, -1))
+            return (behind - ahead) / (2 * scale)
+
+        pushes = _loads(atoms, RADIUS * a, INNER * a)[:loads]
+        rigid = _rigid(rest)
+        answers = [_response(stiffness, filtered, _without(push, rigid), rigid) for push in pushes]
+    pushes = [_without(push, rigid) for push in pushes]
+    line = np.arange(-side - 2, side + 3) * a
+    nodes = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    far = np.linalg.norm(nodes, axis=1)
+    seen = far <= SEEN * a
+    smooth = smoothing(atoms, nodes, 2 * a, None)[seen]
+    density = np.asarray(smooth.sum(axis=1))
+    u = np.array([(smooth @ answer) / density for answer in answers])
+    b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / a**3)
+    return Samples(Points(nodes[seen], far[seen] <= INNER * a, a), u, b)
+
+
+def _lattice_inverse(
+    constants: ForceConstants, cells: int, sites: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """What a period of so many cells answers to forces on some of its atoms, at these."""
+    count, a = len(constants.positions), float(constants.cell[0, 0])
+    line, half = np.fft.fftfreq(cells), np.fft.rfftfreq(cells)
+    k = np.stack(np.meshgrid(line, line, half, indexing="ij"), axis=-1).reshape(-1, 3) * (
+        2 * np.pi / a
+    )
+    phase = np.exp(1j * (k @ constants.positions.T)).repeat(3, axis=1)
+    table = np.empty((len(k), 3 * count, 3 * count), np.complex64)
+    for block in np.array_split(np.arange(len(k)), len(k) // 500 + 1):
+        D = constants.dynamical(k[block])
+        if block[0] == 0:  # the mean is free: as stiff as the softest wave
+            D[0] += np.linalg.eigvalsh(D[1])[0] * np.eye(3 * count)
+        # atoms of a cell in the phase of their cell, as the transform has them
+        inner = np.linalg.inv(D) * phase[block][:, :, None] * phase[block].conj()[:, None, :]
+        table[block] = inner
+    shape = (cells, cells, cells, 3 * count)
+
+    def apply(r: np.ndarray) -> np.ndarray:
+        field = np.zeros((cells**3 * count, 3), np.float32)
+        field[sites] = r
+        wave = scipy.fft.rfftn(field.reshape(shape), axes=(0, 1, 2))
+        wave = (table @ wave.reshape(len(k), -1, 1)).reshape(wave.shape)
+        back = scipy.fft.irfftn(wave, s=shape[:3], axes=(0, 1, 2))
+        return back.reshape(-1, 3)[sites].astype(float)
+
+    return apply
+
+
+def _rigid(x: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of the six rigid motions, shape [3 A, 6]."""
+    shift = np.tile(np.eye(3), (len(x), 1))
+    turn = np.cross(x[:, None], np.eye(3)[None]).transpose(0, 2, 1).reshape(-1, 3)
+    return np.linalg.qr(np.hstack([shift, turn]))[0]
+
+
+def _without(v: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+    flat = v.ravel()
+    return (flat - rigid @ (rigid.T @ flat)).reshape(v.shape)
+
+
+def _loads(x: np.ndarray, R: float, inner: float) -> list[np.ndarray]:
+    """Forces on the atoms [eV/Å]: pulled at two poles, squeezed, sheared, at random, and inside."""
+    rng = np.random.default_rng(7)
+    r = np.linalg.norm(x, axis=1)
+    e = x / np.maximum(r, 1e-9)[:, None]
+    edge = (r > inner)[:, None]
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+
+    def spot(middle: np.ndarray, width: float) -> np.ndarray:
+        return np.exp(-((x - middle) ** 2).sum(axis=1) / (2 * width**2))[:, None]
+
+    pole = 0.85 * R * np.array([0, 0, 1.0])
+    pull = (spot(pole, 0.2 * R) - spot(-pole, 0.2 * R)) * np.array([0, 0, 1.0]) * edge
+    squeeze = e * ((e @ axis) ** 2 - 1 / 3)[:, None] * edge
+    shear = np.stack([x[:, 1], x[:, 0], 0 * r], axis=1) / R
+    shear = shear * edge * (1 + np.cos(np.pi * x[:, 2:] / R))
+    k = rng.normal(size=(8, 3))
+    k *= (2 * np.pi / (R * rng.uniform(0.5, 1.2, 8)) / np.linalg.norm(k, axis=1))[:, None]
+    random = np.zeros_like(x)
+    for wave in k:
+        random += rng.normal(size=3) * np.cos(x @ wave + rng.uniform(0, 2 * np.pi))[:, None]
+    inside = spot(0.2 * R * axis, 0.12 * R) - spot(-0.2 * R * axis, 0.12 * R)
+    return [pull, squeeze, shear, random, inside * np.roll(axis, 1)]
+
+
+def _response(
+    stiffness: Callable[[np.ndarray], np.ndarray],
+    filtered: Callable[[np.ndarray], np.ndarray],
+    force: np.ndarray,
+    rigid: np.ndarray,
+) -> np.ndarray:
+    """u with H u = force by conjugate gradients, without rigid motions."""
+    u, r = np.zeros_like(force), force.copy()
+    z = _without(filtered(r), rigid)
+    p, rz = z.copy(), float(np.vdot(r, z))
+    goal = TOLERANCE * float(np.linalg.norm(r))
+    for _ in range(LIMIT):
+        q = _without(stiffness(p), rigid)
+        step = rz / float(np.vdot(p, q))
+        u += step * p
+        r -= step * q
+        if np.linalg.norm(r) < goal:
+            return _without(u, rigid)
+        z = _without(filtered(r), rigid)
+        last, rz = rz, float(np.vdot(r, z))
+        p = z + (rz / last) * p
+    raise RuntimeError(f"the ball did not settle in {LIMIT} iterations")

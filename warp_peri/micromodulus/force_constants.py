@@ -1,0 +1,291 @@
+"""Force constants of atoms, and the lattice they amount to when seen from nodes (theory.md, T14).
+
+Lengths in Å, energies in eV as every code of atoms has them; the stiffness of nodes in TPa/Å².
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.groups import group_of_structure, point_group
+from warp_peri.micromodulus.regression import directions
+from warp_peri.points.unit_names import STRESSES
+
+STEP = 2e-3
+"""Displacement of finite differences [Å]."""
+NEGLIGIBLE = 1e-9
+"""Of the largest Φ: smaller ones are rounding, and what they sum up to goes to the atom itself."""
+NEAREST = 1e-5
+"""Images whose distances differ by less, relative, count as equally near."""
+LONG = 4e-3
+"""|k| [1/Å] of the waves that elastic constants are read from."""
+LARGEST_FILE = 2**31
+SOFT = 1e-7
+"""Λmin of a dynamical matrix, relative to the largest, below which a wave has no stiffness."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceConstants:
+    """Φ between the atoms of one cell and all others, as a list of pairs.
+
+    Attributes:
+        cell: edges as rows [Å], shape [3, 3].
+        positions: of the atoms of the cell [Å], shape [n, 3].
+        species: atomic numbers, or other numbers that tell atoms apart, shape [n].
+        pairs: atoms i and j of the cell, shape [P, 2].
+        vectors: from i to an image of j [Å], shape [P, 3].
+        values: Φ [eV/Å²], ∂²E/∂u_i ∂u_j, shape [P, 3, 3]; shared among images equally near.
+        thickness: of a sheet in the plane of the first two axes [Å]; None for a solid.
+    """
+
+    cell: np.ndarray
+    positions: np.ndarray
+    species: np.ndarray
+    pairs: np.ndarray
+    vectors: np.ndarray
+    values: np.ndarray
+    thickness: float | None = None
+
+    @property
+    def dimension(self) -> int:
+        """2 for a sheet, 3 for a solid."""
+        return 3 if self.thickness is None else 2
+
+    @property
+    def volume(self) -> float:
+        """Of a cell [Å³]; its area times the thickness of a sheet."""
+        if self.thickness is None:
+            return float(abs(np.linalg.det(self.cell)))
+        return float(abs(np.linalg.det(self.cell[:2, :2]))) * self.thickness
+
+    def dynamical(self, k: np.ndarray) -> np.ndarray:
+        """D_at(k) [eV/Å²] with the phases of atoms' positions and no masses, [K, n d, n d].
+
+        A sheet's displacements are in its plane. k in 1/Å, shape [K, d].
+        """
+        d, n = self.dimension, len(self.positions)
+        phase = np.exp(1j * (k @ self.vectors[:, :d].T))
+        D = np.zeros((len(k), n, d, n, d), complex)
+        for i, j in itertools.product(range(n), repeat=2):
+            some = (self.pairs == (i, j)).all(axis=1)
+            D[:, i, :, j, :] = np.tensordot(phase[:, some], self.values[some, :d, :d], 1)
+        flat = D.reshape(len(k), n * d, n * d)
+        hermitian: np.ndarray = (flat + flat.conj().swapaxes(1, 2)) / 2
+        return hermitian
+
+    def effective(self, k: np.ndarray) -> np.ndarray:
+        """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).
+
+        What the mean displacement of a cell's atoms feels when all else has relaxed.
+        Raises InputError for a crystal that is not stable at one of the waves, or for k = 0.
+        """
+        d, n = self.dimension, len(self.positions)
+        D = self.dynamical(np.asarray(k, dtype=float))
+        least = np.linalg.eigvalsh(D)
+        bad = least[:, 0] <= SOFT * 1e-7 * least[:, -1]
+        if bad.any():
+            raise InputError(
+                f"force constants: expected a stable crystal, got the stiffness "
+                f"{least[bad][0, 0]:.2e} eV/Å² at k = {np.round(k[bad][0], 4).tolist()} 1/Å"
+            )
+        P = np.tile(np.eye(d), (n, 1))
+        flexible = np.einsum("ai,kab,bj->kij", P, np.linalg.inv(D), P, optimize=True)
+        stiff = np.linalg.inv(flexible.real * (self.volume / n**2)) * STRESSES["eV/angstrom^3"]
+        return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
+
+    def elastic(self, allowed: np.ndarray) -> np.ndarray:
+        """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
+
+        Internal relaxation is part of it.
+        """
+        d = self.dimension
+        e = directions(60, d)
+        wanted = self.effective(LONG * e) / LONG**2
+        from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
+        c = np.linalg.lstsq(from_each.reshape(-1, len(allowed)), wanted.ravel())[0]
+        return np.tensordot(c, allowed, 1)
+
+    def group(self) -> np.ndarray:
+        """Point group by spglib, [G, d, d], in the axes of the cell's coordinates.
+
+        Raises InputError where spglib is not installed.
+        """
+        fractions = self.positions @ np.linalg.inv(self.cell)
+        turns = group_of_structure(self.cell, fractions, self.species)
+        if self.dimension == 3:
+            return turns
+        flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
+        return point_group(flat, 2)
+
+
+def from_supercell(
+    structure: Any,
+    supercell: Any,
+    phi: np.ndarray,
+    displaced: Sequence[int],
+    *,
+    thickness: float | None = None,
+) -> ForceConstants:
+    """Force constants of a cell from those between its atoms and the atoms of a supercell.
+
+    Args:
+        structure: the cell, an ase.Atoms.
+        supercell: an ase.Atoms whose atoms lie on sites of the structure.
+        phi: Φ [eV/Å²] of the displaced atoms, shape [n, 3, N, 3].
+        displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
+        thickness: of a sheet.
+
+    Raises InputError for atoms that are not on sites, or shapes that do not fit.
+    """
+    cell, box = np.array(structure.cell), np.array(supercell.cell)
+    x, X = np.array(structure.positions), np.array(supercell.positions)
+    n = len(x)
+    if phi.shape != (n, 3, len(X), 3) or len(displaced) != n:
+        raise InputError(f"phi: expected shape [{n}, 3, {len(X)}, 3], got {list(phi.shape)}")
+    inverse = np.linalg.inv(cell)
+    to_site = (X[:, None] - X[list(displaced)][None]) @ inverse
+    off = np.abs(to_site - np.rint(to_site)).max(axis=2)
+    kind = off.argmin(axis=1)
+    if off.min(axis=1).max() > 1e-3:
+        raise InputError("supercell: expected atoms on the sites of the structure")
+    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
+    pairs, vectors, values = [], [], []
+    for i in range(n):
+        strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > NEGLIGIBLE * np.abs(phi).max())
+        fraction = (X[strong] - X[displaced[i]]) @ np.linalg.inv(box)
+        near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
+        far = np.linalg.norm(near, axis=2)
+        tie = far <= far.min(axis=1, keepdims=True) + NEAREST * np.linalg.norm(cell[0])
+        row, image = np.nonzero(tie)
+        share = 1 / tie.sum(axis=1)
+        pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
+        vectors.append(near[row, image])
+        shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
+        shared[strong[row] == displaced[i]] -= shared.sum(axis=0)  # translations cost nothing
+        values.append(shared)
+    return ForceConstants(
+        cell,
+        x,
+        np.array(structure.numbers),
+        np.concatenate(pairs),
+        np.concatenate(vectors),
+        np.concatenate(values),
+        thickness,
+    )
+
+
+def finite_differences(
+    forces: Callable[[np.ndarray], np.ndarray],
+    positions: np.ndarray,
+    displaced: Sequence[int],
+    *,
+    step: float = STEP,
+) -> np.ndarray:
+    """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, 3, N, 3].
+
+    The sum over all atoms is made zero, as translations ask, at the atoms themselves.
+
+    Args:
+        forces: on all atoms [eV/Å] at positions [Å], shape [N, 3] to [N, 3].
+        positions: at rest.
+        displaced: numbers of the atoms to move.
+    """
+    phi = np.zeros((len(displaced), 3, len(positions), 3))
+    for row, (i, axis) in enumerate(itertools.product(displaced, range(3))):
+        at = {}
+        for count in (1, -1, 2, -2):
+            moved = positions.copy()
+            moved[i, axis] += count * step
+            at[count] = np.array(forces(moved))
+        slope = (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * step)
+        phi[divmod(row, 3)] = -slope
+    for row, i in enumerate(displaced):
+        phi[row, :, i] -= phi[row].sum(axis=1)
+    return phi
+
+
+def from_calculator(
+    structure: Any,
+    calculator: Any,
+    repeats: Sequence[int],
+    *,
+    thickness: float | None = None,
+    step: float = STEP,
+) -> ForceConstants:
+    """Force constants of a crystal by an ASE calculator, on a supercell of repeats.
+
+    Args:
+        structure: the cell at rest, an ase.Atoms.
+        calculator: with forces in eV/Å.
+        repeats: of the cell along its edges; the supercell is to be wider than twice what the
+            forces reach.
+    """
+    supercell = structure.repeat(tuple(repeats))
+    supercell.calc = calculator
+
+    def forces(x: np.ndarray) -> np.ndarray:
+        supercell.positions[:] = x
+        return np.array(supercell.get_forces(apply_constraint=False))
+
+    at_rest = supercell.positions.copy()
+    first = range(len(structure))
+    phi = finite_differences(forces, at_rest, first, step=step)
+    supercell.positions[:] = at_rest
+    return from_supercell(structure, supercell, phi, first, thickness=thickness)
+
+
+def read_force_constants(
+    path: str | os.PathLike[str],
+    structure: Any,
+    supercell: Any,
+    displaced: Sequence[int],
+    *,
+    thickness: float | None = None,
+) -> ForceConstants:
+    """Read a FORCE_CONSTANTS file as phonopy writes it, in eV/Å², whole or of the cell's atoms.
+
+    Args:
+        path: text: two counts, then for each pair its two numbers and three rows.
+        structure: the primitive cell, an ase.Atoms.
+        supercell: in the order of the file, an ase.Atoms.
+        displaced: numbers in the supercell, from 0, of the atoms of the primitive cell.
+
+    Raises InputError for a file that is not one, naming the line.
+    """
+    if os.path.getsize(path) > LARGEST_FILE:
+        raise InputError(f"{path}: expected less than {LARGEST_FILE} bytes")
+    with open(path, encoding="ascii", errors="replace") as file:
+        words = file.readline().split()
+        lines = file.read().split("\n")
+    try:
+        counts = [int(word) for word in words]
+    except ValueError:
+        counts = []
+    total = len(supercell)
+    rows = counts[0] if counts else 0
+    if not counts or rows not in (len(displaced), total) or counts[-1] != total:
+        raise InputError(f"{path}: line 1: expected {len(displaced)} {total}, got {words}")
+    phi = np.zeros((len(displaced), 3, total, 3))
+    wanted = {atom: row for row, atom in enumerate(displaced)}
+    lines = [line for line in lines if line.strip()]
+    if len(lines) != 4 * rows * total:
+        raise InputError(f"{path}: expected {4 * rows * total} more lines, got {len(lines)}")
+    for number in range(0, len(lines), 4):
+        try:
+            i, j = (int(word) - 1 for word in lines[number].split()[:2])
+            if i not in wanted:
+                continue
+            block = [[float(word) for word in line.split()] for line in lines[number + 1 :][:3]]
+            phi[wanted[i], :, j] = block
+        except (ValueError, IndexError):
+            raise InputError(
+                f"{path}: line {number + 2}: expected a pair and 3 × 3 numbers"
+            ) from None
+    return from_supercell(structure, supercell, phi, displaced, thickness=thickness)

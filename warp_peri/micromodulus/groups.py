@@ -1,0 +1,200 @@
+"""Point groups of a crystal, and what of them its lattice of nodes shares.
+
+C(−ξ) = C(ξ) whatever the crystal, so that every group here contains the inversion (theory.md, T5).
+"""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from warp_peri.errors import InputError
+
+Symmetry: TypeAlias = str | np.ndarray
+"""Name of a point group, or rotations of one, shape [G, d, d]."""
+TOLERANCE = 1e-5
+"""Of the entries of a rotation that maps a lattice onto itself."""
+MOST = 400
+"""Rotations beyond which generators do not close."""
+
+# Generators in the crystal's axes; the principal axis is the third, in two dimensions the normal.
+# Twelvefold turns leave an elastic sheet isotropic; in space "isotropic" is cubic with one equation
+# more (elastic.allowed_tensors), since no finite group holds the cube's and makes it so.
+_TURNS = {"2": 2, "3": 3, "4": 4, "6": 6, "12": 12}
+_PLANE = {
+    "1": "", "2": "", "m": "m", "2mm": "m", "4": "4", "4mm": "4 m", "3": "3", "3m": "3 m",
+    "6": "6", "6mm": "6 m", "isotropic": "12 m",
+}  # fmt: skip
+_SOLID = {
+    "-1": "", "2/m": "2", "mmm": "2 m", "4/m": "4", "4/mmm": "4 m", "-3": "3", "-3m": "3 m",
+    "6/m": "6", "6/mmm": "6 m", "m-3": "2 m cycle", "m-3m": "4 m cycle",
+    "isotropic": "4 m cycle",
+}  # fmt: skip
+_ALIASES = {
+    "1": "-1", "2": "2/m", "m": "2/m", "222": "mmm", "mm2": "mmm", "4": "4/m", "-4": "4/m",
+    "422": "4/mmm", "4mm": "4/mmm", "-42m": "4/mmm", "-4m2": "4/mmm", "3": "-3", "32": "-3m",
+    "3m": "-3m", "6": "6/m", "-6": "6/m", "622": "6/mmm", "6mm": "6/mmm", "-6m2": "6/mmm",
+    "-62m": "6/mmm", "23": "m-3", "m3": "m-3", "432": "m-3m", "-43m": "m-3m", "m3m": "m-3m",
+}  # fmt: skip
+LEAST = {2: "1", 3: "-1"}
+CANDIDATES = {
+    2: ("isotropic", "4mm", "4", "2mm", "1"),
+    3: ("isotropic", "m-3m", "4/mmm", "mmm", "2/m", "-1"),
+}
+"""Groups that a fit to fields tries, from the largest."""
+
+
+def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
+    """Rotations of a group in the crystal's axes, shape [G, d, d], with the inversion.
+
+    Args:
+        symmetry: a name such as "4mm" (plane) or "m3m", or rotations, shape [G, d, d].
+        dimension: 2 or 3.
+
+    Raises InputError for a name that is not known, or matrices that are not rotations.
+    """
+    if isinstance(symmetry, str):
+        return _closed(_named(symmetry, dimension), dimension)
+    given = np.asarray(symmetry, dtype=float)
+    if given.ndim != 3 or given.shape[1:] != (dimension, dimension):
+        raise InputError(
+            f"symmetry: expected rotations of shape [G, {dimension}, {dimension}], got "
+            f"{list(given.shape)}"
+        )
+    off = np.abs(given @ given.transpose(0, 2, 1) - np.eye(dimension)).max()
+    if off > TOLERANCE:
+        raise InputError(f"symmetry: expected rotations, got matrices off by {off:.1e}")
+    return _closed(list(given), dimension)
+
+
+def _named(name: str, dimension: int) -> list[np.ndarray]:
+    table = _PLANE if dimension == 2 else _SOLID
+    known = name if dimension == 2 else _ALIASES.get(name, name)
+    if known not in table:
+        raise InputError(f"symmetry: expected one of {', '.join(table)}, got {name!r}")
+    generators = []
+    for word in table[known].split():
+        if word == "m":
+            generators.append(np.diag([1.0, -1.0, 1.0])[:dimension, :dimension])
+        elif word == "cycle":
+            generators.append(np.eye(3)[[1, 2, 0]])
+        else:
+            angle = 2 * np.pi / _TURNS[word]
+            turn = np.eye(3)
+            turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+            generators.append(turn[:dimension, :dimension])
+    return generators
+
+
+def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
+    """All products of generators and of the inversion."""
+    found = [np.eye(dimension), -np.eye(dimension)]
+    waiting = list(found)
+    while waiting:
+        last = waiting.pop()
+        for g in generators:
+            new = g @ last
+            if np.abs(np.array(found) - new).max(axis=(1, 2)).min() > 10 * TOLERANCE:
+                found.append(new)
+                waiting.append(new)
+                if len(found) > MOST:
+                    raise InputError("symmetry: expected a finite group of rotations")
+    return np.array(found)
+
+
+def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """What a square or cubic lattice of nodes has in common with a crystal (theory.md, T5).
+
+    Args:
+        group: of the crystal in its own axes, shape [G, d, d].
+        orientation: the crystal's axes in those of the nodes, as columns.
+
+    Returns integer matrices in the axes of the nodes, shape [g, d, d].
+    """
+    turned = orientation @ group @ orientation.T
+    whole = np.rint(turned)
+    return np.asarray(whole[np.abs(turned - whole).max(axis=(1, 2)) < TOLERANCE].astype(np.int64))
+
+
+def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
+    """A rotation from the crystal's axes to those of the nodes; an angle in degrees in the plane.
+
+    Raises InputError for what is no rotation.
+    """
+    if orientation is None:
+        return np.eye(dimension)
+    given = np.asarray(orientation, dtype=float)
+    if given.shape == () and dimension == 2:
+        cos, sin = np.cos(np.radians(given)), np.sin(np.radians(given))
+        return np.array([[cos, -sin], [sin, cos]])
+    if given.shape != (dimension, dimension):
+        raise InputError(
+            f"orientation: expected a rotation of shape [{dimension}, {dimension}], got "
+            f"{list(given.shape)}"
+        )
+    if not np.abs(given @ given.T - np.eye(dimension)).max() < TOLERANCE:
+        raise InputError("orientation: expected a rotation, got a matrix that is none")
+    return given
+
+
+def group_of_structure(
+    cell: np.ndarray, fractions: np.ndarray, species: np.ndarray, *, precision: float = 1e-4
+) -> np.ndarray:
+    """Point group of a crystal by spglib, in the axes its cell is given in, [G, d, d].
+
+    Args:
+        cell: edges as rows [Å], shape [3, 3].
+        fractions: positions of the atoms in parts of the edges, shape [n, 3].
+        species: numbers that tell atoms apart, shape [n].
+        precision: distance [Å] within which atoms are on their sites.
+
+    Raises InputError where spglib is not installed or finds nothing.
+    """
+    try:
+        import spglib  # an extra; the rest of the package does without
+    except ImportError:
+        raise InputError(
+            "symmetry: auto asks spglib for the group of a structure: pip install "
+            "'warp_peri[crystals]', or name the group"
+        ) from None
+    given: Any = (np.asarray(cell, dtype=float), fractions, species)
+    # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
+        small: Any = spglib.standardize_cell(
+            given, to_primitive=True, no_idealize=True, symprec=precision
+        )
+        found = None if small is None else spglib.get_symmetry(small, symprec=precision)
+    if found is None:
+        raise InputError("symmetry: spglib finds none of this structure; name the group")
+    edges = np.asarray(small[0], dtype=float).T
+    turns = edges @ found["rotations"].astype(float) @ np.linalg.inv(edges)
+    return point_group(turns, 3)
+
+
+def canonical(
+    vectors: np.ndarray, group: np.ndarray, margin: float | np.ndarray = 0.0
+) -> np.ndarray:
+    """Which vectors may lie in one cone whose images under the group fill space, shape [K] bool.
+
+    A vector is left out when all of it, out to `margin` times the 1-norm of the cone's face, has an
+    image nearer to one direction in general position (theory.md, T12). shape [K, d].
+    """
+    d = vectors.shape[1]
+    direction = np.array([1.0, 0.6137, 0.2719])[:d]
+    kept = np.ones(len(vectors), bool)
+    for face in np.unique(np.round(direction - direction @ group, 12), axis=0):
+        kept &= vectors @ face + margin * np.abs(face).sum() >= -1e-12
+    return kept
+
+
+def orbit_grid(intervals: int, group: np.ndarray, dimension: int) -> np.ndarray:
+    """Points of a grid on [−π, π]^d, one of each orbit, without 0, shape [K, d]."""
+    line = np.arange(-intervals, intervals + 1)
+    grid = np.array(list(itertools.product(line, repeat=dimension)))
+    grid = grid[canonical(grid.astype(float), group) & grid.any(axis=1)]
+    wave: np.ndarray = grid * (np.pi / intervals)
+    return wave

@@ -1,0 +1,368 @@
+"""A crystal as a tensor for every bond: L u(x) = Σ C(ξ)(u(x) − u(x + ξ)) (theory.md, T1–T6)."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import write_json
+from warp_peri.micromodulus import elastic
+from warp_peri.micromodulus.certificate import Certificate, certify
+from warp_peri.micromodulus.family import bend
+from warp_peri.micromodulus.groups import (
+    Symmetry,
+    checked_orientation,
+    point_group,
+    shared_with_nodes,
+)
+from warp_peri.micromodulus.nodes import node_steps
+from warp_peri.micromodulus.operator import Operator
+from warp_peri.points.arrays import checked, is_positive
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples, nodes_of
+from warp_peri.points.unit_names import (
+    STRESSES,
+    USUAL,
+    Units,
+    check_same,
+    check_units,
+    factors,
+    symbols,
+)
+
+SAME_AXIS = 1e-3
+"""Of the directions of a crystal, as rotations, that count as one."""
+FORMAT, VERSION = "warp_peri.micromodulus", 1
+LARGEST_FILE = 2**26
+"""Bytes of a file that are read at most."""
+SAME_SPACING = 1e-6
+"""Relative, of spacings that are taken as the same."""
+BROKEN = 1e-8
+"""Relative, that tensors may break a symmetry they are said to have."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crystal:
+    """The law of one crystal on one square or cubic lattice of nodes.
+
+    Steps and tensors are along the axes of the nodes; C(−ξ) = C(ξ).
+
+    Attributes:
+        spacing: of the nodes, h, in the unit of length.
+        steps: ξ/h of one half of the bonds, shape [H, d] of whole numbers, d = 2 or 3.
+        tensors: C(ξ), in stress over length², shape [H, d, d], symmetric, of any sign.
+        units: names of the units of length and stress.
+        symmetry: name of the crystal's point group, or rotations, shape [G, d, d].
+        orientation: the crystal's axes in those of the nodes, as columns; an angle in degrees in
+            the plane.
+        certificate: what is proven of the symbol; None where nothing was asked.
+        provenance: how it came to be; plain JSON values.
+
+    Raises InputError for shapes that do not fit, steps given twice, tensors that are not symmetric
+    or do not have the symmetry they are said to have.
+    """
+
+    spacing: float
+    steps: np.ndarray
+    tensors: np.ndarray
+    units: Units = USUAL
+    symmetry: Symmetry = ""
+    orientation: Any = None
+    certificate: Certificate | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not is_positive(self.spacing):
+            raise InputError(f"spacing: expected a number > 0, got {self.spacing!r}")
+        steps = np.asarray(self.steps)
+        if steps.ndim != 2 or steps.shape[1] not in (2, 3) or not len(steps):
+            raise InputError(f"steps: expected shape [H, 2] or [H, 3], got {list(steps.shape)}")
+        whole = np.rint(steps).astype(np.int64)
+        both = {tuple(step) for step in np.concatenate([whole, -whole]).tolist()}
+        if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
+            raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
+        d = steps.shape[1]
+        tensors = checked("tensors", self.tensors, float)
+        if tensors.shape != (len(steps), d, d):
+            raise InputError(
+                f"tensors: expected shape [{len(steps)}, {d}, {d}], got {list(tensors.shape)}"
+            )
+        size = np.abs(tensors).max()
+        if np.abs(tensors - tensors.transpose(0, 2, 1)).max() > BROKEN * size:
+            raise InputError("tensors: expected symmetric matrices")
+        set_ = object.__setattr__
+        set_(self, "steps", whole)
+        set_(self, "tensors", (tensors + tensors.transpose(0, 2, 1)) / 2)
+        set_(self, "spacing", float(self.spacing))
+        set_(self, "units", check_units(self.units))
+        set_(self, "orientation", checked_orientation(self.orientation, d))
+        if isinstance(self.symmetry, str) and not self.symmetry:
+            set_(self, "symmetry", {2: "1", 3: "-1"}[d])
+        if self._asymmetry() > BROKEN:
+            raise InputError(
+                f"symmetry: the tensors break it by {self._asymmetry():.1e} of the largest"
+            )
+
+    def _asymmetry(self) -> float:
+        """How far C(Rξ) = R C(ξ) Rᵗ is from holding, relative to the largest entry."""
+        number = {tuple(s): i for i, s in enumerate(self.steps.tolist())}
+        number |= {tuple(-s for s in key): i for key, i in list(number.items())}
+        worst = 0.0
+        for g in self.group:
+            images = [number.get(tuple(s), -1) for s in (self.steps @ g.T).tolist()]
+            if -1 in images:
+                return np.inf
+            turned = g @ self.tensors @ g.T
+            worst = max(worst, float(np.abs(self.tensors[images] - turned).max()))
+        return worst / max(float(np.abs(self.tensors).max()), 1e-300)
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return int(self.steps.shape[1])
+
+    @property
+    def bonds(self) -> int:
+        """Of a node."""
+        return 2 * len(self.steps)
+
+    @property
+    def horizon(self) -> float:
+        """Length of the longest bond."""
+        return self.spacing * float(np.sqrt((self.steps**2).sum(axis=1).max()))
+
+    @property
+    def group(self) -> np.ndarray:
+        """What nodes and crystal share: integer matrices, shape [g, d, d]."""
+        return shared_with_nodes(point_group(self.symmetry, self.dimension), self.orientation)
+
+    @property
+    def brackets(self) -> np.ndarray:
+        """[ij, kl] = ½ Σ C_ij ξ_k ξ_l over all bonds [stress], shape [d, d, d, d] (T3)."""
+        xi = self.spacing * self.steps
+        return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
+
+    def symbol(self, k: np.ndarray) -> np.ndarray:
+        """D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2), at k of shape [..., d], shape [..., d, d]."""
+        k = np.asarray(k, dtype=float)
+        D = np.tensordot(
+            bend(k.reshape(-1, self.dimension) * self.spacing, self.steps), self.tensors, 1
+        )
+        return np.asarray(D.reshape(*k.shape, self.dimension))
+
+    def huang_defect(self) -> float:
+        """Largest break of Huang's relations, relative to the largest bracket."""
+        rows = elastic.huang_rows(self.brackets[None])
+        return float(np.abs(rows).max() / np.abs(self.brackets).max())
+
+    def tensor(self) -> np.ndarray:
+        """C_ijkl of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
+        C = elastic.elastic_from_brackets(self.brackets)
+        return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
+
+    def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
+        """Voigt matrix of long waves, 3 × 3 in the plane (11, 22, 12) and 6 × 6 in space.
+
+        In the law's own unit of stress, or another by name, as "GPa". Raises InputError for a name
+        that is not known.
+        """
+        return elastic.voigt(self.tensor()) * self._stress(unit)
+
+    def moduli(self, unit: str | None = None) -> dict[str, float]:
+        """Elastic constants by name that are not zero, those of a cubic crystal as C11, C12, C44.
+
+        In the plane C44 is the shear modulus, as for the other laws.
+        """
+        C = self.elastic_tensor(unit)
+        if elastic.named_symmetry(self.tensor()) in ("cubic", "isotropic", "square"):
+            shear = 3 if self.dimension == 3 else 2
+            return dict(zip(("C11", "C12", "C44"), map(float, (C[0, 0], C[0, 1], C[shear, shear]))))
+        label = "123456" if self.dimension == 3 else "124"
+        tiny = elastic.SAME * 1e-3 * np.abs(C).max()
+        found = [(m, n) for m in range(len(C)) for n in range(m, len(C)) if abs(C[m, n]) > tiny]
+        return {f"C{label[m]}{label[n]}": float(C[m, n]) for m, n in found}
+
+    def describe(self, unit: str | None = None) -> dict[str, Any]:
+        """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν."""
+        C = self.tensor() * self._stress(unit)
+        V = elastic.voigt(C)
+        d = self.dimension
+        shear = V[-1, -1] if d == 2 else V[3, 3]
+        e = np.array([v for v in np.ndindex((3,) * d) if v != (1,) * d], dtype=float) - 1
+        e /= np.linalg.norm(e, axis=1)[:, None]
+        young = {}
+        for v in e:
+            across = np.linalg.svd(v[None])[2][1]
+            young[tuple(np.round(v, 3).tolist())] = elastic.directional(C, v, across)
+        values = np.array(list(young.values()))
+        return {
+            "symmetry": elastic.named_symmetry(C),
+            "moduli": self.moduli(unit),
+            "zener": float(2 * shear / (V[0, 0] - V[0, 1])),
+            "universal_anisotropy": elastic.universal_anisotropy(C),
+            "E_range": [float(values[:, 0].min()), float(values[:, 0].max())],
+            "nu_range": [float(values[:, 1].min()), float(values[:, 1].max())],
+        }
+
+    def surface_traction(self) -> float:
+        """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16).
+
+        |[ij, kl] W_jk n_l| over faces n along the axes and turns W in coordinate planes. A law of
+        micromodulus tensors is objective only where this is zero, or where no bond is cut.
+        """
+        B, d = self.brackets, self.dimension
+        worst = 0.0
+        for j in range(d):
+            for k in range(j):
+                traction = B[:, j, k] - B[:, k, j]  # [i, l]
+                worst = max(worst, float(np.linalg.norm(traction, axis=0).max()))
+        return worst
+
+    def certified(self) -> Crystal:
+        """The law with its certificate; `certificate.holds` says whether one was found."""
+        scaled = self.tensors * self.spacing**2
+        return replace(self, certificate=certify(self.steps, scaled, self.group))
+
+    def in_units(self, units: Units) -> Crystal:
+        """The same law in other units. Raises InputError where no factor leads to them."""
+        length, stress = factors(self.units, units)
+        proof = self.certificate
+        if proof is not None:
+            moved = {k: getattr(proof, k) * stress for k in ("proven", "sampled", "long_waves")}
+            proof = replace(proof, **moved)
+        return replace(
+            self,
+            spacing=self.spacing * length,
+            tensors=self.tensors * (stress / length**2),
+            units=check_units(units),
+            certificate=proof,
+        )
+
+    def on(
+        self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
+    ) -> Operator:
+        """The operator on nodes of the law's own spacing, its steps along their axes.
+
+        A turned lattice turns the crystal with it; `learning.transferred` is for a crystal that
+        stays, and for other spacings.
+
+        Args:
+            points: lattice nodes with a collar, or periodic, in the law's units.
+            method: "rows", "fft" or "auto".
+            dtype: float64 or float32.
+
+        Raises InputError for another spacing or other units, and for nodes whose bonds are cut:
+        the law is not objective there, and the message says how far from it.
+        """
+        nodes = nodes_of(points)
+        check_same(self.units, nodes.units)
+        if not abs(nodes.spacing / self.spacing - 1) <= SAME_SPACING:
+            raise InputError(
+                f"spacing: the law is for {self.spacing:g}, the points have {nodes.spacing:g}; "
+                "transferred(law, spacing) fits another"
+            )
+        self._check_axis(nodes)
+        traction = self.surface_traction()
+        unit = symbols(self.units)[1]
+        why = (
+            f": a law of micromodulus tensors is not objective there (a turned face feels up to "
+            f"{traction:.3g} {unit} per radian); give a collar {self.horizon:g} wide"
+        )
+        return Operator(
+            nodes,
+            self.spacing,
+            self.steps,
+            self.tensors,
+            self.tensor(),
+            method=method,
+            dtype=dtype,
+            why=why,
+            model=self,
+        )
+
+    def _check_axis(self, nodes: Points) -> None:
+        """Raise InputError where points state another direction of the crystal than the law's."""
+        if nodes.axis is None or self.dimension != 2:
+            return
+        there = node_steps(nodes)[1].T @ checked_orientation(nodes.axis, 2)
+        same = np.asarray(self.orientation) @ point_group(self.symmetry, 2)
+        if np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS:
+            angle = np.degrees(np.arctan2(there[1, 0], there[0, 0]))
+            raise InputError(
+                f"axis: the crystal stands at {angle:.4g}° to these nodes, other than in the law; "
+                "transferred(law, spacing, rotation=…) turns it"
+            )
+
+    def _stress(self, unit: str | None) -> float:
+        if unit is None:
+            return 1.0
+        if unit not in STRESSES:
+            raise InputError(f"unit: expected one of {', '.join(STRESSES)}, got {unit!r}")
+        return factors(self.units, (self.units[0], unit))[1]
+
+    def content(self) -> dict[str, Any]:
+        """What a file holds, plain values."""
+        named = isinstance(self.symmetry, str)
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "length_unit": self.units[0],
+            "stress_unit": self.units[1],
+            "spacing": self.spacing,
+            "steps": self.steps.tolist(),
+            "tensors": self.tensors.tolist(),
+            "symmetry": self.symmetry if named else np.asarray(self.symmetry).tolist(),
+            "orientation": np.asarray(self.orientation).tolist(),
+            "certificate": None if self.certificate is None else self.certificate.content(),
+            "provenance": self.provenance,
+        }
+
+    @classmethod
+    def of_content(cls, content: Any) -> Crystal:
+        """The law that a file holds. Raises InputError naming what is wrong."""
+        if not isinstance(content, dict):
+            raise InputError(f"expected a JSON object, got {type(content).__name__}")
+        for key, expected in {"format": FORMAT, "version": VERSION}.items():
+            if content.get(key) != expected:
+                raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
+        missing = [key for key in ("spacing", "steps", "tensors", "symmetry") if key not in content]
+        if missing:
+            raise InputError(f"missing: {', '.join(missing)}")
+        symmetry, proof = content["symmetry"], content.get("certificate")
+        try:
+            return cls(
+                content["spacing"],
+                np.asarray(content["steps"]),
+                np.asarray(content["tensors"], dtype=float),
+                (content.get("length_unit", USUAL[0]), content.get("stress_unit", USUAL[1])),
+                symmetry if isinstance(symmetry, str) else np.asarray(symmetry, dtype=float),
+                content.get("orientation"),
+                None if proof is None else Certificate(**proof),
+                dict(content.get("provenance") or {}),
+            )
+        except InputError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(f"expected numbers in rows ({error})") from None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a JSON file, whole or not at all."""
+        write_json(path, self.content())
+
+
+def load_crystal(path: str | os.PathLike[str]) -> Crystal:
+    """Read a file that `save` wrote. Raises InputError naming the file and what is wrong."""
+    try:
+        if os.path.getsize(path) > LARGEST_FILE:
+            raise InputError(f"expected at most {LARGEST_FILE} bytes")
+        with open(path, encoding="utf-8") as file:
+            return Crystal.of_content(json.load(file))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (InputError, OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: {error}") from None

@@ -1,0 +1,369 @@
+"""Laws learned from fields, from phonons, or from the symbol of another law (theory.md, T7–T10)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus import fields
+from warp_peri.micromodulus.elastic import (
+    acoustic,
+    allowed_tensors,
+    bracket_rows,
+    brackets_from_elastic,
+    from_voigt,
+    huang_rows,
+    turned,
+)
+from warp_peri.micromodulus.family import Family, family
+from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.groups import (
+    CANDIDATES,
+    LEAST,
+    Symmetry,
+    checked_orientation,
+    orbit_grid,
+    point_group,
+    shared_with_nodes,
+)
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.nodes import node_steps
+from warp_peri.micromodulus.regression import Learned, compressed, directions, learn
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import USUAL, Units, factors
+
+FLOOR = 0.3
+"""ζ over the softest acoustic modulus."""
+AS_GOOD = 1.02
+"""A group is taken while the loss with it is at most so many times that without any,"""
+SMALL = 0.003
+"""and this much of the loads."""
+WAVES, LARGEST_WAVE = 400, 2.0
+"""Waves that a symbol is matched on, and their largest |k| h."""
+LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
+"""Long waves among the rows, their |k| h, and what they weigh together."""
+ENOUGH = 3
+"""Numbers for each equation that holds moduli, from which holding them costs short waves little."""
+ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
+"""Of a grid on the rest of the zone."""
+
+
+def fit(
+    samples: Samples,
+    horizon: float,
+    *,
+    symmetry: Symmetry = "auto",
+    orientation: Any = None,
+    moduli: Any = "long waves",
+    normalise: bool = False,
+) -> Crystal:
+    """The micromodulus tensors that fit L u = b on the interior nodes best.
+
+    Args:
+        samples: displacements and loads on lattice nodes.
+        horizon: length of the longest bond.
+        symmetry: name of the crystal's point group, rotations, or "auto": the largest group of the
+            nodes with which the fit is as good as without one.
+        orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
+            without it the nodes' axes.
+        moduli: "long waves" holds the moduli that fields.long_wave_moduli finds, None holds
+            Huang's relations alone, and a Voigt matrix (crystal's axes) holds its own.
+        normalise: weigh each sample by 1/‖b‖.
+
+    Returns a law with its certificate. `provenance["fit"]` has the loss, the group's loss over that
+    of the smallest group, cuts and numbers.
+
+    Raises InputError for samples that do not carry the horizon or do not determine the law.
+    """
+    axes = node_steps(samples.points)[1]
+    d = len(axes)
+    turn = np.eye(d) if orientation is None else axes.T @ checked_orientation(orientation, d)
+    reach, ratio, name = horizon / samples.spacing, None, symmetry
+    if isinstance(symmetry, str) and symmetry == "auto":
+        name, ratio = _found(samples, reach, turn, normalise)
+    group = point_group(name, d)
+    shared = shared_with_nodes(group, turn)
+    bonds = family(reach, shared)
+    R, y = fields.rows(samples, bonds, normalise=normalise)
+    C, misfit = None, None
+    if moduli is not None and isinstance(moduli, str):
+        C, misfit = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))
+    elif moduli is not None:
+        C = turned(from_voigt(moduli), turn)
+    learned = _solve(R, y, bonds, shared, C, samples.spacing)
+    record = {
+        "from": "fields",
+        "loss": learned.loss,
+        "symmetry_ratio": ratio,
+        "long_wave_misfit": misfit,
+        "cuts": learned.cuts,
+        "numbers": len(bonds.basis),
+        "moduli_held": C is not None,
+    }
+    return _law(learned, bonds, samples.spacing, samples.points.units, name, turn, record)
+
+
+def _found(samples: Samples, reach: float, turn: np.ndarray, normalise: bool) -> tuple[str, float]:
+    """The largest group that costs nothing, and its loss over that of the smallest.
+
+    It is to cost nothing in L u = b, nor in the moduli of long waves.
+    """
+    d = len(turn)
+    least = family(reach, shared_with_nodes(point_group(LEAST[d], d), turn))
+    R, y = fields.rows(samples, least, normalise=normalise)
+    if np.linalg.matrix_rank(R) < R.shape[1]:
+        raise InputError(
+            f"data: expected enough to tell {R.shape[1]} numbers without any symmetry apart; name "
+            "one, or give more loads"
+        )
+    free: tuple[float, float] | None = None
+    for name in (LEAST[d], *CANDIDATES[d]):
+        group = point_group(name, d)
+        bonds = family(reach, shared_with_nodes(group, turn))
+        mixed = R @ np.einsum("anij,bnij->ba", bonds.basis, least.basis)
+        loss = float(np.linalg.norm(mixed @ np.linalg.lstsq(mixed, y)[0] - y))
+        long = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))[1]
+        if free is None:
+            free = (loss, long)
+        elif (
+            loss <= AS_GOOD * free[0] + SMALL * float(np.linalg.norm(y))
+            and long <= AS_GOOD * free[1] + SMALL
+        ):
+            break
+    return name, loss / max(free[0], 1e-300) if free else 1.0
+
+
+def fit_symbol(
+    target: Callable[[np.ndarray], np.ndarray],
+    spacing: float,
+    horizon: float,
+    *,
+    symmetry: Symmetry,
+    orientation: Any = None,
+    tensor: np.ndarray | None = None,
+    units: Units = USUAL,
+    largest_wave: float = LARGEST_WAVE,
+    record: dict[str, Any] | None = None,
+) -> Crystal:
+    """The law whose answers to plane waves are those of a symbol: rows D₀⁻¹ D e − e (T9).
+
+    Args:
+        target: D₀(k) [stress/length²] at k [K, d] along the nodes' axes, to [K, d, d].
+        spacing, horizon: of the law.
+        symmetry: of the crystal, by name or as rotations.
+        orientation: the crystal's axes in those of the nodes.
+        tensor: elastic tensor along the nodes' axes that is held, [d, d, d, d]; without it Huang's
+            relations alone are.
+        largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
+        record: goes into the provenance.
+    """
+    d = _dimension(target) if tensor is None else len(tensor)
+    turn = checked_orientation(orientation, d)
+    shared = shared_with_nodes(point_group(symmetry, d), turn)
+    bonds = family(horizon / spacing, shared)
+    R, y = wave_rows(target, spacing, bonds, shared, largest_wave)
+    learned = _solve(R, y, bonds, shared, tensor, spacing)
+    found = {"loss": learned.loss, "cuts": learned.cuts, "numbers": len(bonds.basis)}
+    found |= {"moduli_held": tensor is not None, "largest_wave": largest_wave / spacing}
+    return _law(learned, bonds, spacing, units, symmetry, turn, (record or {}) | found)
+
+
+def _dimension(target: Callable[[np.ndarray], np.ndarray]) -> int:
+    """Of the waves that a symbol takes."""
+    for d in (2, 3):
+        try:
+            if target(np.full((1, d), 0.01)).shape == (1, d, d):
+                return d
+        except ValueError:
+            continue
+    raise InputError("target: expected k of shape [K, d] to [K, d, d], d = 2 or 3")
+
+
+def wave_rows(
+    target: Callable[[np.ndarray], np.ndarray],
+    spacing: float,
+    bonds: Family,
+    shared: np.ndarray,
+    largest_wave: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows D₀⁻¹ D e − e: waves up to the largest, long ones, and lightly the rest of the zone."""
+    d = bonds.dimension
+    number = np.arange(WAVES)
+    size = largest_wave * (0.02 + 0.98 * ((number * 0.6180339887) % 1))
+    spread = directions(WAVES, d)
+    grid = orbit_grid(ZONE_INTERVALS[d], shared, d)
+    blocks = (
+        (size[:, None] * spread, 1.0),
+        (LONGEST * directions(LONG_WAVES, d), np.sqrt(LONG_WEIGHT)),
+        (grid[np.linalg.norm(grid, axis=1) > largest_wave], ZONE_WEIGHT),
+    )
+    count = len(bonds.basis)
+    R, y = np.zeros((0, count)), np.zeros(0)
+    for phase, weight in blocks:
+        share = weight / np.sqrt(len(phase))
+        flexible = np.linalg.inv(target(phase / spacing))
+        rows = np.einsum("kij,kajl->kila", flexible, bonds.symbol(phase), optimize=True)
+        right = np.tile(np.eye(d).ravel(), len(phase))
+        R = np.concatenate([R, share * rows.reshape(-1, count)])
+        R, y = compressed(R, np.append(y, share * right))
+    return R, y
+
+
+def from_phonons(
+    atoms: ForceConstants,
+    spacing: float,
+    horizon: float,
+    *,
+    symmetry: Symmetry = "auto",
+    orientation: Any = None,
+    hold_moduli: bool | None = None,
+    largest_wave: float = LARGEST_WAVE,
+    units: Units = USUAL,
+) -> Crystal:
+    """The law that answers plane waves as atoms do, from their force constants alone (T14).
+
+    Args:
+        atoms: force constants; the crystal's axes are those of their coordinates.
+        spacing, horizon: of the nodes and of the longest bond, in the unit of length.
+        symmetry: "auto" asks spglib.
+        orientation: the crystal's axes in those of the nodes.
+        hold_moduli: hold the elastic constants exactly, or let long waves weigh four times; None
+            holds them where a family has ENOUGH numbers for each.
+        units: of the law.
+
+    Returns a law with its certificate. Raises InputError for a crystal that is not stable.
+    """
+    d = atoms.dimension
+    length, stress = factors(units, USUAL)
+    turn = checked_orientation(orientation, d)
+    auto = isinstance(symmetry, str) and symmetry == "auto"
+    name: Symmetry = atoms.group() if auto else symmetry
+
+    def target(k: np.ndarray) -> np.ndarray:
+        D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
+        return np.asarray(turn @ D @ turn.T) * (length**2 / stress)
+
+    group = point_group(name, d)
+    allowed = allowed_tensors(name, group, np.eye(d))
+    if hold_moduli is None:
+        moments = family(horizon / spacing, shared_with_nodes(group, turn)).moments()
+        hold_moduli = len(moments) >= ENOUGH * np.linalg.matrix_rank(bracket_rows(moments))
+    tensor = turned(atoms.elastic(allowed), turn) / stress if hold_moduli else None
+    return fit_symbol(
+        target,
+        spacing,
+        horizon,
+        symmetry=name,
+        orientation=turn,
+        tensor=tensor,
+        units=units,
+        largest_wave=largest_wave,
+        record={"from": "phonons"},
+    )
+
+
+def _solve(
+    R: np.ndarray,
+    y: np.ndarray,
+    bonds: Family,
+    shared: np.ndarray,
+    tensor: np.ndarray | None,
+    spacing: float,
+) -> Learned:
+    """The numbers in units of stress, of tensors C h²: rows are in stress over length²."""
+    moments = bonds.moments()
+    size = np.abs(moments).max()  # rows that vanish by symmetry are rounding beside it
+    R = R / spacing**2
+    if tensor is None:
+        p = np.linalg.lstsq(R, y)[0]
+        estimate = np.tensordot(p, moments, 1)
+        equal = huang_rows(moments) / size, np.zeros(len(huang_rows(moments)))
+    else:
+        estimate = brackets_from_elastic(tensor)
+        equal = bracket_rows(moments) / size, bracket_rows(estimate[None])[:, 0] / size
+    soft = np.linalg.eigvalsh(acoustic(estimate, directions(400, bonds.dimension)))[:, 0].min()
+    if not soft > 0:
+        raise InputError(
+            f"moduli: expected a stable crystal, got a sound wave of stiffness {soft:.3g}"
+        )
+    return learn(R, y, bonds, shared, equal=equal, floor=FLOOR * float(soft))
+
+
+def _law(
+    learned: Learned,
+    bonds: Family,
+    spacing: float,
+    units: Units,
+    symmetry: Symmetry,
+    turn: np.ndarray,
+    record: dict[str, Any],
+) -> Crystal:
+    tensors = np.tensordot(learned.p, bonds.basis, 1) / spacing**2
+    law = Crystal(spacing, bonds.steps, tensors, units, symmetry, turn, provenance={"fit": record})
+    return law.certified()
+
+
+SAME = 1e-6
+"""Relative, of spacings, and of rotations that leave the crystal as it is on its nodes."""
+
+
+def transferred(
+    law: Crystal,
+    spacing: float,
+    *,
+    rotation: Any = None,
+    horizon: float | None = None,
+    largest_wave: float = LARGEST_WAVE,
+) -> Crystal:
+    """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
+
+    Args:
+        law: to be carried over.
+        spacing: of the new nodes.
+        rotation: by which the crystal is turned on its nodes, [d, d], or degrees in the plane:
+            C(Rξ) is R C(ξ) Rᵗ, so that its symbol is R D(Rᵗ k) Rᵗ.
+        horizon: of the new law; as many spacings as the old one.
+        largest_wave: |k| times the larger spacing up to which waves weigh fully.
+
+    Returns a law with its certificate. Raises InputError where the symbol is not positive.
+    """
+    d = law.dimension
+    turn = checked_orientation(rotation, d)
+    orientation = turn @ law.orientation
+    still = shared_with_nodes(turn[None], np.eye(d)).any()
+    if still and abs(spacing / law.spacing - 1) < SAME and horizon is None:
+        steps = np.rint(law.steps @ turn.T).astype(int)
+        tensors = turn @ law.tensors @ turn.T
+        same = Crystal(
+            law.spacing, steps, tensors, law.units, law.symmetry, orientation,
+            provenance=law.provenance,
+        )  # fmt: skip
+        return same.certified()
+
+    def target(k: np.ndarray) -> np.ndarray:
+        # beyond the zone of coarser nodes their symbol repeats; the local limit goes on there
+        near = _inside(k @ turn, law.spacing)
+        D = law.symbol(near) * ((k**2).sum(axis=1) / (near**2).sum(axis=1))[:, None, None]
+        return np.asarray(turn @ D @ turn.T)
+
+    wanted = law.horizon / law.spacing * spacing if horizon is None else horizon
+    return fit_symbol(
+        target,
+        spacing,
+        wanted,
+        symmetry=law.symmetry,
+        orientation=orientation,
+        tensor=turned(law.tensor(), turn),
+        units=law.units,
+        largest_wave=largest_wave * min(1.0, spacing / law.spacing),
+        record={"from": "a law on other nodes", "spacing": law.spacing},
+    )
+
+
+def _inside(k: np.ndarray, spacing: float) -> np.ndarray:
+    """Wave vectors drawn back along themselves to |k| h = LARGEST_WAVE."""
+    size = np.linalg.norm(k, axis=1, keepdims=True) * spacing
+    return np.asarray(k * np.minimum(1.0, LARGEST_WAVE / np.maximum(size, 1e-300)))

@@ -1,0 +1,201 @@
+"""Nodes of a square or cubic lattice laid out in a box, with all that the bonds of a law reach."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
+from warp_peri.points.lattice import LATTICE_TOLERANCE, lattice_steps
+from warp_peri.points.points import Points
+
+SPARE = 60
+"""Largest box, in places a node; beyond that the nodes lie too far apart to be laid out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Where nodes lie in a box around the unknowns that holds every node they feel.
+
+    Attributes:
+        axes: of the lattice, as columns, shape [d, d].
+        shape: of the box: the box of the interior with `reach` more on each side; of a periodic
+            set the period alone.
+        reach: steps that a bond may lead along an axis.
+        periodic: whether the box closes on itself.
+        near: numbers of the nodes that lie in the box.
+        place: their places in it, flat.
+        interior: places of the interior nodes, flat, in the order of the point set.
+    """
+
+    axes: np.ndarray
+    shape: tuple[int, ...]
+    reach: int
+    periodic: bool
+    near: np.ndarray
+    place: np.ndarray
+    interior: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return len(self.shape)
+
+    @property
+    def wide(self) -> tuple[int, ...]:
+        """The box, and around a period its images within reach."""
+        return tuple(n + 2 * self.reach * self.periodic for n in self.shape)
+
+    @property
+    def core(self) -> tuple[slice, ...]:
+        """Where the box of the interior lies in the wide one."""
+        r = self.reach
+        return tuple(slice(r, n - r) for n in self.wide)
+
+    def mask(self) -> np.ndarray:
+        """Which places of the box are unknown, in its shape."""
+        asked = np.zeros(int(np.prod(self.shape)), bool)
+        asked[self.interior] = True
+        return asked.reshape(self.shape)
+
+    def lay_out(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+        """Vectors of all nodes [S, N, d] along the lattice's axes, in planes [S, d, *wide]."""
+        field: np.ndarray = np.zeros((len(u), self.dimension, int(np.prod(self.shape))), dtype)
+        field[:, :, self.place] = (u[:, self.near] @ self.axes).transpose(0, 2, 1)
+        field = field.reshape(len(u), self.dimension, *self.shape)
+        if self.periodic:
+            field = np.pad(field, [(0, 0)] * 2 + [(self.reach,) * 2] * self.dimension, mode="wrap")
+        return field
+
+    def take_up(self, planes: np.ndarray) -> np.ndarray:
+        """Planes [S, d, *shape] at the interior nodes, along the points' axes, [S, I, d]."""
+        flat = planes.reshape(*planes.shape[:2], -1)[:, :, self.interior]
+        return np.ascontiguousarray(flat.transpose(0, 2, 1) @ self.axes.T.astype(planes.dtype))
+
+
+def lay_out(points: Points, steps: np.ndarray, *, why: str = "") -> Nodes:
+    """Lay the nodes of a lattice out for bonds of the given steps, shape [H, d] of one half.
+
+    Args:
+        points: lattice nodes with a collar, or periodic.
+        steps: ξ/h of the bonds.
+        why: said beside the error for nodes whose bonds are cut.
+
+    Raises InputError for scattered points, another dimension, nodes off the lattice or given
+    twice, interior nodes without all their neighbours, and a box that bonds reach around.
+    """
+    d = steps.shape[1]
+    if points.x.shape[1] != d:
+        raise InputError(f"points: expected {d} coordinates for this law, got {points.x.shape[1]}")
+    if not points.spacing > 0:
+        raise InputError("points: expected a lattice, got scattered points (spacing 0)")
+    grid, axes = node_steps(points)
+    reach = int(np.abs(steps).max())
+    if points.box is not None:
+        shape = _period(points, axes, reach)
+        grid = grid % shape
+        place = np.ravel_multi_index(tuple(grid.T), shape)
+        near = np.arange(len(grid))
+    else:
+        inside = grid[points.interior]
+        corner = inside.min(axis=0) - reach
+        shape = tuple((inside.max(axis=0) - corner + 1 + reach).tolist())
+        if np.prod(shape, dtype=float) > SPARE * len(grid) + 1e6:
+            raise InputError(f"points: the interior of {len(inside)} nodes spans a box of {shape}")
+        near = np.flatnonzero(((grid >= corner) & (grid < corner + shape)).all(axis=1))
+        place = np.ravel_multi_index(tuple((grid[near] - corner).T), shape)
+    number = np.full(len(grid), -1)
+    number[near] = place
+    nodes = Nodes(axes, shape, reach, points.box is not None, near, place, number[points.interior])
+    _check(points, nodes, steps, why)
+    return nodes
+
+
+def _period(points: Points, axes: np.ndarray, reach: int) -> tuple[int, ...]:
+    """Nodes of a period along the axes."""
+    if np.abs(axes - np.eye(len(axes))).max() > LATTICE_TOLERANCE:
+        raise InputError("box: expected the lattice's axes along the coordinates, got a turned one")
+    counts = np.asarray(points.box) / points.spacing
+    whole = np.rint(counts).astype(int)
+    if np.abs(counts - whole).max() > LATTICE_TOLERANCE * whole.max() or whole.min() <= 2 * reach:
+        raise InputError(
+            f"box: expected whole multiples of the spacing, more than {2 * reach} of them, got "
+            f"{', '.join(f'{count:g}' for count in counts)}"
+        )
+    return tuple(whole.tolist())
+
+
+def _check(points: Points, nodes: Nodes, steps: np.ndarray, why: str) -> None:
+    """Refuse nodes given twice, and interior nodes whose bonds lead nowhere."""
+    there = np.zeros(int(np.prod(nodes.shape)), np.int32)
+    np.add.at(there, nodes.place, 1)
+    if there.max() > 1:
+        raise InputError("points: expected every node once, got two at one place")
+    body = there.astype(bool)
+    if points.outside is not None:
+        body[nodes.place[points.outside[nodes.near]]] = False
+    body = body.reshape(nodes.shape)
+    if nodes.periodic:
+        body = np.pad(body, nodes.reach, mode="wrap")
+    r = nodes.reach
+    complete = np.ones([n - 2 * r for n in body.shape], bool)
+    for step in np.concatenate([steps, -steps]):
+        complete &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
+    asked = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
+    lacking = int((asked & ~complete).sum())
+    if lacking:
+        raise InputError(
+            f"points: expected all bonds of every interior node, got {lacking} of "
+            f"{len(nodes.interior)} nodes with cut bonds{why}"
+        )
+
+
+def node_steps(points: Points) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of the nodes of a lattice from its corner, [N, d], and its axes as columns.
+
+    Raises InputError naming how far points lie off the lattice.
+    """
+    if points.x.shape[1] == 2:
+        return lattice_steps(points)
+    h, x = points.spacing, points.x
+    axes = _axes(x, h)
+    for _ in range(2):  # once with bonds' directions, once with all positions
+        local = (x - x[0]) @ axes / h
+        grid = np.rint(local).astype(np.int64)
+        if not len(x) > 3 or np.abs(local - grid).max() < 1e-9:
+            break
+        shifted = grid - grid.mean(axis=0)
+        U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ shifted)
+        axes = U @ V
+    off = np.abs((x - x[0]) @ axes / h - grid).max()
+    if off > LATTICE_TOLERANCE:
+        raise InputError(
+            f"points: expected a cubic lattice of spacing {h:g}, got nodes {off:.1e} spacings off"
+        )
+    return grid - grid.min(axis=0), axes
+
+
+def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Directions of a cubic lattice as columns, as near to the coordinates as they can be named."""
+    some = x[:: max(1, len(x) // 2000)]
+    pairs = cKDTree(x).query_ball_point(some, spacing * (1 + LATTICE_TOLERANCE))
+    step = np.concatenate([x[near] - at for near, at in zip(pairs, some)])
+    step = step[np.linalg.norm(step, axis=1) > spacing / 2] / spacing
+    if not len(step):
+        raise InputError(f"points: no two of them are {spacing:g} apart, the spacing of a lattice")
+    first = step[0] / np.linalg.norm(step[0])
+    across = step[np.abs(step @ first) < 0.1]
+    if not len(across):
+        raise InputError("points: expected a cubic lattice, got nodes along one line")
+    second = across[0] - (across[0] @ first) * first
+    second /= np.linalg.norm(second)
+    frame = np.stack([first, second, np.cross(first, second)], axis=1)
+    best = max(
+        (frame[:, order] * signs for order in itertools.permutations(range(3))
+         for signs in itertools.product((1, -1), repeat=3)),
+        key=np.trace,
+    )  # fmt: skip
+    return np.eye(3) if np.abs(best - np.eye(3)).max() < 1e-12 else best

@@ -1,0 +1,189 @@
+"""The operator of a law on nodes: force, tangent product, energy, stress (theory.md, T1, T15)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.nodes import Nodes, lay_out
+from warp_peri.micromodulus.statics import solve
+from warp_peri.micromodulus.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product
+from warp_peri.points.points import Points
+from warp_peri.statics.settings import Krylov, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
+
+METHODS = ("auto", "rows", "fft")
+
+
+class Operator:
+    """L of one law on the nodes of one lattice, all bonds whole.
+
+    Made by Crystal.on.
+
+    Args:
+        points: lattice nodes with a collar, or periodic.
+        spacing, steps, tensors: of the law.
+        elastic: C_ijkl along the nodes' axes [stress], for `stress`.
+        method: "rows", "fft", or "auto", which takes what is faster.
+        dtype: float64 or float32.
+        why: said beside the error for nodes whose bonds are cut.
+        model: the law, as it is told.
+
+    Raises InputError as nodes.lay_out does.
+    """
+
+    def __init__(
+        self,
+        points: Points,
+        spacing: float,
+        steps: np.ndarray,
+        tensors: np.ndarray,
+        elastic: np.ndarray,
+        *,
+        method: str = "auto",
+        dtype: Any = np.float64,
+        why: str = "",
+        model: Any = None,
+    ) -> None:
+        if method not in METHODS:
+            raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        if np.dtype(dtype) not in SCALARS:
+            raise InputError(f"dtype: expected float64 or float32, got {np.dtype(dtype)}")
+        self.points, self.spacing, self.model = points, spacing, model
+        self.steps, self.tensors, self.elastic = steps, tensors, elastic
+        self.nodes: Nodes = lay_out(points, steps, why=why)
+        self.dtype = np.dtype(dtype)
+        if method == "auto":
+            method = "fft" if len(steps) >= FFT_BONDS[self.nodes.dimension] else "rows"
+        self.method = method
+        make = ByFFT if method == "fft" else ByRows
+        self.pull: Product = make(self.nodes, steps, tensors, self.dtype)
+
+    def __call__(self, u: ArrayLike) -> np.ndarray:
+        """L u, minus the internal force density [stress/length], at the interior nodes.
+
+        u [length], shape [..., N, d]; returns shape [..., I, d]. Raises InputError for another
+        shape or values that are not finite.
+        """
+        fields, lead = self.checked(u)
+        force = self.nodes.take_up(self.pull(self.nodes.lay_out(fields, self.dtype)))
+        return force.reshape(*lead, *force.shape[1:])
+
+    def load(self, b: ArrayLike) -> np.ndarray:
+        """b [stress/length] on the interior nodes, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """In equilibrium with b on the interior, u given on the collar, shape [..., N, d].
+
+        Args:
+            b, u: on all nodes.
+            solver: Krylov(preconditioner, tolerance), the first a name of statics.METHODS or None.
+
+        Raises InputError as statics.solve does.
+        """
+        refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
+        asked = solver if isinstance(solver, Krylov) else Krylov()
+        method = asked.preconditioner or "auto"
+        answer, record = solve(
+            self, np.asarray(b), np.asarray(u), method=method, tolerance=asked.tolerance
+        )
+        proof = getattr(self.model, "certificate", None)
+        proven = None
+        if proof is not None and proof.holds:
+            proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
+        return Solution(
+            answer,
+            self.points,
+            self,
+            self.load(b),
+            record.method,
+            (record.iterations,),
+            proven,
+            details=record,
+            measured=record.residual,
+        )
+
+    def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+        """The derivative of L u along v, shape [..., I, d]: L v, whatever u, for L is linear."""
+        return self(v)
+
+    def energy(self, u: ArrayLike) -> np.ndarray | float:
+        """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).
+
+        Its derivative to the interior displacement is h^d L u. (In the plane for a unit thickness.)
+        """
+        fields, lead = self.checked(u)
+        planes = self.nodes.lay_out(fields)
+        nodes, r = self.nodes, self.nodes.reach
+        asked = np.zeros(nodes.wide, bool)
+        core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
+        asked[nodes.core] = core
+        inside = asked[nodes.core]
+        if nodes.periodic:
+            asked = np.pad(core, r, mode="wrap")
+        middle = planes[(slice(None), slice(None), *nodes.core)]
+        total = np.zeros(len(fields))
+        for sign in (1, -1):
+            for step, C in zip(sign * self.steps, self.tensors):
+                part = tuple(slice(r + s, n - r + s) for s, n in zip(step, nodes.wide))
+                pull = middle - planes[(slice(None), slice(None), *part)]
+                weight = np.where(asked[part], 0.25, 0.5) * inside  # a bond of two unknowns: twice
+                bent = np.einsum("ij,sj...->si...", C, pull)
+                total += ((pull * bent).sum(axis=1) * weight).reshape(len(fields), -1).sum(axis=1)
+        total *= self.spacing**nodes.dimension
+        return total.reshape(lead) if lead else float(total[0])
+
+    def gradient(self, u: ArrayLike) -> np.ndarray:
+        """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
+        fields, lead = self.checked(u)
+        planes, nodes, r = self.nodes.lay_out(fields), self.nodes, self.nodes.reach
+        d = nodes.dimension
+        xi = self.spacing * self.steps
+        inverse = np.linalg.inv(2 * xi.T @ xi)
+        found = np.zeros((len(fields), d, d, *(n - 2 * r for n in nodes.wide)))
+        for step, weight in zip(self.steps, xi @ inverse):
+            ahead, behind = (
+                planes[
+                    (
+                        slice(None),
+                        slice(None),
+                        *(slice(r + s * g, n - r + s * g) for s, n in zip(step, nodes.wide)),
+                    )
+                ]
+                for g in (1, -1)
+            )
+            for b in range(d):
+                found[:, :, b] += weight[b] * (ahead - behind)
+        if not nodes.periodic:
+            found = np.pad(found, [(0, 0)] * 3 + [(r, r)] * d)
+        flat = found.reshape(len(fields), d, d, -1)[..., nodes.interior]
+        A = nodes.axes
+        local = np.einsum("ai,sijn,bj->snab", A, flat, A, optimize=True)
+        return np.asarray(local.reshape(*lead, *local.shape[1:]))
+
+    def stress(self, u: ArrayLike) -> np.ndarray:
+        """σ = C : ε at the interior nodes [stress], ε from `gradient`, shape [..., I, d, d].
+
+        Exact on affine fields; on others the stress of the solid that long waves see.
+        """
+        A = self.nodes.axes
+        C = np.einsum("ai,bj,ck,dl,ijkl->abcd", A, A, A, A, self.elastic, optimize=True)
+        return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
+
+    def checked(self, u: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
+        """Fields [S, N, d] and the shape of what stands before a field."""
+        values = np.asarray(u)
+        shape = self.points.x.shape
+        if values.ndim < 2 or values.shape[-2:] != shape or values.dtype.kind not in "fiu":
+            raise InputError(
+                f"u: expected numbers of shape [..., {shape[0]}, {shape[1]}], got "
+                f"{values.dtype} of shape {list(values.shape)}"
+            )
+        if not np.isfinite(values).all():
+            raise InputError("u: expected finite values")
+        lead = values.shape[:-2]
+        return np.asarray(values, float).reshape(-1, *shape), lead

@@ -1,0 +1,176 @@
+"""Products with the operator on a box of nodes: by rows of half families, or by FFT (T1, T15)."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.fft
+import warp as wp
+
+from warp_peri.kernels.micromodulus.rows import rows
+from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
+from warp_peri.micromodulus.nodes import Nodes
+
+SCALARS = {np.dtype(np.float64): wp.float64, np.dtype(np.float32): wp.float32}
+FASTER = 4
+"""How much less than a usual node a lane of a piece has to do, for the number of threads."""
+FFT_BONDS = {2: 150, 3: 120}
+"""Half families from which FFT takes less time than rows, measured on two threads."""
+
+
+class Product(Protocol):
+    """L of planes of a field [S, d, *wide] at the unknown places of the box, zero elsewhere."""
+
+    def __call__(self, planes: np.ndarray) -> np.ndarray: ...
+
+
+def entries(tensors: np.ndarray) -> np.ndarray:
+    """The upper triangles of symmetric matrices, row by row, shape [H, d (d + 1)/2]."""
+    upper = np.triu_indices(tensors.shape[-1])
+    return np.ascontiguousarray(tensors[(slice(None), *upper)])
+
+
+class ByRows:
+    """Half families by rows; the bits are the same on any number of threads.
+
+    Args:
+        nodes: the box.
+        steps, tensors: of one half of the bonds.
+        dtype: float64 or float32.
+    """
+
+    def __init__(
+        self, nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+    ) -> None:
+        self.nodes, self.dtype = nodes, np.dtype(dtype)
+        self.scalar = SCALARS[self.dtype]
+        self.kernels = rows(self.scalar, nodes.dimension)
+        strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
+        self.offset = ints(steps @ strides)
+        self.tensors = floats(entries(tensors).astype(self.dtype), self.scalar)
+        lanes = self.kernels.lanes
+        mask = np.zeros(nodes.wide, bool)
+        core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
+        mask[nodes.core] = core
+        self.places = int(mask.size)
+        self.pieces: Any = wp.array(_pieces(mask.ravel(), lanes), dtype=wp.vec2i, device=DEVICE)
+        self.core = (slice(None), slice(None), *nodes.core)
+
+    def __call__(self, planes: np.ndarray) -> np.ndarray:
+        """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
+        nodes, d = self.nodes, self.nodes.dimension
+        count, lanes = len(planes), self.kernels.lanes
+        spare = np.zeros(count * d * self.places + lanes, self.dtype)  # of the last piece's lanes
+        laid = spare[: count * d * self.places].reshape(count, d * self.places)
+        laid[:] = planes.reshape(count, -1)
+        out = np.zeros_like(laid)
+        inputs = (self.pieces, self.offset, self.tensors, floats(laid, self.scalar))
+        launch_slices(
+            self.kernels.pulled,
+            len(self.pieces),
+            inputs,
+            (floats(out, self.scalar),),
+            samples=count,
+            weight=lanes // FASTER,
+        )
+        force = out.reshape(count, d, *nodes.wide)
+        return force[self.core] if nodes.periodic else force
+
+
+def _pieces(asked: np.ndarray, lanes: int) -> np.ndarray:
+    """Runs of asked places, cut to so many lanes, as (first place, count), shape [P, 2]."""
+    edge = np.diff(np.concatenate([[0], asked.astype(np.int8), [0]]))
+    begin, length = (
+        np.flatnonzero(edge == 1),
+        np.flatnonzero(edge == -1) - np.flatnonzero(edge == 1),
+    )
+    parts = -(-length // lanes)
+    step = lanes * (np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts))
+    count = np.minimum(np.repeat(length, parts) - step, lanes)
+    return np.stack([np.repeat(begin, parts) + step, count], axis=1).astype(np.int32)
+
+
+class ByFFT:
+    """The same by convolution on a torus that nothing reaches around, exact but for rounding."""
+
+    def __init__(
+        self, nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+    ) -> None:
+        self.nodes, self.dtype = nodes, np.dtype(dtype)
+        self.torus = torus_shape(nodes)
+        self.symbol = torus_symbol(self.torus, steps, tensors).astype(self.dtype)
+        self.mask = nodes.mask()
+
+    def __call__(self, planes: np.ndarray) -> np.ndarray:
+        """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
+        nodes = self.nodes
+        if nodes.periodic:
+            planes = planes[(slice(None), slice(None), *nodes.core)]
+        out = np.stack([convolved(self.symbol, one, self.torus) for one in planes])
+        inside = tuple(slice(0, n) for n in nodes.shape)
+        return np.asarray(out[(slice(None), slice(None), *inside)] * self.mask)
+
+
+def torus_shape(nodes: Nodes) -> tuple[int, ...]:
+    """A torus that holds the box, whose collar keeps its images apart; a period is its own."""
+    if nodes.periodic:
+        return nodes.shape
+    return tuple(scipy.fft.next_fast_len(n, real=True) for n in nodes.shape)
+
+
+def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
+    """D(k) h² or D(k), as the tensors are, at the waves of a torus: its upper triangle first,
+    [d (d + 1)/2, *torus] with the last axis halved."""
+    flat = entries(tensors)
+    stencil = np.zeros((flat.shape[1], *torus))
+    for sign in (1, -1):
+        for step, c in zip(sign * steps, flat):
+            stencil[(slice(None), *(step % torus))] -= c
+    stencil.reshape(len(stencil), -1)[:, 0] += 2 * flat.sum(axis=0)
+    axes = tuple(range(1, len(torus) + 1))
+    wave = scipy.fft.rfftn(stencil, axes=axes, workers=threads(), overwrite_x=True)
+    return np.ascontiguousarray(wave.real)
+
+
+def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
+    """A symbol's product with one field [d, …] in a corner of the torus, on all of it."""
+    axes = tuple(range(1, len(torus) + 1))
+    wave = scipy.fft.rfftn(field, s=torus, axes=axes, workers=threads())
+    mixed = times(symbol, wave)
+    return np.asarray(
+        scipy.fft.irfftn(mixed, s=torus, axes=axes, workers=threads(), overwrite_x=True)
+    )
+
+
+def times(symbol: np.ndarray, wave: np.ndarray) -> np.ndarray:
+    """Symmetric matrices [d (d + 1)/2, …] times vectors [d, …]."""
+    d = len(wave)
+    place = {pair: n for n, pair in enumerate(itertools.combinations_with_replacement(range(d), 2))}
+    out = np.empty_like(wave)
+    part = np.empty_like(wave[0])
+    for i in range(d):
+        np.multiply(symbol[place[0, i]], wave[0], out=out[i])
+        for j in range(1, d):
+            np.multiply(symbol[place[min(i, j), max(i, j)]], wave[j], out=part)
+            out[i] += part
+    return out
+
+
+def inverse(symbol: np.ndarray, shift: float = 0.0) -> np.ndarray:
+    """(D + shift I)⁻¹ of symmetric matrices [d (d + 1)/2, …]; 0 where that has none (k = 0)."""
+    d = {3: 2, 6: 3}[len(symbol)]
+    pairs = list(itertools.combinations_with_replacement(range(d), 2))
+    full = np.empty((*symbol.shape[1:], d, d), symbol.dtype)
+    for (i, j), part in zip(pairs, symbol):
+        full[..., i, j] = full[..., j, i] = part
+    full += shift * np.eye(d)
+    zero = (0,) * (symbol.ndim - 1)
+    singular = np.abs(full[zero]).max() <= 1e-12 * np.abs(full).max()
+    if singular:
+        full[zero] = np.eye(d)
+    answer = np.linalg.inv(full)
+    if singular:
+        answer[zero] = 0
+    return np.stack([answer[..., i, j] for i, j in pairs])
