@@ -120,6 +120,13 @@ def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     return float(table["E_u"])
 
 
+def crystal(train: warp_peri.Samples) -> None:
+    """A tensor for every bond."""
+    law = warp_peri.Micromodulus(HORIZON, "4mm", moduli=None)
+    material = warp_peri.fit(train, law).material
+    print(material.moduli("GPa"))
+
+
 def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     """Three more numbers, and up to which strain solutions are unique."""
     with warnings.catch_warnings():
@@ -174,6 +181,7 @@ def main(folder: Path) -> None:
     data: warp_peri.Dataset = warp_peri.load(folder / "data.h5")
     test = data["test"]
     nonlinear(data["train"], folder)
+    crystal(data["train"])
     print(use(model, test))
     print(cracked(test.points, test.u[0]))
     fine = assert_type(transfers.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)

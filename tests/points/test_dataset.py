@@ -123,7 +123,7 @@ BAD_FILES = {
     "spacing text": (attribute("spacing", "5", "train"), "set 'train': spacing: .* got '5'"),
     "two spacings": (attribute("spacing", [5, 5], "train"), "set 'train': spacing: .* got array"),
     "no x": (array("x", None), "set 'train': arrays missing: x"),
-    "x in space": (array("x", np.ones((N, 3))), rf"set 'train': x: .*\[N, 2\].* got \[{N}, 3\]"),
+    "x in space": (array("x", np.ones((N, 3))), rf"set 'train': u: .*{N}, 3\], got .*{N}, 2\]"),
     "no nodes": (array("x", np.ones((0, 2))), r"set 'train': x: .*N > 0, got \[0, 2\]"),
     "x text": (array("x", ["a"]), "set 'train': x: expected float values"),
     "x nothing": (array("x", h5py.Empty("f8")), "set 'train': x: expected"),
