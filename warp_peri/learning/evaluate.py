@@ -104,8 +104,9 @@ def _table(
         table[f"{key}_samples"] = [None if np.isnan(value) else value for value in values.tolist()]
         if key in ("E_res", "E_u"):
             table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if some.any() else None
-    if model.transferred_from is not None:
-        table["transferred_from"] = model.transferred_from
+    home = getattr(model, "transferred_from", None)
+    if home is not None:
+        table["transferred_from"] = home
     return table
 
 
