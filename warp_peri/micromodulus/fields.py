@@ -106,7 +106,9 @@ def long_wave_moduli(
             "give them, or more loads of long waves"
         )
     c = np.linalg.lstsq(R, y, rcond=None)[0]
-    return np.tensordot(c[:m] / size[:m], allowed, 1), float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
+    return np.tensordot(c[:m] / size[:m], allowed, 1), float(
+        np.linalg.norm(R @ c - y) / np.linalg.norm(y)
+    )
 
 
 def _test_fields(samples: Samples, grid: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -13,8 +13,8 @@ import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.learning import transferred
 from warp_peri.micromodulus.law import SAME_SPACING
+from warp_peri.micromodulus.learning import transferred
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal

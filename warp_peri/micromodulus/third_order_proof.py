@@ -87,9 +87,7 @@ class _Gradient:
         return 2 * (4 * self.moment[1] * self.moment[3] + self.moment[2] ** 2)
 
 
-def _holds(
-    law: Micromodulus, tensors: np.ndarray, pull: _Gradient, c: float, long: float
-) -> bool:
+def _holds(law: Micromodulus, tensors: np.ndarray, pull: _Gradient, c: float, long: float) -> bool:
     """Whether D(k) ≥ c |h_p(k)|² is proven for all k.
 
     Near k = 0 by (N26), elsewhere on cells by (N27), halved where they fail.

@@ -109,9 +109,7 @@ class PlacedThirdOrder(NonlinearOperator):
         """The same with stresses of gradients clipped to a radius (N10)."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="spacing: the model is certified")
-            return NonlinearOperator(
-                self.model, self.points, radius=radius, allow_uncertified=True
-            )
+            return NonlinearOperator(self.model, self.points, radius=radius, allow_uncertified=True)
 
     def inverse(self, tolerance: float) -> Callable[[np.ndarray], np.ndarray]:
         """L_LPS⁻¹ of a load on the interior; as linear_solver."""
