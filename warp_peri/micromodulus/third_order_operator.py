@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+import warp as wp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
+from warp_peri.kernels.nonlinear.tensors import tensor_rows
+from warp_peri.launch import floats
 from warp_peri.micromodulus.law import SAME_SPACING
 from warp_peri.micromodulus.learning import transferred
+from warp_peri.micromodulus.nodes import node_steps
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
@@ -22,6 +26,8 @@ from warp_peri.micromodulus.third_order_proof import proven_crystal
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.axis import axis_of
+from warp_peri.points.families import bond_classes
+from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.nonlinear import DIRECT, PlacedThirdOrder, linear_solver
@@ -42,6 +48,46 @@ def crystal_for(model: ThirdOrderCrystal, points: PointsLike) -> ThirdOrderCryst
         there = dict(vars(model)) | {"linear": linear, "proven": {}}
         _known[key] = proven_crystal(ThirdOrderCrystal(**there))
     return _known[key]
+
+
+class TensorSweeps(GradientSweeps):
+    """The launches of (N22) over the interior nodes of a lattice.
+
+    Args:
+        points: a lattice, all of it in the body.
+        model: the law on this spacing.
+
+    Attributes:
+        tables: 0, 0, 2 p_in and 2 p_out by class of the longer of the two families, shape [4, C].
+
+    Raises InputError as GradientSweeps does.
+    """
+
+    def __init__(self, points: Points, model: ThirdOrderCrystal) -> None:
+        super().__init__(points, model.horizon)
+        self.kernels = tensor_rows(wp.float64)
+        axes = node_steps(points)[1]
+        steps = np.rint(self.xi @ axes / points.spacing).astype(int)
+        law = model.linear
+        turned = axes @ law.tensors @ axes.T
+        known = {tuple(step): C for step, C in zip(law.steps.tolist(), turned)}
+        known |= {tuple(-step): known[tuple(step.tolist())] for step in law.steps}
+        self._tensors = np.array([known.get(tuple(s), np.zeros((2, 2))) for s in steps.tolist()])
+        self.tables = np.zeros((4, len(self.classes.r)))
+        inner = bond_classes(model.spacing, model.reach)
+        grid = np.rint(inner.xi / model.spacing).astype(int).tolist()
+        own = {tuple(step): c for step, c in zip(grid, inner.bond_class)}
+        p = 2 * np.stack(model.weights(inner))
+        for step, c in zip(steps.tolist(), self.classes.bond_class):
+            if tuple(step) in own:
+                self.tables[2:, c] = p[:, own[tuple(step)]]
+
+    def bonds(self, tables: np.ndarray) -> wp.array[Any]:
+        """ξ, tensor and weights of one bond of each pair ±ξ, from tables by class [4, C]."""
+        half = self._half
+        C, p = self._tensors[half], tables[2:, self.classes.bond_class[half]].T
+        values = [self.xi[half], C[:, 0], p, C[:, 1, 1:]]
+        return floats(np.hstack(values), self.kernels.pair)
 
 
 class PlacedCrystal(PlacedThirdOrder):
@@ -83,10 +129,8 @@ class PlacedCrystal(PlacedThirdOrder):
             warnings.warn(f"certificate: {said}", stacklevel=3)
         self.model: Any = here
         self.radius = float(radius)
-        self.sweeps = GradientSweeps(self.points, here.reach)
-        p_in, p_out = here.weights(self.sweeps.classes)
-        none = np.zeros_like(p_in)
-        self.tables = torch.from_numpy(2 * np.stack([none, none, p_in, p_out]))
+        self.sweeps: Any = TensorSweeps(self.points, here)
+        self.tables = torch.from_numpy(self.sweeps.tables)
         self.bulk = torch.zeros(1, dtype=torch.float64)
         axis = axis_of(self.points) if here.q3 else 0.0
         self.numbers = torch.from_numpy(here.numbers_at(axis))
@@ -101,9 +145,7 @@ class PlacedCrystal(PlacedThirdOrder):
         """L u, minus the internal force density [stress/length], at the interior nodes."""
         if isinstance(u, torch.Tensor):
             raise InputError("u: a third-order crystal takes NumPy arrays, got a torch tensor")
-        linear = self.straight(u)
-        field = np.require(u, float, ["C", "W"])
-        return np.asarray(linear + NonlinearOperator.__call__(self, field))
+        return NonlinearOperator.__call__(self, u)
 
     def tangent(self, u: ArrayLike) -> sp.csr_array:
         """∂(L u)/∂u at a field [N, 2], without clipping: sparse, shape [2 I, 2 N] (N5)."""
