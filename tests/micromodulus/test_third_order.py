@@ -227,7 +227,7 @@ def test_files_and_units_carry_the_law(law, tmp_path):
     points = nodes()
     u = 0.03 * smooth(points.x, 1)[0]
     assert np.array_equal(again.on(points)(u), law.on(points)(u))
-    assert again.content() == law.content()
+    assert again.content()["sha256"] == law.content()["sha256"]
     other = warp_peri.load(path, units=("nm", "GPa"))
     moved = replace(points, x=points.x / 10, spacing=0.1, units=("nm", "GPa"))
     np.testing.assert_allclose(other.on(moved)(u / 10), 1e4 * law.on(points)(u), rtol=1e-9)

@@ -121,6 +121,11 @@ class PlacedCrystal(PlacedThirdOrder):
         if not self.points.spacing > 0:
             raise InputError("points: a third-order crystal is for lattices, got scattered points")
         here = crystal_for(model, self.points) if transfer else model
+        if abs(self.points.spacing / here.spacing - 1) > SAME_SPACING:
+            raise InputError(
+                f"spacing: the law is for {here.spacing:g}, the points have "
+                f"{self.points.spacing:g}, and transfer=False"
+            )
         proof = here.linear.certificate
         if proof is None or not proof.holds:
             said = "the tensors hold no certificate on this lattice"
