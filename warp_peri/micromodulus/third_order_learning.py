@@ -127,7 +127,7 @@ def _rows(
 
     Below the constants' own rows stands the loss at their best (N28).
     """
-    nodes = fields.lay_out(samples.points, bonds.steps)
+    nodes = lay_out(samples.points, bonds.steps)
     b = samples.loads[:, samples.interior] @ nodes.axes
     size = np.linalg.norm(b.reshape(len(b), -1), axis=1)
     if not (size > 0).all():

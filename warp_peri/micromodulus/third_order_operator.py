@@ -150,7 +150,7 @@ class PlacedCrystal(PlacedThirdOrder):
         """L u, minus the internal force density [stress/length], at the interior nodes."""
         if isinstance(u, torch.Tensor):
             raise InputError("u: a third-order crystal takes NumPy arrays, got a torch tensor")
-        return NonlinearOperator.__call__(self, u)
+        return np.asarray(NonlinearOperator.__call__(self, u))
 
     def tangent(self, u: ArrayLike) -> sp.csr_array:
         """∂(L u)/∂u at a field [N, 2], without clipping: sparse, shape [2 I, 2 N] (N5)."""
