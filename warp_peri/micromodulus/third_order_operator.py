@@ -171,7 +171,7 @@ class PlacedCrystal(PlacedThirdOrder):
         def solved(right: np.ndarray) -> np.ndarray:
             b = nothing.copy()
             b[inside] = right
-            return solve(self.straight, b, nothing, tolerance=tolerance)[0][inside]
+            return np.asarray(solve(self.straight, b, nothing, tolerance=tolerance)[0][inside])
 
         return solved
 
