@@ -18,6 +18,10 @@ from warp_peri.points.unit_names import Units
 
 READERS = {
     "warp_peri.model": ("models.nonlinear", "load_any"),
+    "warp_peri.third_order_crystal": (
+        "micromodulus.third_order",
+        "load_third_order_crystal",
+    ),
     "warp_peri.brittle_solid": ("damage.solid", "load_brittle_solid"),
     "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
     "warp_peri.micromodulus": ("micromodulus.law", "load_crystal"),

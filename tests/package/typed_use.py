@@ -133,7 +133,8 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
         warnings.simplefilter("ignore")  # a linear law made the data
         kernel = warp_peri.Bernstein(1, two_functions=True)
         fit = warp_peri.fit(train, warp_peri.ThirdOrder(warp_peri.LPS(HORIZON, kernel)))
-    model = assert_type(assert_type(fit, NonlinearFit).material, NonlinearModel)
+    learned: NonlinearFit = fit
+    model = assert_type(learned.material, NonlinearModel)
     assert_type(methods.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
     figures = assert_type(proofs.uniqueness(model, spacing=SPACING), proofs.Uniqueness)
     assert_type(figures.strain, float)

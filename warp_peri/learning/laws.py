@@ -8,10 +8,13 @@ from typing import Any, overload
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
+from warp_peri.learning.crystals import third_order
 from warp_peri.learning.fit import learn, learn_third_order
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit
 from warp_peri.learning.result import Fit
+from warp_peri.micromodulus.laws import Micromodulus
+from warp_peri.micromodulus.third_order_learning import ThirdOrderFit
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
@@ -64,14 +67,18 @@ class ThirdOrder:
     Attributes:
         linear: the linear solid, learned with them: by Optimum, of Bernstein polynomials, on
             lattices of one spacing. Moduli held isotropic, two influence functions and normalised
-            samples are the better choice.
-        smoothing: of the data, for the filtered form; None learns the energy form.
+            samples are the better choice. Or Micromodulus(…), whose tensors are learned with the
+            constants by one least squares (N22–N29).
+        smoothing: of the data, for the filtered form; None learns the energy form. Tensors need it
+            in both forms.
+        form: "filtered" or "energy"; "auto" is the filtered one where a smoothing is given.
 
     The direction of the crystal is stated by the samples' points (Points.axis).
     """
 
-    linear: LPS
+    linear: LPS | Micromodulus
     smoothing: Smoothing | None = None
+    form: str = "auto"
 
     def learn(
         self,
@@ -79,8 +86,21 @@ class ThirdOrder:
         *,
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
-    ) -> NonlinearFit:
-        """The fit; arguments and errors as for learning.fit.learn."""
+    ) -> NonlinearFit | ThirdOrderFit:
+        """The fit; arguments and errors as for learning.fit.learn, of tensors as for
+        micromodulus.third_order_learning.fit_third_order."""
+        filtered = self.smoothing is not None
+        form = ("filtered" if filtered else "energy") if self.form == "auto" else self.form
+        if form not in ("filtered", "energy"):
+            raise InputError(f"form: expected 'auto', 'filtered' or 'energy', got {form!r:.50}")
+        if isinstance(self.linear, Micromodulus):
+            if noise:
+                raise InputError("noise: expected none for micromodulus tensors")
+            return third_order(samples, self.linear, self.smoothing, form)  # type: ignore[arg-type]
+        if filtered != (form == "filtered"):
+            raise InputError(
+                "form: of an LPS the filtered form has a smoothing, and the energy form has none"
+            )
         three = Nonlinear(self.smoothing)
         options = vars(self.linear) | {"noise": noise, "progress": progress}
         return learn_third_order(samples, three, **options)
@@ -89,7 +109,7 @@ class ThirdOrder:
 @overload
 def fit(samples: Sets, law: LPS, **options: Any) -> Fit: ...
 @overload
-def fit(samples: Sets, law: ThirdOrder, **options: Any) -> NonlinearFit: ...
+def fit(samples: Sets, law: ThirdOrder, **options: Any) -> Any: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, *were: Any, **options: Any) -> Any:

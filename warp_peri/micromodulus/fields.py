@@ -65,7 +65,9 @@ def _features(u: np.ndarray, nodes: Nodes, bonds: Family) -> np.ndarray:
     return F[:, order]
 
 
-def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+def long_wave_moduli(
+    samples: Samples, allowed: np.ndarray, forces: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
     """The elastic tensor that the longest waves of fields have (theory.md, T10).
 
     Smooth test fields v that end before the nodes do see of a solid only its moduli:
@@ -75,6 +77,8 @@ def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray,
     Args:
         samples: fields and loads on a lattice, periodic or with a collar.
         allowed: elastic tensors along the nodes' axes that may be mixed, [m, d, d, d, d].
+        forces: at the interior nodes, along the nodes' axes, that are part of the load: the first m
+            beside each of those tensors, others with constants of their own, [S, I, d, m + …].
 
     Returns:
         the tensor [d, d, d, d], and the relative residual of the equations.
@@ -88,14 +92,23 @@ def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray,
     moments = np.einsum("vnjl,sni->svijl", slopes, u, optimize=True)
     R = -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
     y = np.einsum("vn,snk->svk", values, b, optimize=True)
-    R, y = R.reshape(-1, len(allowed)), y.ravel()
-    if np.linalg.matrix_rank(R, tol=1e-6 * np.linalg.norm(R, 2)) < len(allowed):
+    m = len(allowed)
+    if forces is not None:
+        place = np.cumsum(samples.interior) - 1
+        more = np.einsum("vn,snka->svka", values, forces[:, place[kept]], optimize=True)
+        R = np.concatenate([R + more[..., :m], more[..., m:]], axis=-1)
+    R, y = R.reshape(-1, R.shape[-1]), y.ravel()
+    size = np.linalg.norm(R, axis=0)
+    R = R / np.where(size > 0, size, 1)
+    if np.linalg.matrix_rank(R, tol=1e-6 * np.linalg.norm(R, 2)) < R.shape[1]:
         raise InputError(
-            f"moduli: the long waves of these loads do not tell {len(allowed)} constants apart; "
+            f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"
         )
     c = np.linalg.lstsq(R, y, rcond=None)[0]
-    return np.tensordot(c, allowed, 1), float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
+    return np.tensordot(c[:m] / size[:m], allowed, 1), float(
+        np.linalg.norm(R @ c - y) / np.linalg.norm(y)
+    )
 
 
 def _test_fields(samples: Samples, grid: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -59,6 +59,11 @@ class Smoothing:
         smooth = self.transform(k)
         return (1 + self.ridge) * smooth / (smooth**2 + self.ridge)
 
+    def root(self, k: np.ndarray) -> np.ndarray:
+        """√((1 + ρ) ω̂²/(ω̂² + ρ)), what the inverse and the transform make together (N23)."""
+        square = self.transform(k) ** 2
+        return np.asarray(np.sqrt((1 + self.ridge) * square / (square + self.ridge)))
+
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C].
 

@@ -85,6 +85,17 @@ def uniqueness(model: NonlinearModel, *, spacing: float) -> Uniqueness:
     p_in, p_out = model.weights(classes)
     kappa_out = proven_kappa(classes, *stiff, p_out)
     kappa_in = kappa_out if p_in is p_out else proven_kappa(classes, *stiff, p_in)
+    return uniqueness_of(model, spacing, kappa_in, kappa_out)
+
+
+def uniqueness_of(model: Any, spacing: float, kappa_in: float, kappa_out: float) -> Uniqueness:
+    """The largest |H| that proven bounds of κ [TPa^(−1/2)] leave unique (N15).
+
+    Args:
+        model: with the `numbers` and `units` of a NonlinearModel.
+        spacing: h [Å].
+        kappa_in, kappa_out: infinite where none was proven.
+    """
     parts = largest_parts(model)
     strain = 0.0
     if np.isfinite(kappa_in * kappa_out):
@@ -103,7 +114,7 @@ def curvature_bound(parts: Sequence[float], strain: float) -> float:
     return float(sum(d * (d - 1) * m * strain ** (d - 2) for d, m in enumerate(parts, start=3)))
 
 
-def largest_parts(model: NonlinearModel) -> list[float]:
+def largest_parts(model: Any) -> list[float]:
     """M_d ≥ max |Ψ_d| over |H| = 1 of the parts of degree d = 3, 4, 5, 6 of Ψ [TPa], (N17).
 
     Ψ_d depends on t, |q|, ω and, through q3, on the phase of q, which is put where it is worst. A
@@ -120,19 +131,20 @@ def largest_parts(model: NonlinearModel) -> list[float]:
     e = np.stack([zero, t, t**2 / 4 + w**2 + q**2])
     m = np.stack([zero + 1, t, t**2 / 4 + w**2])
     s = _product(np.stack([zero, zero, q**2]), m)
-    square, lam, mu = _product(e, e), model.linear.lam, model.linear.mu
+    square = _product(e, e)
+    lam, mu, t3, tq2, q3, _ = model.numbers
     terms = [
         (lam + mu, square / 2),
         (2 * mu, s),
-        (model.t3, _product(e, square)),
-        (model.tq2, _product(e, s)),
+        (t3, _product(e, square)),
+        (tq2, _product(e, s)),
     ]
     parts = []
     size = np.hypot(t / 2, w)
     for d in range(3, 7):
         smooth = sum(factor * term[d] for factor, term in terms if len(term) > d)
         binomial = (1, 3, 3, 1)[d - 3]
-        worst = np.abs(smooth) + abs(model.q3) * binomial * q**3 * size ** (d - 3)
+        worst = np.abs(smooth) + abs(q3) * binomial * q**3 * size ** (d - 3)
         parts.append(float(worst.max() / np.cos(d * reach)))
     return parts
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -106,6 +105,16 @@ class PlacedThirdOrder(NonlinearOperator):
             warnings.filterwarnings("ignore", message="spacing: the model is certified")
             return NodeOperator(self.model.linear, self.points, allow_uncertified=True)
 
+    def clipped(self, radius: float) -> NonlinearOperator:
+        """The same with stresses of gradients clipped to a radius (N10)."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="spacing: the model is certified")
+            return NonlinearOperator(self.model, self.points, radius=radius, allow_uncertified=True)
+
+    def inverse(self, tolerance: float) -> Callable[[np.ndarray], np.ndarray]:
+        """L_LPS⁻¹ of a load on the interior; as linear_solver."""
+        return linear_solver(self, self.points, tolerance)
+
     def figures(self, solution: Solution) -> dict[str, Any]:
         """What solves took, and whether their answers are the only ones, for `evaluate`."""
         records = solution.details
@@ -194,9 +203,8 @@ class _Solver:
     def __init__(self, operator: PlacedThirdOrder, points: PointsLike, tolerance: float) -> None:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
-        self.linear = linear_solver(operator, points, LINEAR_SHARE * tolerance)
-        self.clipped = copy(operator)
-        self.clipped.radius = self.proven
+        self.linear = operator.inverse(LINEAR_SHARE * tolerance)
+        self.clipped = operator.clipped(self.proven)
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.
@@ -334,10 +342,10 @@ def linear_solver(
 
     Raises InputError for a linear part that is not positive definite.
     """
-    nodes = on_nominal_lattice(operator.model.linear, points)
-    if np.count_nonzero(nodes.interior) <= DIRECT:
+    if np.count_nonzero(points.interior) <= DIRECT:
         factors = splu(sp.csc_array(_unknown_columns(operator, operator.tangent(0 * points.x))))
         return lambda right: factors.solve(right.ravel()).reshape(-1, 2)
+    nodes = on_nominal_lattice(operator.model.linear, points)
     where = domain(nodes, operator.model.horizon, device=torch.device("cpu"))
     with torch.no_grad():
         A = stencil(where.classes, operator.model.linear.solid)
