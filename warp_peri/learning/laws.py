@@ -8,13 +8,10 @@ from typing import Any, overload
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
-from warp_peri.learning.crystals import third_order
 from warp_peri.learning.fit import learn, learn_third_order
 from warp_peri.learning.methods import Bernstein, Kernel, Method
-from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit
+from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
-from warp_peri.micromodulus.laws import Micromodulus
-from warp_peri.micromodulus.third_order_learning import ThirdOrderFit
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
@@ -76,7 +73,7 @@ class ThirdOrder:
     The direction of the crystal is stated by the samples' points (Points.axis).
     """
 
-    linear: LPS | Micromodulus
+    linear: Any
     smoothing: Smoothing | None = None
     form: str = "auto"
 
@@ -86,17 +83,17 @@ class ThirdOrder:
         *,
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
-    ) -> NonlinearFit | ThirdOrderFit:
+    ) -> Any:
         """The fit; arguments and errors as for learning.fit.learn, of tensors as for
         micromodulus.third_order_learning.fit_third_order."""
         filtered = self.smoothing is not None
         form = ("filtered" if filtered else "energy") if self.form == "auto" else self.form
         if form not in ("filtered", "energy"):
             raise InputError(f"form: expected 'auto', 'filtered' or 'energy', got {form!r:.50}")
-        if isinstance(self.linear, Micromodulus):
+        if hasattr(self.linear, "third_order"):  # micromodulus tensors
             if noise:
                 raise InputError("noise: expected none for micromodulus tensors")
-            return third_order(samples, self.linear, self.smoothing, form)  # type: ignore[arg-type]
+            return self.linear.third_order(samples, self.smoothing, form)
         if filtered != (form == "filtered"):
             raise InputError(
                 "form: of an LPS the filtered form has a smoothing, and the energy form has none"

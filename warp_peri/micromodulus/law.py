@@ -287,7 +287,8 @@ class Crystal:
 
     def _check_axis(self, nodes: Points) -> None:
         """Raise InputError where points state another direction of the crystal than the law's."""
-        if nodes.axis is None or self.dimension != 2:
+        isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
+        if nodes.axis is None or self.dimension != 2 or isotropic:
             return
         there = node_steps(nodes)[1].T @ checked_orientation(nodes.axis, 2)
         same = np.asarray(self.orientation) @ point_group(self.symmetry, 2)

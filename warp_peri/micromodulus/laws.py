@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
+from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
+from warp_peri.micromodulus.third_order_learning import ThirdOrderFit, fit_third_order
+from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
@@ -51,9 +55,55 @@ class Micromodulus:
     moduli: Any = "long waves"
     normalise: bool = False
 
-    def learn(self, samples: Samples | Dataset) -> CrystalFit:
-        """The fit; errors as of learning.fit."""
-        sets = samples.obvious("train") if isinstance(samples, Dataset) else samples
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> CrystalFit:
+        """The fit; errors as of learning.fit. It is one least squares, with no progress to show."""
+        sets = one_set(samples)
         stated = sets.axis if self.orientation is None else self.orientation
         material = fit(sets, **(vars(self) | {"orientation": stated}))
         return CrystalFit(material, dict(material.provenance["fit"]))
+
+    def third_order(
+        self, samples: Samples | Dataset, smoothing: Smoothing | None, form: str
+    ) -> ThirdOrderFit:
+        """Tensors and third-order constants at once; errors as of fit_third_order.
+
+        "auto" is "isotropic" here. A UserWarning says where training data reach beyond the proven
+        strain.
+        """
+        if not isinstance(smoothing, Smoothing):
+            raise InputError(
+                f"smoothing: expected Smoothing(…) beside such tensors, got {smoothing!r:.60}"
+            )
+        if self.moduli is None:
+            raise InputError("moduli: expected some that are held, beside third-order constants")
+        auto = isinstance(self.symmetry, str) and self.symmetry == "auto"
+        found = fit_third_order(
+            one_set(samples),
+            self.horizon,
+            smoothing,
+            form=form,
+            symmetry="isotropic" if auto else self.symmetry,
+            orientation=self.orientation,
+            moduli=self.moduli,
+        )
+        proven = found.material.proven_strain(found.material.spacing)
+        if found.largest_gradient > proven:
+            warnings.warn(
+                f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
+                f"reach {found.largest_gradient:.2%}; a larger ridge of the smoothing than "
+                f"{smoothing.ridge:g} may prove more",
+                stacklevel=5,
+            )
+        return found
+
+
+def one_set(samples: Any) -> Samples:
+    """The samples of one set; of a Dataset `train`, or its only set."""
+    if isinstance(samples, (list, tuple)) and len(samples) != 1:
+        raise InputError(f"samples: expected one set for micromodulus tensors, got {len(samples)}")
+    given = samples[0] if isinstance(samples, (list, tuple)) else samples
+    if isinstance(given, Dataset):
+        return given.obvious("train")
+    if not isinstance(given, Samples):
+        raise InputError(f"samples: expected Samples, got {type(given).__name__}")
+    return given

@@ -142,11 +142,11 @@ class PlacedCrystal(PlacedThirdOrder):
         self._matrices = None
 
     @cached_property
-    def straight(self) -> Operator:
+    def straight(self) -> Operator:  # type: ignore[override]
         """The tensors alone."""
         return self.model.linear.on(self.points)  # type: ignore[no-any-return]
 
-    def __call__(self, u: np.ndarray) -> np.ndarray:
+    def __call__(self, u: np.ndarray) -> np.ndarray:  # type: ignore[override]
         """L u, minus the internal force density [stress/length], at the interior nodes."""
         if isinstance(u, torch.Tensor):
             raise InputError("u: a third-order crystal takes NumPy arrays, got a torch tensor")
