@@ -101,3 +101,13 @@ def test_a_uniform_orthotropic_sheet_is_anisotropic_and_not_heterogeneous():
 
 def test_nothing_is_advised_where_little_is_left(samples):
     assert diagnose(MODEL, samples).advice == ""
+
+
+@pytest.mark.parametrize(("few", "many"), [("invariant", "quadratic"), ("constants", "pairs")])
+def test_the_few_features_of_a_cause_are_sums_of_its_many(samples, few, many):
+    grid = _Grid(samples, HORIZON)
+    asked, rows = getattr(grid, few)(EVERY).reshape(-1, 6), getattr(grid, many)(EVERY)
+    rows = rows.reshape(-1, rows.shape[-1])
+    left = asked - rows @ np.linalg.lstsq(rows, asked, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9 * np.abs(asked).max()
+    assert np.linalg.matrix_rank(asked) == 6
