@@ -283,7 +283,8 @@ class _Grid:
 
         With H = ∇u and its strain e, those of the two Lamé parameters under rotation, of the
         energies (tr e)³ and tr e tr e², and of the real and imaginary part of
-        (e₁₁ − e₂₂ + 2i e₁₂)³, which has the six-fold axis at any angle.
+        (e₁₁ − e₂₂ + 2i e₁₂)³, which has the six-fold axis at any angle. Five are independent: by
+        Cayley and Hamilton the second is a sum of the first, the third and the fourth.
         """
         gradient = self.gradient(some)
         H = gradient.reshape(*gradient.shape[:-1], 2, 2).swapaxes(-1, -2)
