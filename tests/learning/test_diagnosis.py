@@ -101,3 +101,17 @@ def test_a_uniform_orthotropic_sheet_is_anisotropic_and_not_heterogeneous():
 
 def test_nothing_is_advised_where_little_is_left(samples):
     assert diagnose(MODEL, samples).advice == ""
+
+
+@pytest.mark.parametrize(
+    ("few", "many", "first", "rank"),
+    [("invariant", "quadratic", 2, 5), ("constants", "pairs", 0, 6)],
+)
+def test_the_few_features_of_a_cause_are_sums_of_its_many(samples, few, many, first, rank):
+    """But for the first two invariants, whose stresses are not symmetric."""
+    grid = _Grid(samples, HORIZON)
+    asked, rows = getattr(grid, few)(EVERY).reshape(-1, 6), getattr(grid, many)(EVERY)
+    assert np.linalg.matrix_rank(asked) == rank
+    asked, rows = asked[:, first:], rows.reshape(-1, rows.shape[-1])
+    left = asked - rows @ np.linalg.lstsq(rows, asked, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9 * np.abs(asked).max()

@@ -1,7 +1,9 @@
 """What is left after a fit, and why: dispersion, anisotropy, nonlinearity, heterogeneity or noise.
 
-Richer models are fitted to the residual one after the other on one half of the samples and judged
-on the other half, so that what they explain is there, and not what they have coefficients for.
+Richer models are fitted to the residual one after the other and judged on samples that were left
+out of the fit, so that what they explain is there, and not what they have coefficients for. Two
+things are picked on the samples that judge, for all of them at once: which ridge, of ten, and which
+of two sets of features.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 
 LEAST_SAMPLES = 8
+FOLDS = 6
+"""Parts of the samples; each is judged by coefficients from all others."""
 RIDGE = 1e-2
 """Of the fits at single nodes, relative to the sum of their squared features."""
 RIDGES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-6, 1e-8)
@@ -129,38 +133,42 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
 def _levels(grid: _Grid, left: np.ndarray) -> dict[str, float]:
     """‖residual‖² after each cause is taken off, one after the other; none makes it larger.
 
-    Coefficients come from one half of the samples, the numbers from the other, and once more with
-    the halves exchanged.
+    It is the sum over parts of the samples, each with coefficients from all others; the ridge and
+    the set of features of a cause are those with the least sum. Nonlinearity comes first: a linear
+    solid's forces change sign with u, so products of gradients take nothing of it, while bonds of
+    their own follow a few nonlinear samples. Anisotropy comes with bonds by class, in which it is
+    seen among what differs from place to place.
     """
+    every = np.arange(len(left))
     order = np.random.default_rng(0).permutation(len(left))
-    first, second = np.sort(order[::2]), np.sort(order[1::2])
+    parts = [np.sort(order[k::FOLDS]) for k in range(FOLDS)]
+    best = [left.copy() for _ in parts]  # of all samples, by the coefficients of each part
     levels: dict[str, float] = {}
-    for fitted, judged in ((first, second), (second, first)):
-        best = left[fitted], left[judged]
-        base: tuple[Feature, ...] = ()
-        for name, features in (
-            ("dispersion", (grid.orbits,)),
-            ("anisotropy", (grid.pairs,)),
-            ("nonlinearity", (grid.quadratic,)),
-        ):
-            asked = features if name != "nonlinearity" else (*base, *features)
-            rows, others = (
-                np.concatenate([features(some) for features in asked], axis=-1)
-                for some in (fitted, judged)
-            )
-            tried = min(
-                (
-                    (left[fitted] - rows @ c, left[judged] - others @ c)
-                    for c in _ridges(rows, left[fitted])
-                ),
-                key=lambda fields: float((fields[1] ** 2).sum()),
-            )
-            if (tried[1] ** 2).sum() < (best[1] ** 2).sum():
-                best, base = tried, asked
-            levels[name] = levels.get(name, 0.0) + float((best[1] ** 2).sum())
-        local = best[1] - grid.predicted(best[0], fitted, judged)
-        lowest = min(float((fit**2).sum()) for fit in (local, best[1]))
-        levels["heterogeneity"] = levels.get("heterogeneity", 0.0) + lowest
+
+    def judged(fields: list[np.ndarray]) -> float:
+        return sum(float((field[part] ** 2).sum()) for field, part in zip(fields, parts))
+
+    causes: tuple[tuple[str, tuple[tuple[Feature, ...], ...]], ...] = (
+        ("nonlinearity", ((grid.invariant,), (grid.quadratic,))),
+        ("dispersion", ((grid.orbits,),)),
+        ("anisotropy", ((grid.constants, grid.orbits), (grid.pairs,))),
+    )
+    for name, sets in causes:
+        tried = [best]
+        for features in sets:
+            rows = np.concatenate([feature(every) for feature in features], axis=-1)
+            ridges = [
+                _ridges(np.delete(rows, part, axis=0), np.delete(field, part, axis=0))
+                for part, field in zip(parts, best)
+            ]
+            tried += [[field - rows @ c for field, c in zip(best, same)] for same in zip(*ridges)]
+        best = min(tried, key=judged)
+        levels[name] = judged(best)
+    local = [field.copy() for field in best]
+    for part, field in zip(parts, local):
+        fitted = np.setdiff1d(every, part)
+        field[part] -= grid.predicted(field[fitted], fitted, part)
+    levels["heterogeneity"] = min(judged(local), judged(best))
     return levels
 
 
@@ -169,8 +177,8 @@ def _ridges(rows: np.ndarray, left: np.ndarray) -> list[np.ndarray]:
 
     Second differences of smooth fields are nearly the same for all bonds: without a ridge their
     coefficients blow up what is no part of the cause, and on other samples explain less than
-    nothing. Which of the few ridges is best is seen on those other samples: one number, which has
-    no room to fit what is not there.
+    nothing. Which of the few ridges is best is seen on those other samples: one number for all of
+    them, which has little room to fit what is not there.
 
     Args:
         rows: features, shape [S, I, 2, F]; they are scaled to one size.
@@ -248,12 +256,7 @@ class _Grid:
         gradient = self.gradient(some)
         i, j = np.triu_indices(4)
         stress = gradient[..., i] * gradient[..., j]
-        slopes = [
-            ((np.roll(stress, -1, axis) - np.roll(stress, 1, axis)) / (2 * self.h))[
-                :, self.place[:, 0], self.place[:, 1]
-            ]
-            for axis in (1, 2)
-        ]
+        slopes = [self.slope(stress, axis) for axis in (1, 2)]
         zero = np.zeros_like(slopes[0])
         columns = [
             np.stack([slopes[0], zero], axis=2),
@@ -261,6 +264,60 @@ class _Grid:
             np.stack([slopes[1], slopes[0]], axis=2),
         ]
         return np.concatenate(columns, axis=-1)
+
+    def constants(self, some: np.ndarray) -> np.ndarray:
+        """Forces of the six constants of a sheet without symmetry, [S, I, 2, 6]."""
+        a, c = (self.second(some, np.array(step)) for step in ((1, 0), (0, 1)))
+        d = self.second(some, np.array((1, 1))) - self.second(some, np.array((1, -1)))
+        d = d / 4  # ∂₁∂₂ u h²
+        zero, one, two = np.zeros_like(a[..., 0]), 0, 1
+        forces = (
+            (a[..., one], zero),
+            (zero, c[..., two]),
+            (d[..., two], d[..., one]),
+            (c[..., one] + d[..., two], d[..., one] + a[..., two]),
+            (2 * d[..., one] + a[..., two], a[..., one]),
+            (c[..., two], c[..., one] + 2 * d[..., two]),
+        )
+        return np.stack([np.stack(force, axis=-1) for force in forces], axis=-1)
+
+    def invariant(self, some: np.ndarray) -> np.ndarray:
+        """Divergences of the second-order stresses of a hexagonal sheet: [S, I, 2, 6].
+
+        With H = ∇u and its strain e, those of the two Lamé parameters under rotation, of the
+        energies (tr e)³ and tr e tr e², and of the real and imaginary part of
+        (e₁₁ − e₂₂ + 2i e₁₂)³, which has the six-fold axis at any angle. Five are independent: by
+        Cayley and Hamilton the second is a sum of the first, the third and the fourth.
+        """
+        gradient = self.gradient(some)
+        H = gradient.reshape(*gradient.shape[:-1], 2, 2).swapaxes(-1, -2)
+        e, unit = (H + H.swapaxes(-1, -2)) / 2, np.eye(2)
+        turned = H.swapaxes(-1, -2) @ H
+        trace, of_turned, of_square = (
+            np.trace(of, axis1=-2, axis2=-1)[..., None, None] for of in (e, turned, e @ e)
+        )
+        square = (e[..., 0, 0] - e[..., 1, 1] + 2j * e[..., 0, 1]) ** 2
+        spin = [
+            np.stack([p, q, q, -p], axis=-1).reshape(H.shape)
+            for p, q in ((square.real, -square.imag), (square.imag, square.real))
+        ]
+        stresses = (
+            of_turned / 2 * unit + trace * H,
+            turned + 2 * H @ e,
+            trace**2 * unit,
+            of_square * unit + 2 * trace * e,
+            *spin,
+        )
+        forces = [
+            self.slope(stress[..., 0], 1) + self.slope(stress[..., 1], 2) for stress in stresses
+        ]
+        return np.stack(forces, axis=-1)
+
+    def slope(self, field: np.ndarray, axis: int) -> np.ndarray:
+        """Derivative of a field [S, n₁, n₂, …] along an axis at the interior nodes [S, I, …]."""
+        by_steps = (np.roll(field, -1, axis) - np.roll(field, 1, axis)) / (2 * self.h)
+        at_nodes: np.ndarray = by_steps[:, self.place[:, 0], self.place[:, 1]]
+        return at_nodes
 
     def local(self, some: np.ndarray) -> np.ndarray:
         """Strains and second differences around each node, shape [S, I, 11]."""
@@ -274,7 +331,7 @@ class _Grid:
         return np.concatenate([strain, *seconds], axis=-1)
 
     def predicted(self, left: np.ndarray, fitted: np.ndarray, judged: np.ndarray) -> np.ndarray:
-        """What coefficients that differ from node to node say of the other half's residual."""
+        """What coefficients that differ from node to node say of the residual of other samples."""
         rows, asked = self.local(fitted), self.local(judged)
         scale = np.sqrt((rows**2).mean(axis=(0, 1))) + TINY
         rows, asked = rows / scale, asked / scale

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import beta
@@ -17,7 +15,8 @@ RESIDUAL = 1e-10
 DEPENDENT = 1e-12
 """Singular values below this fraction of the largest count as zero."""
 INDEPENDENT = 1e-4
-"""Pivots of the Gram matrix, by their roots, above this fraction of the largest need no SVD."""
+"""Pivots of the Gram matrix, by their roots, above this fraction of the largest need no SVD, which
+takes a hundred times as long."""
 
 
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
@@ -60,10 +59,7 @@ def family_weights(
     Returns:
         W [Å²], shape [F, B], and the largest relative residual of each family's conditions, [F].
     """
-    if not (isinstance(degree, (int, np.integer)) and degree >= SINGULARITY - 1):
-        raise InputError(f"quadrature degree: expected a whole number ≥ 2, got {degree!r}")
-    powers = [(p - b, b) for p in range(SINGULARITY - 1, degree + 1) for b in range(p + 1)]
-    exact = np.array([_ball_integral(a, b) for a, b in powers])
+    powers, exact = conditions(degree)
     xi = xi / horizon
     r = np.hypot(xi[..., 0], xi[..., 1])
     inverse = np.divide(1, r, out=np.zeros_like(r), where=r > 0)
@@ -75,31 +71,23 @@ def family_weights(
     return weights * horizon**2, residual / np.abs(exact).max()
 
 
-def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Solutions of smallest norm of rows · w = exact, rows [F, Q, B], shape [F, B].
+def conditions(degree: int) -> tuple[list[tuple[int, int]], np.ndarray]:
+    """Exponents (a, b) of the Q polynomials, and their integrals over the unit ball, shape [Q].
 
-    By the normal equations, solved a second time for what the first left; by the SVD, which takes
-    ten times as long, where conditions depend on each other, and of one family alone: of a lattice,
-    whose bits are kept.
+    Raises InputError for a degree that is no whole number ≥ 2.
     """
-    weights = np.zeros((len(rows), rows.shape[2]))
-    sound = np.zeros(len(rows), bool)
-    if len(rows) > 1:
-        gram = rows @ rows.swapaxes(1, 2)
-        with contextlib.suppress(np.linalg.LinAlgError):
-            pivots = np.diagonal(np.linalg.cholesky(gram), axis1=1, axis2=2)
-            sound = pivots.min(axis=1) > INDEPENDENT * pivots.max(axis=1)
-        kept = slice(None) if sound.all() else sound
-        some, gram, sums = rows[kept], gram[kept], weights[kept]
-        for _ in range(2):
-            left = exact[:, None] - some @ sums[..., None]
-            sums += (np.linalg.solve(gram, left).swapaxes(1, 2) @ some)[:, 0]
-        weights[kept] = sums
-    if not sound.all():
-        left, size, right = np.linalg.svd(rows[~sound], full_matrices=False)
-        large = size > DEPENDENT * size[:, :1]
-        components = np.divide(exact @ left, size, out=np.zeros_like(size), where=large)
-        weights[~sound] = np.einsum("fk,fkb->fb", components, right)
+    if not (isinstance(degree, (int, np.integer)) and degree >= SINGULARITY - 1):
+        raise InputError(f"quadrature degree: expected a whole number ≥ 2, got {degree!r}")
+    powers = [(p - b, b) for p in range(SINGULARITY - 1, degree + 1) for b in range(p + 1)]
+    return powers, np.array([_ball_integral(a, b) for a, b in powers])
+
+
+def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Solutions of smallest norm of rows · w = exact, rows [F, Q, B], shape [F, B], by the SVD."""
+    left, size, right = np.linalg.svd(rows, full_matrices=False)
+    large = size > DEPENDENT * size[:, :1]
+    components = np.divide(exact @ left, size, out=np.zeros_like(size), where=large)
+    weights: np.ndarray = np.einsum("fk,fkb->fb", components, right)
     return weights
 
 

@@ -1,4 +1,4 @@
-"""Families of any points: neighbours by a cell list in Warp, weights in batches."""
+"""Families of any points: neighbours by a cell list, weights family by family, both in Warp."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from scipy.spatial import ConvexHull, QhullError
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
-from warp_peri.launch import floats, ints, launch, zeros
-from warp_peri.points.quadrature import RESIDUAL, family_weights
+from warp_peri.kernels import quadrature as quadrature_kernels
+from warp_peri.launch import floats, ints, launch, launch_slices, zeros
+from warp_peri.points.quadrature import INDEPENDENT, RESIDUAL, conditions, family_weights
 
 COINCIDENT = 1e-6
 """Points closer than this fraction of the horizon are one point given twice."""
 BATCH_BONDS = 10_000
-"""Bonds whose weights are solved for at once."""
+"""Bonds whose weights are solved for at once by the SVD, where normal equations will not do."""
+FAMILY = 50
+"""How much more than a node's sweep its weights take a thread."""
 
 
 def neighbours(
@@ -138,10 +141,16 @@ def weights(
 
     Raises InputError naming the nodes whose family is too poor.
     """
-    weight = np.zeros(len(neighbour))
-    size = row[nodes + 1] - row[nodes]
-    by_size = nodes[np.argsort(size, kind="stable")]
-    poor = []
+    exact = floats(conditions(degree)[1])
+    period = wp.vec2d(*(box or (0.0, 0.0)))
+    links = (floats(x, wp.vec2d), ints(row), ints(neighbour), period, horizon, INDEPENDENT, exact)
+    found = zeros(len(neighbour)), zeros(len(nodes))
+    kernel = quadrature_kernels.family_weights(int(degree))
+    launch_slices(kernel, len(nodes), (ints(nodes), *links), found, weight=FAMILY)
+    weight, residual = (array.numpy() for array in found)
+    rest, poor = nodes[residual < 0], [nodes[~(residual <= RESIDUAL)]]
+    size = row[rest + 1] - row[rest]
+    by_size = rest[np.argsort(size, kind="stable")]
     first = 0
     while first < len(by_size):
         last = first + max(1, BATCH_BONDS // int(row[by_size[first] + 1] - row[by_size[first]]))
@@ -151,9 +160,9 @@ def weights(
         place = np.arange(some_size.max()) < some_size[:, None]
         padded = np.zeros((*place.shape, 2))
         padded[place] = xi
-        weights, residual = family_weights(padded, horizon, degree=degree)
-        weight[bond] = weights[place]
-        poor.append(some[~(residual <= RESIDUAL)])
+        by_svd, left = family_weights(padded, horizon, degree=degree)
+        weight[bond] = by_svd[place]
+        poor.append(some[~(left <= RESIDUAL)])
     wrong = np.sort(np.concatenate(poor))
     if len(wrong):
         raise InputError(

@@ -1,0 +1,142 @@
+"""Quadrature weights of the families of scattered points, a family a thread (theory.md, 7–8).
+
+W = Qᵀ (Q Qᵀ)⁻¹ c by Cholesky, solved a second time for what the first left, with the rows of Q
+computed anew at each pass over the bonds: they need no memory.
+"""
+
+from functools import cache
+
+import warp as wp
+
+BODY = """
+    const double bx = box.c[0], by = box.c[1], h = horizon;
+    const int count = exact.shape[0];  // unknown to the compiler, which would unroll
+    const int begin = row.data[i], end = row.data[i + 1];
+    double G[COUNT][COUNT] = {}, q[COUNT], c[COUNT], left[COUNT], pull[COUNT];
+    auto features = [&](int e) {
+        double a = x.data[neighbour.data[e]].c[0] - x.data[i].c[0];
+        double b = x.data[neighbour.data[e]].c[1] - x.data[i].c[1];
+        if (bx > 0.0) {
+            a -= rint(a / bx) * bx;
+            b -= rint(b / by) * by;
+        }
+        a /= h;
+        b /= h;
+        const double r = sqrt(a * a + b * b);
+        double pa[DEGREE + 1], pb[DEGREE + 1];
+        pa[0] = 1.0 / (r * r * r);
+        pb[0] = 1.0;
+        for (int p = 1; p <= DEGREE; ++p) {
+            pa[p] = pa[p - 1] * a;
+            pb[p] = pb[p - 1] * b;
+        }
+        for (int p = 2, k = 0; p <= DEGREE; ++p)
+            for (int n = 0; n <= p; ++n)
+                q[k++] = pa[p - n] * pb[n];
+    };
+    double largest = 0.0;
+    for (int k = 0; k < count; ++k) {
+        c[k] = exact.data[k];
+        left[k] = c[k];
+        largest = wp::max(largest, fabs(c[k]));
+    }
+    for (int e = begin; e < end; ++e) {
+        weight.data[e] = 0.0;
+        features(e);
+        for (int m = 0; m < count; ++m)
+            for (int n = 0; n < count; ++n)
+                G[m][n] += q[m] * q[n];
+    }
+    double low = 1e300, high = 0.0;
+    for (int m = 0; m < count; ++m)
+        for (int n = 0; n <= m; ++n) {
+            double sum = G[m][n];
+            for (int k = 0; k < n; ++k)
+                sum -= G[m][k] * G[n][k];
+            if (n < m)
+                G[m][n] = sum / G[n][n];
+            else if (!(sum > 0.0))
+                return -1.0;
+            else {
+                G[m][m] = sqrt(sum);
+                low = wp::min(low, G[m][m]);
+                high = wp::max(high, G[m][m]);
+            }
+        }
+    if (!(low > independent * high))
+        return -1.0;
+    for (int pass = 0; pass < 2; ++pass) {
+        for (int m = 0; m < count; ++m) {
+            pull[m] = left[m];
+            for (int k = 0; k < m; ++k)
+                pull[m] -= G[m][k] * pull[k];
+            pull[m] /= G[m][m];
+        }
+        for (int m = count - 1; m >= 0; --m) {
+            for (int k = m + 1; k < count; ++k)
+                pull[m] -= G[k][m] * pull[k];
+            pull[m] /= G[m][m];
+        }
+        for (int m = 0; m < count; ++m)
+            left[m] = c[m];
+        for (int e = begin; e < end; ++e) {
+            features(e);
+            double w = weight.data[e] / (h * h);
+            for (int m = 0; m < count; ++m)
+                w += q[m] * pull[m];
+            for (int m = 0; m < count; ++m)
+                left[m] -= w * q[m];
+            weight.data[e] = w * h * h;
+        }
+    }
+    double worst = 0.0;
+    for (int m = 0; m < count; ++m)
+        worst = wp::max(worst, fabs(left[m]));
+    return worst / largest;
+"""
+
+
+@cache
+def family_weights(degree: int):
+    """The kernel for polynomials of a degree: weights of some nodes' bonds, and their residuals.
+
+    The residual is −1 where the conditions depend on each other and another method must be taken:
+    where a pivot of the Gram matrix, by its root, is below `independent` of the largest.
+    """
+    count = (degree + 1) * (degree + 2) // 2 - 3
+    body = BODY.replace("COUNT", str(count)).replace("DEGREE", str(degree))
+
+    @wp.func_native(body)
+    def of_family(
+        i: wp.int32,
+        x: wp.array(dtype=wp.vec2d),
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        box: wp.vec2d,
+        horizon: wp.float64,
+        independent: wp.float64,
+        exact: wp.array(dtype=wp.float64),
+        weight: wp.array(dtype=wp.float64),
+    ) -> wp.float64: ...
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def weights(
+        first: wp.int32,
+        nodes: wp.array(dtype=wp.int32),
+        x: wp.array(dtype=wp.vec2d),
+        row: wp.array(dtype=wp.int32),
+        neighbour: wp.array(dtype=wp.int32),
+        box: wp.vec2d,
+        horizon: wp.float64,
+        independent: wp.float64,
+        exact: wp.array(dtype=wp.float64),
+        weight: wp.array(dtype=wp.float64),
+        residual: wp.array(dtype=wp.float64),
+    ):
+        """Weights of the bonds of one node, and the residual of its conditions."""
+        t = first + wp.tid()
+        residual[t] = of_family(
+            nodes[t], x, row, neighbour, box, horizon, independent, exact, weight
+        )
+
+    return weights
