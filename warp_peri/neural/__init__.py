@@ -1,0 +1,1 @@
+"""The peridynamic neural operator: influence and scalar force state as networks."""
