@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import LinearOperator, gmres, splu
+from scipy.sparse.linalg import LinearOperator, SuperLU, gmres, splu
 
 from warp_peri.errors import InputError
 from warp_peri.neural.matrix import matrix
@@ -18,8 +18,8 @@ TOLERANCE = 1e-8
 MOST_STEPS, MOST_HALVINGS = 40, 12
 MOST_PRODUCTS = 40
 """Of a linear solve, before the tangent is factorised anew."""
-FORCING = 1e-3
-"""Relative residual of linear solves."""
+FORCING, ADJOINT = 1e-3, 1e-8
+"""Relative residuals of the linear solves of a step, and of an adjoint."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Found:
 class Equilibrium:
     """Newton's method for one operator: the tangent at rest is factorised once, for all loads.
 
-    Linear solves are GMRES on the tangent's products, which is not symmetric in general, before the
-    last factors.
+    Linear solves are GMRES on the products of the tangent, which is not symmetric in general, with
+    the last factors before them. The material's numbers may change meanwhile.
     """
 
     def __init__(self, placed: Placed) -> None:
@@ -56,7 +56,7 @@ class Equilibrium:
     def _shape(self) -> tuple[int, int]:
         return len(self.placed.points.x), 2
 
-    def _factors(self, tangent: Tangent) -> object:
+    def _factors(self, tangent: Tangent) -> SuperLU:
         """LU of the tangent's rows and columns of the interior."""
         return splu(matrix(tangent)[:, self.unknown].tocsc())
 
@@ -85,7 +85,8 @@ class Equilibrium:
         left = self.placed(field) - load
         size, steps = float(np.linalg.norm(left)) / scale, 0
         while size > tolerance and steps < most:
-            move = self._move(field, left)
+            tangent = self.placed.tangent(torch.as_tensor(field, dtype=self.placed.dtype))
+            move = self._solved(tangent, -left, FORCING, "N")
             best = self._along(field, move, load, scale, size)
             if best is None:
                 break
@@ -93,25 +94,43 @@ class Equilibrium:
             steps += 1
         return Found(field, size, steps, size <= tolerance)
 
-    def _move(self, field: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """−J⁻¹ left on the interior; the factors are renewed where they have become poor."""
-        placed, rows = self.placed, self.placed.bonds.rows
-        tangent = placed.tangent(torch.as_tensor(field, dtype=placed.dtype))
+    def gradient(self, u: torch.Tensor, by_u: torch.Tensor) -> None:
+        """Add to the gradients of the material's numbers those of a loss of an equilibrium, (P9).
+
+        Args:
+            u: the equilibrium [length], shape [N, 2].
+            by_u: derivative of the loss to u on the interior, shape [I, 2].
+
+        What it takes in time and memory does not depend on how the equilibrium was found.
+        """
+        placed = self.placed
+        tangent = placed.tangent(u)
+        multiplier = self._solved(tangent, by_u.detach().double().numpy(), ADJOINT, "T")
+        weight = torch.as_tensor(multiplier, dtype=u.dtype)
+        (-(placed(u.detach()) * weight).sum()).backward()  # type: ignore[no-untyped-call]
+
+    def _solved(
+        self, tangent: Tangent, right: np.ndarray, tolerance: float, side: str
+    ) -> np.ndarray:
+        """J⁻¹ or J⁻ᵗ ("T") of a field of the interior; poor factors are renewed."""
+        placed, rows, count = self.placed, self.placed.bonds.rows, right.size
 
         def product(v: np.ndarray) -> np.ndarray:
-            wide = torch.zeros(self._shape, dtype=placed.dtype)
-            wide[rows] = torch.as_tensor(v.reshape(-1, 2), dtype=placed.dtype)
-            return tangent(wide).double().numpy().ravel()
+            inner = torch.as_tensor(v.reshape(-1, 2), dtype=placed.dtype)
+            if side == "T":
+                return tangent.transposed(inner)[rows].double().numpy().ravel()
+            return tangent(placed.bonds.on_every(inner[None])[0]).double().numpy().ravel()
 
-        count = 2 * len(rows)
-        J = LinearOperator((count, count), matvec=product, dtype=float)
-        before = LinearOperator((count, count), matvec=self.factors.solve, dtype=float)  # type: ignore[attr-defined]
-        asked = {"rtol": FORCING, "restart": MOST_PRODUCTS, "maxiter": 1}
-        answer, failed = gmres(J, -left.ravel(), M=before, **asked)
+        def before(v: np.ndarray) -> np.ndarray:
+            return self.factors.solve(v, trans=side)  # type: ignore[no-any-return]
+
+        J, M = (LinearOperator(2 * (count,), matvec=part, dtype=float) for part in (product, before))
+        asked = {"rtol": tolerance, "restart": MOST_PRODUCTS, "maxiter": 1}
+        answer, failed = gmres(J, right.ravel(), M=M, **asked)
         if failed:
             self.factors = self._factors(tangent)
-            answer = self.factors.solve(-left.ravel())  # type: ignore[attr-defined]
-        return answer.reshape(-1, 2)  # type: ignore[no-any-return]
+            answer = before(right.ravel())
+        return np.asarray(answer).reshape(-1, 2)
 
     def _along(
         self, field: np.ndarray, move: np.ndarray, load: np.ndarray, scale: float, size: float
@@ -127,21 +146,3 @@ class Equilibrium:
                 return there, left, new
             share /= 2
         return None
-
-
-def implicit_gradient(placed: Placed, u: torch.Tensor, by_u: torch.Tensor) -> None:
-    """Add to the gradients of the material's numbers those of a loss of the equilibrium, (P10).
-
-    Args:
-        placed: the operator.
-        u: an equilibrium [length], shape [N, 2], without gradients.
-        by_u: derivative of the loss to u on the interior, shape [I, 2].
-
-    What it takes does not depend on how the equilibrium was found.
-    """
-    rows = placed.bonds.rows
-    unknown = (2 * rows[:, None] + [0, 1]).ravel()
-    J = matrix(placed.tangent(u))[:, unknown].tocsc()
-    multiplier = splu(J).solve(by_u.detach().double().numpy().ravel(), trans="T")
-    weight = torch.as_tensor(multiplier.reshape(-1, 2), dtype=u.dtype)
-    (-(placed(u) * weight).sum()).backward()  # type: ignore[no-untyped-call]

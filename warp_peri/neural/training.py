@@ -1,4 +1,4 @@
-"""Learning from forces, (P7): Adam on the relative error of b, resumable, best epoch kept."""
+"""Learning from forces (P7) or displacements (P8): Adam, resumable, the best epoch kept."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
+from warp_peri.neural.equilibrium import Equilibrium, Found
 from warp_peri.neural.interpolation import CELLS, interpolated_force
 from warp_peri.neural.material import Operator
 from warp_peri.neural.placed import Placed
@@ -29,6 +30,8 @@ LOOKED = 5
 """Epochs from one look at the validation samples to the next."""
 SAVED = 120.0
 """Seconds between two checkpoints."""
+SOLVED = 1e-5
+"""Tolerance of the equilibria of a training from displacements."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +78,10 @@ class History:
     best: int = 0
 
 
-class _Set:
-    """Samples as a training takes them."""
+class _Loads:
+    """Samples whose loads are known, as a training takes them: (P7)."""
 
     def __init__(self, material: Operator, samples: Samples) -> None:
-        if samples.b is None:
-            raise InputError("samples: expected loads b, got none")
         self.placed = material.on(samples.points)
         dtype = self.placed.dtype
         self.u = torch.as_tensor(samples.u, dtype=dtype)
@@ -99,15 +100,76 @@ class _Set:
             force = self.placed(u)
         return relative(force, self.b[some])
 
+    def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
+        """The errors, with gradients of their mean added to the material's."""
+        errors = self.errors(some, cells, offset)
+        errors.mean().backward()  # type: ignore[no-untyped-call]
+        return errors.detach()
+
+
+class _Frames:
+    """Samples whose displacement is seen and whose load is zero: (P8)."""
+
+    def __init__(self, material: Operator, samples: Samples, *, near: bool) -> None:
+        self.placed = material.on(samples.points)
+        self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
+        self.rows, self.search = self.placed.bonds.rows, Equilibrium(self.placed)
+        self.near = near
+        self.start = samples.u.copy() if near else np.stack([affine(samples, u) for u in samples.u])
+        self.unsolved = 0
+
+    def errors(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
+        """Relative ℓ2 errors of the solved displacement."""
+        return torch.stack([self._solved(int(n))[1] for n in some])
+
+    def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
+        """The errors, with gradients of their mean added to the material's."""
+        errors = []
+        for n in some.tolist():
+            found, error = self._solved(n)
+            errors.append(error)
+            if not found.converged:
+                self.unsolved += 1
+                continue
+            self.start[n] = found.u
+            u, seen = torch.as_tensor(found.u, dtype=self.u.dtype), self.u[n]
+            gap = u[self.rows] - seen[self.rows]
+            if float(gap.norm()) > 0:
+                by_u = gap / (gap.norm() * seen[self.rows].norm() * len(some))
+                self.search.gradient(u, by_u)
+        return torch.stack(errors)
+
+    def _solved(self, n: int) -> tuple[Found, torch.Tensor]:
+        """The equilibrium of a frame and its error."""
+        field = self.start[n]
+        found = self.search.solve(np.zeros_like(field), field, tolerance=SOLVED)
+        u = torch.as_tensor(found.u, dtype=self.u.dtype)
+        return found, relative(u[None, self.rows], self.u[n : n + 1, self.rows])[0]
+
+
+def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
+    """A field with the interior on the affine motion that fits its collar best, shape [N, 2]."""
+    places = np.column_stack([samples.x, np.ones(len(u))])
+    collar = ~samples.interior
+    motion, *_ = np.linalg.lstsq(places[collar], u[collar], rcond=None)
+    return np.where(collar[:, None], u, places @ motion)
+
 
 def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """‖force − b‖ / ‖b‖, shape [S]."""
     return (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
 
 
+def _taken(material: Operator, samples: Samples, *, near: bool = False) -> _Loads | _Frames:
+    """Samples by what is known of them."""
+    if samples.b is None:
+        return _Frames(material, samples, near=near)
+    return _Loads(material, samples)
+
+
 def residuals(material: Operator, samples: Samples) -> np.ndarray:
     """Relative ℓ2 errors of b on the interior, E_res, by the networks themselves, shape [S]."""
-    data = _Set(material, samples)
+    data = _taken(material, samples)
     with torch.no_grad():
         parts = [data.errors(torch.tensor([n]), 0) for n in range(len(samples))]
     return torch.cat(parts).double().numpy()
@@ -134,7 +196,7 @@ def train(
 
     Raises InputError for samples without loads and a checkpoint of other settings.
     """
-    learned, unseen = _Set(material, samples), _Set(material, val)
+    learned, unseen = _taken(material, samples, near=True), _taken(material, val)
     run = _Run(material, learned, training)
     run.resume(checkpoint)
     every = torch.arange(len(unseen.u))
@@ -165,15 +227,16 @@ def train(
 class _Run:
     """A training as it stands."""
 
-    def __init__(self, material: Operator, learned: _Set, training: Training) -> None:
+    def __init__(self, material: Operator, learned: _Loads | _Frames, training: Training) -> None:
         self.material, self.learned, self.training = material, learned, training
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = History(), math.inf
         self.kept: dict[str, torch.Tensor] = {}
-        with torch.no_grad():
-            force = interpolated_force(learned.placed, learned.u[:FIRST])
-        material.fitted(force, learned.b[:FIRST])
+        if isinstance(learned, _Loads):
+            with torch.no_grad():
+                force = interpolated_force(learned.placed, learned.u[:FIRST])
+            material.fitted(force, learned.b[:FIRST])
 
     def epoch(self) -> float:
         """Once over all samples; the mean error on the way."""
@@ -184,10 +247,9 @@ class _Run:
         for some in torch.randperm(count, generator=self.random).split(training.batch):
             offset = torch.rand(2, generator=self.random).tolist()
             self.adam.zero_grad()
-            errors = self.learned.errors(some, training.cells, (offset[0], offset[1]))
-            errors.mean().backward()  # type: ignore[no-untyped-call]
+            errors = self.learned.learn(some, training.cells, (offset[0], offset[1]))
             self.adam.step()
-            total += float(errors.detach().sum()) / count
+            total += float(errors.sum()) / count
         self.history.epochs += 1
         return total
 
