@@ -182,6 +182,7 @@ def train(
     training: Training,
     *,
     checkpoint: str | os.PathLike[str] | None = None,
+    seconds: float = math.inf,
     progress: bool = True,
 ) -> History:
     """Learn the material's numbers in place; it ends with those of least train + val error.
@@ -192,6 +193,7 @@ def train(
         val: to choose the epoch by.
         training: settings; with more epochs than a checkpoint has, the work goes on.
         checkpoint: a file of weights, Adam's state and the curve, written every two minutes.
+        seconds: after which no epoch is begun.
         progress: a bar on stderr.
 
     Raises InputError for samples without loads and a checkpoint of other settings.
@@ -204,10 +206,11 @@ def train(
     bar = tqdm(
         total=training.epochs, initial=run.history.epochs, unit="epoch", disable=not progress
     )
-    while run.history.epochs < training.epochs:
+    while run.history.epochs < training.epochs and time.perf_counter() - began < seconds:
         error = run.epoch()
-        epoch, last = run.history.epochs, run.history.epochs == training.epochs
-        run.history.seconds = spent + time.perf_counter() - began
+        took = time.perf_counter() - began
+        epoch, last = run.history.epochs, run.history.epochs == training.epochs or took >= seconds
+        run.history.seconds = spent + took
         bar.update()
         if epoch % LOOKED and not last:
             continue
