@@ -170,7 +170,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     report |= errors_of(material, sets, given, solve=not given.no_solve)
     report["printed"] = PRINTED.get(name.replace("_mirror", "").replace("_", " "), {})
     if given.rivals:
-        report["rivals"] = rivals_of(given.experiment, sets, given)
+        report["rivals"] = rivals_of(given.experiment, sets, given.reach)
     return report
 
 

@@ -54,7 +54,7 @@ def sweeps(scalar):
         share: wp.array(dtype=scalar),
         theta: wp.array2d(dtype=scalar),
     ):
-        """Σ_p share_p e over a node's family: ϑ of (P2)."""
+        """Σ_p share_p e over a node's family: ϑ of (NO3)."""
         s, k = wp.tid()
         k += first
         i = nodes[k]

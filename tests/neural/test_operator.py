@@ -40,7 +40,7 @@ def turn(angle):
 
 
 def slow_force(material, points, u):
-    """(P1)–(P6) in plain NumPy, bond by bond, on a lattice without a box."""
+    """(NO1)–(NO6) in plain NumPy, bond by bond, on a lattice without a box."""
 
     def net(layers, inputs):
         for n, layer in enumerate(layers):

@@ -95,7 +95,7 @@ class Equilibrium:
         return Found(field, size, steps, size <= tolerance)
 
     def gradient(self, u: torch.Tensor, by_u: torch.Tensor) -> None:
-        """Add to the gradients of the material's numbers those of a loss of an equilibrium, (P9).
+        """Add to the gradients of the material's numbers those of a loss of an equilibrium, (NO10).
 
         Args:
             u: the equilibrium [length], shape [N, 2].

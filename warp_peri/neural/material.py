@@ -44,14 +44,14 @@ class Curves:
 
 
 class Operator(torch.nn.Module):
-    """ω as a network of the bond, the scalar force state as one of (ω, ϑ, e, |ξ|), (P1)–(P4).
+    """ω as a network of the bond, the scalar force state as one of (ω, ϑ, e, |ξ|), (NO1)–(NO4).
 
     Args:
         horizon: δ [length].
         influence: widths of the two hidden layers of ω.
         state: of the force state.
-        anisotropic: ω is a function of ξ/δ, (P2), instead of |ξ|/δ.
-        proportional: the force state is the network times e, (P5).
+        anisotropic: ω is a function of ξ/δ, (NO2), instead of |ξ|/δ.
+        proportional: the force state is the network times e, (NO5).
         strain: the scale of the networks' inputs ϑ and e/|ξ|.
         units: of length and stress.
         seed: of the first numbers.
@@ -89,6 +89,8 @@ class Operator(torch.nn.Module):
             torch.manual_seed(seed)
             self.influence = network(2 if anisotropic else 1, *map(int, influence), 1)
             self.state = network(4, *map(int, state), 1)
+        if proportional:  # near springs, so that the first equilibria exist
+            torch.nn.init.ones_(self.state[4].bias)
 
     @property
     def widths(self) -> dict[str, tuple[int, int]]:
@@ -97,7 +99,7 @@ class Operator(torch.nn.Module):
         return {name: (part[0].out_features, part[2].out_features) for name, part in pairs}
 
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
-        """ω of bonds, shape [n], from ξ [length], shape [n, 2]: (P1) or (P2)."""
+        """ω of bonds, shape [n], from ξ [length], shape [n, 2]: (NO1) or (NO2)."""
         inputs = xi if self.anisotropic else xi.norm(dim=1, keepdim=True)
         value: torch.Tensor = self.influence(inputs / self.horizon)[:, 0]
         return value
@@ -105,7 +107,7 @@ class Operator(torch.nn.Module):
     def force_state(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> torch.Tensor:
-        """t [stress/length³] of bonds (P4), all of shape [n]; those that are alike lie together."""
+        """t [stress/length³] of bonds (NO4), all of shape [n]; those that are alike lie together."""
         extension = e / (self.strain * r)
         inputs = torch.stack([omega, theta / self.strain, extension, r / self.horizon], dim=1)
         value = self.scale * evaluate(self.state, inputs)

@@ -9,7 +9,7 @@ from warp_peri.neural.placed import Tangent
 
 
 def matrix(tangent: Tangent) -> sp.csr_array:
-    """J = ∂force/∂u, rows of the interior and columns of all nodes, shape [2 I, 2 N], (P9)."""
+    """J = ∂force/∂u, rows of the interior and columns of all nodes, shape [2 I, 2 N], (NO9)."""
     bonds = tangent.bonds
     u = tangent.u[0].double().numpy()
     nodes, listed, acting = len(u), len(bonds.near), bonds.acting

@@ -25,7 +25,7 @@ class Placed:
         self.material, self.bonds, self.points = material, bonds, bonds.points
 
     def __call__(self, u: Any) -> Any:
-        """Forces on the interior, (P6)."""
+        """Forces on the interior, (NO6)."""
         if isinstance(u, torch.Tensor):
             field = self._checked(u)
             force = self.force(field)

@@ -1,4 +1,4 @@
-"""Learning from forces (P7) or displacements (P8): Adam, resumable, the best epoch kept."""
+"""Learning from forces (NO7) or displacements (NO8): Adam, resumable, the best epoch kept."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class History:
 
 
 class _Loads:
-    """Samples whose loads are known, as a training takes them: (P7)."""
+    """Samples whose loads are known, as a training takes them: (NO7)."""
 
     def __init__(self, material: Operator, samples: Samples) -> None:
         self.placed = material.on(samples.points)
@@ -87,7 +87,7 @@ class _Loads:
         self.u = torch.as_tensor(samples.u, dtype=dtype)
         self.b = torch.as_tensor(samples.loads[:, samples.interior], dtype=dtype)
         if not (self.b.flatten(1).norm(dim=1) > 0).all():
-            raise InputError("b: expected a load in every sample; (P7) divides by it")
+            raise InputError("b: expected a load in every sample; (NO7) divides by it")
 
     def errors(
         self, some: torch.Tensor, cells: int, offset: tuple[float, float] = (0.5, 0.5)
@@ -108,7 +108,7 @@ class _Loads:
 
 
 class _Frames:
-    """Samples whose displacement is seen and whose load is zero: (P8)."""
+    """Samples whose displacement is seen and whose load is zero: (NO8)."""
 
     def __init__(self, material: Operator, samples: Samples, *, near: bool) -> None:
         self.placed = material.on(samples.points)
@@ -193,7 +193,7 @@ def train(
         val: to choose the epoch by.
         training: settings; with more epochs than a checkpoint has, the work goes on.
         checkpoint: a file of weights, Adam's state and the curve, written every two minutes.
-        seconds: after which no epoch is begun.
+        seconds: after which no other epoch is begun.
         progress: a bar on stderr.
 
     Raises InputError for samples without loads and a checkpoint of other settings.
@@ -206,7 +206,8 @@ def train(
     bar = tqdm(
         total=training.epochs, initial=run.history.epochs, unit="epoch", disable=not progress
     )
-    while run.history.epochs < training.epochs and time.perf_counter() - began < seconds:
+    took = 0.0
+    while run.history.epochs < training.epochs and (took == 0 or took < seconds):
         error = run.epoch()
         took = time.perf_counter() - began
         epoch, last = run.history.epochs, run.history.epochs == training.epochs or took >= seconds

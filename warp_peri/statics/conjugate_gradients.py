@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -41,7 +42,8 @@ def polak_ribiere(
         trial: length of the first trial step, as the largest component [length].
 
     The answer is differentiable in whatever `unbalanced` is, through every step; without gradients
-    nothing is kept. The force need not have an energy; the search then may end before a zero.
+    nothing is kept. The force need not have an energy; the search then may end before a zero, and
+    it ends where a step leads to no number.
     """
     left = -unbalanced(u)
     first = float(left.detach().norm())
@@ -50,21 +52,22 @@ def polak_ribiere(
     length = trial / max(float(left.detach().abs().max()), torch.finfo(u.dtype).tiny)
     for step in range(most if first > 0 else 0):
         slope = (left * direction).sum()
-        if float(slope) <= 0:  # no descent: start anew
+        if slope.item() <= 0:  # no descent: start anew
             direction, slope = left, (left * left).sum()
-        ahead = (-unbalanced(u + length * direction) * direction).sum()
-        bend = slope - ahead
-        if float(bend) > 0:
+        bend = slope + (unbalanced(u + length * direction) * direction).sum()
+        if bend.item() > 0:
             move = length * slope / bend
         else:  # the force does not rise along the direction: go on, and look again
-            move = torch.as_tensor(2 * length, dtype=u.dtype)
-        u = u + move * direction
-        before, left = left, -unbalanced(u)
+            move = torch.full_like(slope, 2 * length)
+        there = u + move * direction
+        before, left = left, -unbalanced(there)
         size = float(left.detach().norm()) / first
-        record = Descent(step + 1, size, size <= tolerance)
+        if not math.isfinite(size):
+            break
+        u, record = there, Descent(step + 1, size, size <= tolerance)
         if record.converged:
             break
-        length = float(move.detach())
+        length = move.item()
         beta = (left * (left - before)).sum() / (before * before).sum()
         direction = left + torch.clamp(beta, min=0) * direction
     return u, record
