@@ -1,8 +1,8 @@
-"""The peridynamic neural operator on its three experiments: graphene, an anisotropic sheet, a leaflet.
+"""The peridynamic neural operator's three experiments: graphene, an anisotropic sheet, a leaflet.
 
-With the widths, horizons and losses of Jafarzadeh et al. 2024. By default: the errors of the weights
-that lie beside this file, and one minute of a training from a fresh start. With --epochs a training
-that can be stopped and goes on; what it ends with is written to --out.
+With the widths, horizons and losses of Jafarzadeh et al. 2024. By default: the errors of the
+weights that lie beside this file, and one minute of a training from a fresh start. With --epochs a
+training that can be stopped and goes on; what it ends with is written to --out.
 """
 
 from __future__ import annotations
@@ -77,10 +77,14 @@ def experiment(name: str, reach: int) -> Experiment:
         return Experiment({**WIDE, "horizon": 20.0, "strain": 0.5}, Training(epochs=330, batch=2))
     if name == "hgo":
         horizon = reach * SPACING
-        return Experiment({**WIDE, "anisotropic": True, "horizon": horizon, "strain": 2.0},
-                          Training(epochs=150, batch=10))
-    return Experiment({**TISSUE, "horizon": neural_sets.REACH * SPACING, "strain": 2.0},
-                      Training(epochs=30, batch=10))
+        return Experiment(
+            {**WIDE, "anisotropic": True, "horizon": horizon, "strain": 2.0},
+            Training(epochs=150, batch=10),
+        )
+    return Experiment(
+        {**TISSUE, "horizon": neural_sets.REACH * SPACING, "strain": 2.0},
+        Training(epochs=30, batch=10),
+    )
 
 
 def sets_of(given: argparse.Namespace) -> Sets:
@@ -104,7 +108,8 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
     """A material from a fresh start, or from the checkpoint of this training."""
     chosen = experiment(given.experiment, given.reach)
     settings = {
-        key: getattr(given, key) for key in ("epochs", "rate", "batch", "cells", "seed")
+        key: getattr(given, key)
+        for key in ("epochs", "rate", "batch", "cells", "seed")
         if getattr(given, key) is not None
     }
     training = chosen.training._replace(**settings) if False else _with(chosen.training, settings)
@@ -199,7 +204,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("experiment", choices=("graphene", "hgo", "leaflet"))
     parser.add_argument("--epochs", type=int, help="train so many; goes on from a checkpoint")
     parser.add_argument("--minutes", type=float, default=np.inf, help="after which it stops")
-    parser.add_argument("--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings")
+    parser.add_argument(
+        "--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings"
+    )
     parser.add_argument("--mirror", action="store_true", help="hgo: squares by the mirror rule")
     for key, kind in (("rate", float), ("batch", int), ("cells", int), ("strain", float)):
         parser.add_argument(f"--{key}", type=kind, help="other than the experiment's")

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 import warp_peri
 from examples.hgo_square import FREE
 from examples.leaflet import ROSE
@@ -17,11 +19,9 @@ from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import fit_displacement
 from warp_peri.tissue.solid import HyperelasticSolid
 
-import numpy as np
-
 EVERY = 10
-"""Of the leaflet's training frames, one in so many is what the elements and the dictionary are fitted
-on: their numbers are few."""
+"""Of the leaflet's training frames, one in so many is what elements and dictionary are fitted on:
+their numbers are few."""
 ELEMENTS = ("neo-Hookean", "Fung", "HGO, one family", "HGO, two families")
 
 Errors = dict[str, dict[str, float]]
@@ -57,8 +57,7 @@ def elements(name: str) -> Callable[[Sets], Errors]:
         window = Window(few)
         numbers, _ = min((fit(window, make, np.array(x), few) for x in starts), key=lambda f: f[1])
         found = {
-            part: window.errors(make(numbers), samples, samples.u)
-            for part, samples in sets.items()
+            part: window.errors(make(numbers), samples, samples.u) for part, samples in sets.items()
         }
         return {"E_u": {part: float(np.nanmean(values)) for part, values in found.items()}}
 

@@ -82,7 +82,8 @@ def make_leaflet(
 ) -> dict[str, Samples]:
     """Sets train and test of frames; protocols that are done stay in the folder.
 
-    Each protocol has so many frames, up to the largest `travel` of the tines. Every set has the arrays protocol, level and force (pull along x and y [kPa × length]) by frame.
+    Each protocol has so many frames, up to the largest `travel` of the tines. Every set has the
+    arrays protocol, level and force (pull along x and y [kPa × length]) by frame.
     The interior is 21 × 21 nodes; the six layers around it are the collar.
     """
     leaflet = Leaflet() if leaflet is None else leaflet

@@ -44,9 +44,11 @@ def plain(placed: Placed, u: torch.Tensor) -> torch.Tensor:
     total = torch.zeros(())
     for dilatation in (theta[:, inner, None], theta[:, far]):
         inputs = (omega, dilatation / net.strain, mine / (net.strain * r), r / net.horizon)
-        total = total + net.scale * net.state(
-            torch.stack([part.expand_as(mine) for part in inputs], dim=-1)
-        )[..., 0]
+        total = (
+            total
+            + net.scale
+            * net.state(torch.stack([part.expand_as(mine) for part in inputs], dim=-1))[..., 0]
+        )
     M = Y[:, inner] / Y[:, inner].norm(dim=-1, keepdim=True)
     return -bonds.area * (M * total[..., None]).sum(2)
 

@@ -75,7 +75,7 @@ def slow_force(material, points, u):
     for i in np.flatnonzero(points.interior):
         mine = states(i)
         back = [states(j)[list(family[j]).index(i)] for j in family[i]]
-        out.append(-points.spacing**2 * ((mine + back)[:, None] * bonds(i)[3]).sum(axis=0))
+        out.append(-(points.spacing**2) * ((mine + back)[:, None] * bonds(i)[3]).sum(axis=0))
     return np.array(out)
 
 
@@ -197,12 +197,14 @@ def test_many_bonds_at_once_are_the_plain_network():
     value = evaluate(layers, x)
     torch.testing.assert_close(value, layers(x)[:, 0], rtol=0, atol=1e-13)
     for found, expected in zip(torch.autograd.grad(value @ seed, wanted), plain):
-        torch.testing.assert_close(found, expected, rtol=0, atol=1e-12 * float(expected.abs().max()))
+        torch.testing.assert_close(
+            found, expected, rtol=0, atol=1e-12 * float(expected.abs().max())
+        )
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_interpolation_approaches_the_networks(form):
-    """Rectifiers bend where they like: a cell with a kink is wrong by its width, others by nothing."""
+    """Rectifiers bend where they like: a cell with a kink is wrong by its width, others not."""
     points = lattice(3, HORIZON)
     placed = small(form).on(points)
     u = torch.tensor(random_field(points, 0.02))[None]
@@ -311,7 +313,8 @@ def test_files_that_are_not_believed(tmp_path):
 
 def test_curves_are_the_networks():
     curves = small().curves(strain=0.05, lengths=3)
-    assert curves.omega.shape == (len(curves.xi),) and curves.state.shape == (3, 201)
+    assert curves.omega.shape == (len(curves.xi),)
+    assert curves.state.shape == (3, 201)
     r = torch.tensor(np.linalg.norm(curves.xi, axis=1))[:, None]
     with torch.no_grad():
         np.testing.assert_allclose(curves.omega, small().influence(r / HORIZON)[:, 0])

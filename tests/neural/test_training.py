@@ -51,12 +51,15 @@ def test_forces_are_learned(cells):
     material = student()
     settings = Training(epochs=60, rate=1e-2, batch=2, cells=cells)
     history = train(material, loads(0), loads(1), settings, progress=False)
-    assert history.epochs == 60 and history.best > 20
+    assert history.epochs == 60
+    assert history.best > 20
     assert history.curve[-1][1] < 0.2 * history.curve[0][1]
     unseen = loads(2)
     errors = evaluate(material, unseen)
     assert errors["E_res"] == pytest.approx(residuals(material, unseen).mean())
-    assert errors["E_res"] < 0.25 and errors["E_u"] < 0.15 and errors["converged"] == 1
+    assert errors["E_res"] < 0.25
+    assert errors["E_u"] < 0.15
+    assert errors["converged"] == 1
 
 
 def test_displacements_are_learned():

@@ -19,7 +19,7 @@ FLOORS = (
     ("regression",),
     ("transfer",),
     ("statics", "dynamics", "damage", "tissue"),
-    ("learning", "diffusion"),
+    ("learning", "diffusion", "neural"),
     ("choice", "plots", "export", "dumps", "shapes", "stress", "flow"),
     ("cli",),
 )

@@ -133,9 +133,7 @@ class Bonds:
         kernels, lattice = self.of(e.dtype)
         out = e.new_empty(len(self.xi))
         given = (lattice, self.lists["whole"], wp.from_torch(e), wp.from_torch(seed))
-        launch_slices(
-            kernels.by_share, len(out), given, (wp.from_torch(out),), weight=seed.numel()
-        )
+        launch_slices(kernels.by_share, len(out), given, (wp.from_torch(out),), weight=seed.numel())
         return out
 
     def spread(self, e: torch.Tensor, share: torch.Tensor, seed: torch.Tensor) -> torch.Tensor:

@@ -124,7 +124,9 @@ class Equilibrium:
         def before(v: np.ndarray) -> np.ndarray:
             return self.factors.solve(v, trans=side)  # type: ignore[no-any-return]
 
-        J, M = (LinearOperator(2 * (count,), matvec=part, dtype=float) for part in (product, before))
+        J, M = (
+            LinearOperator(2 * (count,), matvec=part, dtype=float) for part in (product, before)
+        )
         asked = {"rtol": tolerance, "restart": MOST_PRODUCTS, "maxiter": 1}
         answer, failed = gmres(J, right.ravel(), M=M, **asked)
         if failed:

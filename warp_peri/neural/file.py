@@ -1,4 +1,4 @@
-"""A neural operator in two files: a JSON that says what it is, and its weights in HDF5 beside it."""
+"""A neural operator in two files: a JSON that says what it is, and weights in HDF5 beside it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,7 @@ FORMAT, VERSION = "warp_peri.neural", 1
 PRECISIONS = ("float16", "float32", "float64")
 
 
-def save(
-    material: Operator, path: str | os.PathLike[str], *, precision: str | None = None
-) -> None:
+def save(material: Operator, path: str | os.PathLike[str], *, precision: str | None = None) -> None:
     """Write `path` (JSON) and the weights beside it, under the same name with .h5.
 
     Args:

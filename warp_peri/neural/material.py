@@ -107,7 +107,7 @@ class Operator(torch.nn.Module):
     def force_state(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> torch.Tensor:
-        """t [stress/length³] of bonds (NO4), all of shape [n]; those that are alike lie together."""
+        """t [stress/length³] of bonds (NO4), all of shape [n]; those alike lie together."""
         extension = e / (self.strain * r)
         inputs = torch.stack([omega, theta / self.strain, extension, r / self.horizon], dim=1)
         value = self.scale * evaluate(self.state, inputs)

@@ -82,7 +82,7 @@ class _Chunks(torch.autograd.Function):
 
 
 def _units(x: torch.Tensor, W: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Units of the first layer that act for all inputs of a box around these, and undecided ones."""
+    """Units of the first layer that act for all of a box around the inputs, and undecided ones."""
     low, high = x.amin(dim=0), x.amax(dim=0)
     middle, half = (low + high) / 2, (high - low) / 2
     centre, reach = W @ middle + b, W.abs() @ half

@@ -121,11 +121,11 @@ class Tangent:
             theta = self.bonds.average(e, self.share)
             acting = e[:, : self.bonds.acting].contiguous()
         both = []
-        for omega, theta, e, r in placed.inputs(omega, theta, acting, r):
-            theta, e = (part.contiguous().requires_grad_() for part in (theta, e))
+        for seen in placed.inputs(omega, theta, acting, r):
+            inner = [part.contiguous().requires_grad_() for part in seen[1:3]]
             with torch.enable_grad():
-                state = placed.material.force_state(omega, theta, e, r)
-                slopes = torch.autograd.grad(state.sum(), (theta, e))
+                state = placed.material.force_state(seen[0], *inner, seen[3])
+                slopes = torch.autograd.grad(state.sum(), inner)
             both.append((state.detach(), *slopes))
         (own, self.to_own, by_e), (other, self.to_other, by_far) = both
         self.tension, self.to_e = (own + other)[None], (by_e + by_far)[None]

@@ -19,7 +19,6 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.neural.equilibrium import Equilibrium, Found
 from warp_peri.neural.interpolation import CELLS, interpolated_force
 from warp_peri.neural.material import Operator
-from warp_peri.neural.placed import Placed
 from warp_peri.points.samples import Samples
 
 FIRST = 7

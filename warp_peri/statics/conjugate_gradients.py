@@ -55,10 +55,8 @@ def polak_ribiere(
         if slope.item() <= 0:  # no descent: start anew
             direction, slope = left, (left * left).sum()
         bend = slope + (unbalanced(u + length * direction) * direction).sum()
-        if bend.item() > 0:
-            move = length * slope / bend
-        else:  # the force does not rise along the direction: go on, and look again
-            move = torch.full_like(slope, 2 * length)
+        # where the force does not rise along the direction: go on, and look again
+        move = length * slope / bend if bend.item() > 0 else torch.full_like(slope, 2 * length)
         there = u + move * direction
         before, left = left, -unbalanced(there)
         size = float(left.detach().norm()) / first
