@@ -87,7 +87,7 @@ def main() -> int:
     x, W = torch.randn(n, 512), torch.randn(512, 512)
 
     def learn(force: Callable[[Placed, torch.Tensor], torch.Tensor]) -> None:
-        relative(force(placed, u), b).mean().backward()  # type: ignore[no-untyped-call]
+        relative(force(placed, u), b).mean().backward()
 
     def products() -> None:
         """The three products of a force and its gradient at these shapes."""

@@ -1,8 +1,9 @@
 """What a bond's scalar force state needs of the displacement, and what its force does to nodes.
 
 A bond is listed once, with its ends i and j; p is its number in the pattern of a family, seen
-from i. `number[i, p]` is the bond that leads from node i by p, −1 where none is listed. Y = ξ + u_j − u_i
-and M = Y/|Y|. Every kernel gathers: it writes its own place, so there is no order to depend on.
+from i. `number[i, p]` is the bond that leads from node i by p, −1 where none is listed.
+Y = ξ + u_j − u_i and M = Y/|Y|. Every kernel gathers: it writes its own place, so there is no order
+to depend on.
 """
 
 from functools import cache

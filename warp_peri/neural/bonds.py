@@ -79,7 +79,8 @@ class Bonds:
     @cached_property
     def lengths(self) -> np.ndarray:
         """|ξ| of the family [length], shape [B]."""
-        return np.hypot(*self.xi.T)
+        r: np.ndarray = np.hypot(*self.xi.T)
+        return r
 
     def of(self, dtype: torch.dtype) -> Any:
         """Kernels, lattice and lists of nodes in one precision."""
@@ -192,7 +193,7 @@ class Gather(torch.autograd.Function):
     """u [S, N, 2] and shares [B] → extensions of the acting bonds [S, A] and ϑ [S, F]."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         context: Any, u: torch.Tensor, share: torch.Tensor, bonds: Bonds
     ) -> tuple[torch.Tensor, torch.Tensor]:
         e = bonds.extension(u)
@@ -201,8 +202,8 @@ class Gather(torch.autograd.Function):
         return e[:, : bonds.acting].contiguous(), bonds.average(e, share)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
-    def backward(  # type: ignore[override]
+    @once_differentiable
+    def backward(
         context: Any, by_e: torch.Tensor, by_theta: torch.Tensor
     ) -> tuple[torch.Tensor | None, torch.Tensor | None, None]:
         u, share, e = context.saved_tensors
@@ -221,16 +222,14 @@ class Scatter(torch.autograd.Function):
     """u [S, N, 2] and tensions of the acting bonds [S, A] → forces on the interior [S, I, 2]."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
-        context: Any, u: torch.Tensor, tension: torch.Tensor, bonds: Bonds
-    ) -> torch.Tensor:
+    def forward(context: Any, u: torch.Tensor, tension: torch.Tensor, bonds: Bonds) -> torch.Tensor:
         context.bonds = bonds
         context.save_for_backward(u, tension)
         return bonds.area * bonds.pull(u, tension, "rows")
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
-    def backward(  # type: ignore[override]
+    @once_differentiable
+    def backward(
         context: Any, seed: torch.Tensor
     ) -> tuple[torch.Tensor | None, torch.Tensor | None, None]:
         u, tension = context.saved_tensors

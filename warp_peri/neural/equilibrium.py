@@ -107,7 +107,7 @@ class Equilibrium:
         tangent = placed.tangent(u)
         multiplier = self._solved(tangent, by_u.detach().double().numpy(), ADJOINT, "T")
         weight = torch.as_tensor(multiplier, dtype=u.dtype)
-        (-(placed(u.detach()) * weight).sum()).backward()  # type: ignore[no-untyped-call]
+        (-(placed(u.detach()) * weight).sum()).backward()
 
     def _solved(
         self, tangent: Tangent, right: np.ndarray, tolerance: float, side: str

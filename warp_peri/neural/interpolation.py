@@ -39,7 +39,7 @@ def interpolated_force(
     """
     bonds, material = placed.bonds, placed.material
     omega, share, r = placed.shares(u.dtype)
-    e, theta = Gather.apply(u, share, bonds)
+    e, theta = Gather.apply(u, share, bonds)  # type: ignore[no-untyped-call]
     kinds = np.arange(len(bonds.xi)) if material.anisotropic else bonds.kind
     first = torch.as_tensor(np.unique(kinds, return_index=True)[1])
     kind = torch.as_tensor(kinds, dtype=torch.int64)
@@ -72,7 +72,7 @@ def interpolated_force(
     for corner, x, y in corners:
         a, b, c, d = (table[corner + shift] for shift in beside)
         tension = tension + (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
-    force: torch.Tensor = Scatter.apply(u, tension, bonds)
+    force: torch.Tensor = Scatter.apply(u, tension, bonds)  # type: ignore[no-untyped-call]
     return force
 
 

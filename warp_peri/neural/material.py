@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,8 +56,14 @@ class Operator(torch.nn.Module):
         units: of length and stress.
         seed: of the first numbers.
 
-    Numbers are float32 until `.double()` is called, and forces are computed in the precision of the
-    displacement. Raises InputError for a horizon, a strain or widths that are none.
+    Attributes:
+        scale: s of (NO4) [stress/length³].
+        widths: of both networks' hidden layers.
+        provenance: how the numbers were learned.
+
+    Numbers are float32 until `.double()` is called, and forces are computed in their precision.
+
+    Raises InputError for a horizon, a strain or widths that are none.
     """
 
     dimension = 2
@@ -65,8 +71,8 @@ class Operator(torch.nn.Module):
     def __init__(
         self,
         horizon: float,
-        influence: tuple[int, int] = (256, 512),
-        state: tuple[int, int] = (512, 512),
+        influence: Sequence[int] = (256, 512),
+        state: Sequence[int] = (512, 512),
         *,
         anisotropic: bool = False,
         proportional: bool = False,
@@ -89,14 +95,9 @@ class Operator(torch.nn.Module):
             torch.manual_seed(seed)
             self.influence = network(2 if anisotropic else 1, *map(int, influence), 1)
             self.state = network(4, *map(int, state), 1)
+        self.widths = {"influence": _pair(influence), "state": _pair(state)}
         if proportional:  # near springs, so that the first equilibria exist
-            torch.nn.init.ones_(self.state[4].bias)
-
-    @property
-    def widths(self) -> dict[str, tuple[int, int]]:
-        """Hidden layers of both networks."""
-        pairs = (("influence", self.influence), ("state", self.state))
-        return {name: (part[0].out_features, part[2].out_features) for name, part in pairs}
+            torch.nn.init.ones_(next(reversed(list(self.state.parameters()))))
 
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
         """ω of bonds, shape [n], from ξ [length], shape [n, 2]: (NO1) or (NO2)."""
@@ -180,4 +181,10 @@ class Operator(torch.nn.Module):
 
     def numbers(self) -> int:
         """How many numbers are learned."""
-        return sum(part.numel() for part in itertools.chain(self.parameters()))
+        return sum(part.numel() for part in self.parameters())
+
+
+def _pair(widths: Sequence[int]) -> tuple[int, int]:
+    """Widths of two hidden layers."""
+    first, second = widths
+    return int(first), int(second)

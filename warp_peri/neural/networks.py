@@ -27,7 +27,7 @@ def evaluate(layers: torch.nn.Sequential, inputs: torch.Tensor) -> torch.Tensor:
     same for a whole chunk acts linearly, and takes no part in the large product.
     """
     numbers = [p for n in (0, 2, 4) for p in (layers[n].weight, layers[n].bias)]
-    value: torch.Tensor = _Chunks.apply(inputs, *numbers)
+    value: torch.Tensor = _Chunks.apply(inputs, *numbers)  # type: ignore[no-untyped-call]
     return value
 
 
@@ -35,7 +35,7 @@ class _Chunks(torch.autograd.Function):
     """The network chunk by chunk, with its adjoint."""
 
     @staticmethod
-    def forward(context: Any, x: torch.Tensor, *numbers: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
+    def forward(context: Any, x: torch.Tensor, *numbers: torch.Tensor) -> torch.Tensor:
         keep = any(context.needs_input_grad)
         out, hidden = [], []
         for part in x.split(CHUNK):
@@ -47,8 +47,8 @@ class _Chunks(torch.autograd.Function):
         return torch.cat(out).add_(numbers[5])
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
-    def backward(context: Any, seed: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # type: ignore[override]
+    @once_differentiable
+    def backward(context: Any, seed: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         x, W1, b1, W2, b2, W3, _, *hidden = context.saved_tensors
         learns = any(context.needs_input_grad[1:])
         by_x = torch.empty_like(x)

@@ -50,11 +50,11 @@ class Placed:
         """Forces [S, I, 2] of u [S, N, 2]."""
         bonds = self.bonds
         omega, share, r = self.shares(u.dtype)
-        e, theta = Gather.apply(u, share, bonds)
+        e, theta = Gather.apply(u, share, bonds)  # type: ignore[no-untyped-call]
         own, other = self.inputs(omega, theta, e, r)
         state = self.material.force_state
         tension = (state(*own) + state(*other)).reshape(len(u), -1)
-        force: torch.Tensor = Scatter.apply(u, tension, bonds)
+        force: torch.Tensor = Scatter.apply(u, tension, bonds)  # type: ignore[no-untyped-call]
         return force
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -122,10 +122,10 @@ class Tangent:
             acting = e[:, : self.bonds.acting].contiguous()
         both = []
         for seen in placed.inputs(omega, theta, acting, r):
-            inner = [part.contiguous().requires_grad_() for part in seen[1:3]]
+            theta, e = (part.contiguous().requires_grad_() for part in seen[1:3])
             with torch.enable_grad():
-                state = placed.material.force_state(seen[0], *inner, seen[3])
-                slopes = torch.autograd.grad(state.sum(), inner)
+                state = placed.material.force_state(seen[0], theta, e, seen[3])
+                slopes = torch.autograd.grad(state.sum(), (theta, e))
             both.append((state.detach(), *slopes))
         (own, self.to_own, by_e), (other, self.to_other, by_far) = both
         self.tension, self.to_e = (own + other)[None], (by_e + by_far)[None]

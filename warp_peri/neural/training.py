@@ -102,7 +102,7 @@ class _Loads:
     def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""
         errors = self.errors(some, cells, offset)
-        errors.mean().backward()  # type: ignore[no-untyped-call]
+        errors.mean().backward()
         return errors.detach()
 
 
@@ -156,7 +156,8 @@ def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
 
 def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """‖force − b‖ / ‖b‖, shape [S]."""
-    return (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
+    errors: torch.Tensor = (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
+    return errors
 
 
 def _taken(material: Operator, samples: Samples, *, near: bool = False) -> _Loads | _Frames:
