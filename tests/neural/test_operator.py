@@ -294,6 +294,8 @@ def test_files_that_are_not_believed(tmp_path):
         file["state.0.weight"][0, 0] = np.nan
     with pytest.raises(InputError, match="finite"):
         load(path)
+    with h5py.File(tmp_path / "m.h5", "r+") as file:
+        file["state.0.weight"][0, 0] = 0.0
     path.write_text(json.dumps(content | {"state": [10, 13]}))
     with pytest.raises(InputError, match="expected shape"):
         load(path)

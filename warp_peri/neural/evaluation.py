@@ -11,6 +11,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.neural.equilibrium import Equilibrium
 from warp_peri.neural.material import Operator
+from warp_peri.neural.training import affine
 from warp_peri.points.samples import Samples
 
 TOLERANCE = 1e-6
@@ -28,8 +29,9 @@ def evaluate(
     """Errors on one set, means over samples and by sample ("samples"), relative ℓ2 norms.
 
     E_res_abs is ‖force − b‖ [stress/length], E_u the error of the displacement that is solved for
-    from zero, "converged" the share of the samples whose equilibrium was found; an E_u is told of
-    all, found or not. A sample without a load has neither E_res.
+    from zero or, without loads, from the affine motion of the collar, "converged" the share of the
+    samples whose equilibrium was found; an E_u is told of all, found or not. A sample without a
+    load has no E_res.
 
     Raises InputError for points without the collar.
     """
@@ -45,7 +47,7 @@ def evaluate(
         rows["E_res_abs"].append(miss)
         rows["E_res"].append(miss / size if size else np.nan)
         if search is not None:
-            start = np.where(inside[:, None], 0.0, u)
+            start = affine(samples, u) if samples.b is None else np.where(inside[:, None], 0.0, u)
             found = search.solve(b, start, tolerance=tolerance)
             gap = np.linalg.norm((found.u - u)[inside])
             rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
