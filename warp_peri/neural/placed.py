@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -10,8 +11,19 @@ import torch
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Bonds, Gather, Scatter
 
-if TYPE_CHECKING:
-    from warp_peri.neural.material import Operator
+
+class Law(Protocol):
+    """What is asked of a material: ω of bonds, and force states of bonds."""
+
+    anisotropic: bool
+
+    def omega(self, xi: torch.Tensor) -> torch.Tensor: ...
+
+    def force_state(
+        self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
+    ) -> torch.Tensor: ...
+
+    def parameters(self) -> Iterator[torch.nn.Parameter]: ...
 
 
 class Placed:
@@ -21,7 +33,7 @@ class Placed:
     the interior, shape [I, 2] or [S, I, 2]: NumPy for NumPy, differentiable torch for torch.
     """
 
-    def __init__(self, material: Operator, bonds: Bonds) -> None:
+    def __init__(self, material: Law, bonds: Bonds) -> None:
         self.material, self.bonds, self.points = material, bonds, bonds.points
 
     def __call__(self, u: Any) -> Any:
