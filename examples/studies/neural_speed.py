@@ -31,6 +31,7 @@ from warp_peri.neural.training import relative
 def plain(placed: Placed, u: torch.Tensor) -> torch.Tensor:
     """The same force by torch alone."""
     bonds, net = placed.bonds, placed.material
+    assert isinstance(net, Operator)
     rows, whole = torch.as_tensor(bonds.rows), torch.as_tensor(bonds.whole)
     row, table = torch.as_tensor(bonds.row), torch.as_tensor(bonds.neighbour).long()
     xi = torch.as_tensor(bonds.xi, dtype=u.dtype)
