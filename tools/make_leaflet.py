@@ -75,12 +75,15 @@ def make_leaflet(
     folder: str | os.PathLike[str],
     *,
     leaflet: Leaflet | None = None,
+    levels: int = LEVELS,
+    travel: float = PULL,
     jobs: int = -1,
     progress: bool = True,
 ) -> dict[str, Samples]:
     """Sets train and test of frames; protocols that are done stay in the folder.
 
-    Every set has the arrays protocol, level and force (pull along x and y [kPa × length]) by frame.
+    Each protocol has so many frames, up to the largest `travel` of the tines. Every set has the
+    arrays protocol, level and force (pull along x and y [kPa × length]) by frame.
     The interior is 21 × 21 nodes; the six layers around it are the collar.
     """
     leaflet = Leaflet() if leaflet is None else leaflet
@@ -88,7 +91,10 @@ def make_leaflet(
     with locked(folder):
         folder.mkdir(parents=True, exist_ok=True)
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator")
-        work = (joblib.delayed(protocol)(folder, leaflet, n) for n in range(len(PROTOCOLS)))
+        work = (
+            joblib.delayed(protocol)(folder, leaflet, n, levels, travel)
+            for n in range(len(PROTOCOLS))
+        )
         protocols = list(
             tqdm(
                 parallel(work),
@@ -105,8 +111,8 @@ def make_leaflet(
     for name, held in (("train", False), ("test", True)):
         chosen = [n for n in range(len(PROTOCOLS)) if (n not in LEARNED) == held]
         arrays = {
-            "protocol": np.repeat(chosen, LEVELS),
-            "level": np.tile(np.arange(1, LEVELS + 1) / LEVELS, len(chosen)),
+            "protocol": np.repeat(chosen, levels),
+            "level": np.tile(np.arange(1, levels + 1) / levels, len(chosen)),
             "force": np.concatenate([protocols[n][1] for n in chosen]),
         }
         u = np.concatenate([protocols[n][0] for n in chosen])
@@ -114,9 +120,13 @@ def make_leaflet(
     return sets
 
 
-def protocol(folder: Path, leaflet: Leaflet, number: int) -> tuple[np.ndarray, np.ndarray]:
+def protocol(
+    folder: Path, leaflet: Leaflet, number: int, levels: int = LEVELS, travel: float = PULL
+) -> tuple[np.ndarray, np.ndarray]:
     """Frames and pulls of one protocol, from the folder or solved and put there."""
-    settings = {**asdict(leaflet), "protocol": PROTOCOLS[number], "levels": LEVELS, "version": 1}
+    settings = {**asdict(leaflet), "protocol": PROTOCOLS[number], "levels": levels, "version": 1}
+    if travel != PULL:
+        settings["pull"] = travel
     if not leaflet.uneven:
         del settings["uneven"]
     key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
@@ -124,13 +134,15 @@ def protocol(folder: Path, leaflet: Leaflet, number: int) -> tuple[np.ndarray, n
     if path.exists():
         held = read_arrays(path)
         return held["u"], held["force"]
-    frames, pulls = pull(leaflet, PROTOCOLS[number])
+    frames, pulls = pull(leaflet, PROTOCOLS[number], levels, travel)
     with whole_file(path) as temporary:
         np.savez(temporary, u=frames, force=pulls)
     return frames, pulls
 
 
-def pull(leaflet: Leaflet, parts: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def pull(
+    leaflet: Leaflet, parts: tuple[float, float], levels: int = LEVELS, travel: float = PULL
+) -> tuple[np.ndarray, np.ndarray]:
     """Displacement on the lattice and pull of two sides at every level."""
     mesh = Elements(quadrilaterals(34, SIDE, -SIDE / 2))
     sides = [(axis, sign, tines(mesh, axis, sign)) for axis in (0, 1) for sign in (1, -1)]
@@ -141,11 +153,11 @@ def pull(leaflet: Leaflet, parts: tuple[float, float]) -> tuple[np.ndarray, np.n
     u = np.zeros(2 * mesh.nodes)
     nothing = np.zeros(0, int)
     frames, pulls = [], []
-    for level in range(1, LEVELS + 1):
+    for level in range(1, levels + 1):
         targets = []
         for axis, sign, _ in sides:
             target = np.zeros(2 * mesh.nodes)
-            target[axis::2] = sign * PULL * parts[axis] * level / LEVELS
+            target[axis::2] = sign * travel * parts[axis] * level / levels
             targets.append(target)
         load = sum(springs @ target for (_, _, springs), target in zip(sides, targets))
         u = mesh.solve(leaflet.energy, load, nothing, np.zeros(0), start=u, proportional=False)

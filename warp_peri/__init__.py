@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from warp_peri import flow as flow
     from warp_peri import methods as methods
     from warp_peri import micromodulus as micromodulus
+    from warp_peri import neural as neural
     from warp_peri import plots as plots
     from warp_peri import proofs as proofs
     from warp_peri import shapes as shapes
@@ -116,6 +117,7 @@ _MODULES = (
     "flow",
     "methods",
     "micromodulus",
+    "neural",
     "plots",
     "proofs",
     "shapes",

@@ -26,6 +26,7 @@ READERS = {
     "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
     "warp_peri.micromodulus": ("micromodulus.law", "load_crystal"),
     "warp_peri.hyperelastic": ("tissue.solid", "load_hyperelastic"),
+    "warp_peri.neural": ("neural.file", "load"),
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),
     "warp_peri.coupled_solid": ("diffusion.coupled", "load_coupled_solid"),
     "warp_peri.flow_law": ("flow.law_file", "load_law"),
@@ -70,7 +71,10 @@ def save(path: str | os.PathLike[str], given: Any) -> None:
     if isinstance(given, Dataset):
         return save_dataset(path, given)
     content = offered(given, "content", "save", "a data set or a material")
-    write_json(path, content())
+    if hasattr(given, "save"):  # some keep weights beside
+        given.save(path)
+    else:
+        write_json(path, content())
 
 
 def _material(path: Path) -> Any:

@@ -30,12 +30,12 @@ from tqdm import tqdm
 import warp_peri
 from examples.nonlinear import OUT, STRAINED
 from examples.prose import table
-from examples.studies.pno_rival import network
 from examples.train_graphene import DATA
 from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json, write_text
 from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.neural.networks import network
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.families import families_of
 from warp_peri.statics.nonlinear import anderson, linear_solver

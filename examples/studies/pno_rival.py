@@ -19,17 +19,16 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-import itertools
-
 import numpy as np
 import torch
 from scipy.optimize import root
 
+from examples.neural_sets import mirrored
 from examples.studies.pno_training import chosen_setting, relative, train
-from tools.make_hgo import ELEMENTS, HORIZON, NODES, SPACING, make_hgo
+from tools.make_hgo import ELEMENTS, HORIZON, SPACING, make_hgo
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
-from warp_peri.points.points import Points
+from warp_peri.neural.networks import network
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import fit_energy
 from warp_peri.tissue.fit_errors import hyperelastic_errors
@@ -38,14 +37,6 @@ from warp_peri.tissue.solid import Dictionary
 REACH = HORIZON
 STRETCH = 5.0
 """Scale of the network's inputs; strains are about a fifth."""
-
-
-def network(*widths: int) -> torch.nn.Sequential:
-    """Linear layers with rectifiers between them."""
-    layers: list[torch.nn.Module] = []
-    for width, following in itertools.pairwise(widths):
-        layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
-    return torch.nn.Sequential(*layers[:-1])
 
 
 class PeridynamicOperator(torch.nn.Module):
@@ -155,23 +146,6 @@ def solved_errors(model: PeridynamicOperator, samples: Samples, count: int) -> n
     return errors
 
 
-def mirrored(samples: Samples) -> Samples:
-    """The square with its mirrored ring, where all inner nodes carry equations."""
-    ring = 2 * REACH - 1  # nodes of the edge carry no equations
-    steps = np.rint(samples.x / SPACING).astype(int)
-    u, b = (np.zeros((len(samples), NODES, NODES, 2)) for _ in range(2))
-    u[:, steps[:, 0], steps[:, 1]], b[:, steps[:, 0], steps[:, 1]] = samples.u, samples.loads
-    place = np.argwhere(np.ones((NODES + 2 * ring,) * 2, bool)) - ring
-    edge = np.clip(place, 0, NODES - 1)
-    image = 2 * edge - place
-    outside = (place != edge).any(axis=1)[None, :, None]
-    there = u[:, image[:, 0], image[:, 1]]
-    wide = np.where(outside, 2 * u[:, edge[:, 0], edge[:, 1]] - there, there)
-    loads = np.where(outside, 0.0, b[:, image[:, 0], image[:, 1]])
-    interior: np.ndarray = np.all((place > 0) & (place < NODES - 1), axis=1)
-    return Samples(Points(SPACING * place, interior, SPACING), wide, loads)
-
-
 def dictionary_errors(sets: dict[str, Samples], dictionary: Dictionary) -> dict[str, float]:
     """E_res of the dictionary's least squares on every set."""
     solid = fit_energy(sets["train"], dictionary).material
@@ -219,7 +193,7 @@ def main() -> None:
     sets = make_hgo(
         given.data, element=given.element, counts=counts, jobs=given.jobs, progress=not given.json
     )
-    wide = {name: mirrored(samples) for name, samples in sets.items() if name != "disks"}
+    wide = {name: mirrored(samples, REACH) for name, samples in sets.items() if name != "disks"}
     records: dict[str, Any] = {
         "dictionary": dictionary_errors(sets, FREE),
         "dictionary, mirror rule": dictionary_errors(wide, FREE),

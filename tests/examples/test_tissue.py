@@ -16,11 +16,11 @@ from examples.leaflet import arguments, blank, measured
 from examples.leaflet_pictures import draw
 from examples.studies import pno_training
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
-from examples.studies.pno_rival import PeridynamicOperator, mirrored, on_grid
+from examples.studies.pno_rival import PeridynamicOperator, on_grid
 from examples.studies.pno_training import Setting, train
 from tests.support.sheets import hgo_dictionary, square
 from tools.hyperelastic_energies import plane_stress_hgo
-from tools.make_hgo import SPACING, square_points
+from tools.make_hgo import square_points
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.solid import HyperelasticSolid
 
@@ -181,18 +181,12 @@ def test_training_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert train(make, fields, fields, setting, minutes, **options)[1] == record
 
 
-def test_the_mirror_continues_a_straight_field_and_keeps_the_square():
+def test_fields_on_the_grid():
     points = square_points()
-    u = points.x @ np.array([[0.1, 0.2], [0.0, 0.3]])
-    samples = Samples(points, u[None], np.ones((1, *u.shape)))
-    wide = mirrored(samples)
-    np.testing.assert_allclose(wide.u[0], wide.x @ [[0.1, 0.2], [0.0, 0.3]], atol=1e-12)
-    assert wide.interior.sum() == 19**2
-    assert np.abs(wide.b[0][wide.interior] - 1).max() == 0
+    samples = Samples(points, points.x[None], np.ones((1, *points.x.shape)))
     field, load = on_grid(samples)
     assert tuple(field.shape) == (1, 21, 21, 2)
     assert tuple(load.shape) == (1, 9, 9, 2)
-    assert SPACING == points.spacing
 
 
 def test_pictures_are_drawn(tmp_path):

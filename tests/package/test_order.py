@@ -20,7 +20,7 @@ FLOORS = (
     ("transfer",),
     ("statics", "dynamics"),
     ("damage", "tissue", "micromodulus"),
-    ("learning", "diffusion"),
+    ("learning", "diffusion", "neural"),
     ("choice", "plots", "export", "flow", "problems"),
     ("solving", "storage"),
     ("atoms", "methods", "proofs", "shapes", "transfers"),
@@ -35,8 +35,8 @@ def modules():
     return sorted(path for path in files if path.stem not in ("__init__", "__main__"))
 
 
-ABOVE = ("on", "learn")
-"""Methods of a law that name what stands above its numbers: its operator, and what learns it."""
+ABOVE = ("on", "learn", "save")
+"""Methods of a law that name what stands above its numbers: operator, learning and file."""
 
 
 def walked(node):

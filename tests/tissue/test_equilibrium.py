@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary, square, waves
+from tests.support.solving import solve as wp_solve
 from warp_peri import Dirichlet, InputError, Samples
-from warp_peri import solve as wp_solve
 from warp_peri.tissue.equilibrium import (
     NoEquilibrium,
     StaticProblem,

@@ -169,7 +169,8 @@ def weights(
             f"quadrature: no weights are exact for the families of {len(wrong)} nodes: "
             f"{listed(wrong)}; a larger horizon has more bonds"
         )
-    return weight
+    answer: np.ndarray = weight
+    return answer
 
 
 def listed(nodes: np.ndarray) -> str:

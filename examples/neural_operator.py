@@ -1,0 +1,250 @@
+"""The peridynamic neural operator's three experiments: graphene, an anisotropic sheet, a leaflet.
+
+With the widths, horizons and losses of Jafarzadeh et al. 2024. By default: the errors of the
+weights that lie beside this file, and one minute of a training from a fresh start. With --epochs a
+training that can be stopped and goes on; what it ends with is written to --out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from examples import neural_sets
+from examples.neural_rivals import rivals_of
+from examples.neural_sets import Sets
+from examples.prose import table
+from tools.make_hgo import SPACING
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import finite, plain, whole_file
+from warp_peri.launch import set_threads
+from warp_peri.neural.evaluation import evaluate
+from warp_peri.neural.file import load, save
+from warp_peri.neural.material import Operator
+from warp_peri.neural.training import History, Training, train
+from warp_peri.points.unit_names import symbols
+
+WEIGHTS = ROOT / "examples" / "neural_weights"
+MINUTE = 60.0
+PRINTED = {
+    "graphene": {
+        "E_res": {"train": 0.0789, "val": 0.1023},
+        "E_res_abs": {"disks": 4.97e-3},
+        "E_u": {"train": 0.10, "val": 0.0278, "disks": 0.038},
+    },
+    "hgo 3": {
+        "E_res": {"train": 0.0321, "val": 0.0368, "disks": 0.0351},
+        "E_u": {"train": 0.0073, "val": 0.0077, "disks": 0.0072},
+    },
+    "hgo 4": {
+        "E_res": {"train": 0.0393, "val": 0.0445, "disks": 0.0437},
+        "E_u": {"train": 0.0090, "val": 0.0090, "disks": 0.0103},
+    },
+    "hgo 5": {
+        "E_res": {"train": 0.0350, "val": 0.0389, "disks": 0.0382},
+        "E_u": {"train": 0.0086, "val": 0.0097, "disks": 0.0098},
+    },
+    "leaflet": {"E_u": {"train": 0.0702, "val": 0.0947, "test": 0.0701}},
+}
+"""Errors of the source, on its own data."""
+
+
+class Experiment(NamedTuple):
+    """A training as it is printed, but for what is not printed: strain, rate, batch, epochs."""
+
+    operator: dict[str, Any]
+    training: Training
+
+
+WIDE = {"influence": (256, 512), "state": (512, 512)}
+SHEET = {**WIDE, "anisotropic": True, "units": ("mm", "MPa")}
+TISSUE = {"influence": (32, 64), "state": (64, 64), "anisotropic": True, "proportional": True}
+
+
+def experiment(name: str, reach: int) -> Experiment:
+    """Networks and settings of an experiment."""
+    if name == "graphene":
+        return Experiment({**WIDE, "horizon": 20.0, "strain": 0.5}, Training(epochs=330, batch=2))
+    if name == "hgo":
+        horizon = reach * SPACING
+        return Experiment(
+            {**WIDE, "anisotropic": True, "horizon": horizon, "strain": 2.0},
+            Training(epochs=150, batch=10),
+        )
+    return Experiment(
+        {**TISSUE, "horizon": neural_sets.REACH * SPACING, "strain": 2.0},
+        Training(epochs=30, batch=10),
+    )
+
+
+def sets_of(given: argparse.Namespace) -> Sets:
+    """The samples of an experiment."""
+    asked = {"jobs": given.jobs, "progress": not given.json}
+    if given.experiment == "graphene":
+        return neural_sets.graphene(given.data / "graphene_0K.h5")
+    if given.experiment == "hgo":
+        return neural_sets.hgo(given.data / "hgo", given.reach, mirror=given.mirror, **asked)
+    return neural_sets.leaflet(given.data / "leaflet", **asked)
+
+
+def label(given: argparse.Namespace) -> str:
+    """Name of a training."""
+    if given.experiment != "hgo":
+        return str(given.experiment)
+    return f"hgo_{given.reach}{'_mirror' if given.mirror else ''}"
+
+
+def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Operator, History]:
+    """A material from a fresh start, or from the checkpoint of this training."""
+    chosen = experiment(given.experiment, given.reach)
+    settings = {
+        key: getattr(given, key)
+        for key in ("epochs", "rate", "batch", "cells", "seed")
+        if getattr(given, key) is not None
+    }
+    training = chosen.training._replace(**settings) if False else _with(chosen.training, settings)
+    operator = dict(chosen.operator)
+    if given.strain is not None:
+        operator["strain"] = given.strain
+    material = Operator(**operator, units=sets["train"].points.units, seed=training.seed)
+    path = given.out / f"{label(given)}.ckpt" if given.epochs else None
+    quiet = given.json or given.quiet
+    history = train(
+        material, sets["train"], sets["val"], training,
+        checkpoint=path, seconds=seconds, progress=not quiet,
+    )  # fmt: skip
+    material.provenance = {
+        "command": f"python examples/neural_operator.py {' '.join(sys.argv[1:])}",
+        "seed": training.seed,
+        "epochs": history.epochs,
+        "best": history.best,
+        "seconds": round(history.seconds),
+        "curve": [[n, round(a, 5), round(b, 5)] for n, a, b in history.curve],
+    }
+    return material, history
+
+
+def _with(training: Training, settings: dict[str, Any]) -> Training:
+    return Training(**{**vars(training), **settings})
+
+
+def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solve: bool) -> Any:
+    """Errors by kind and set."""
+    found: dict[str, dict[str, float]] = {}
+    exact = material.double()
+    for name, samples in tqdm(sets.items(), disable=given.json, leave=False):
+        errors = evaluate(exact, samples, solve=solve, progress=not given.json)
+        for key in ("E_res", "E_res_abs", "E_u", "converged"):
+            if key in errors:
+                found.setdefault(key, {})[name] = errors[key]
+    return found
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """What the command prints."""
+    torch.set_num_threads(given.threads)
+    set_threads(given.threads)
+    sets, name = sets_of(given), label(given)
+    report: dict[str, Any] = {"experiment": name}
+    if given.epochs:
+        material, history = trained(given, sets, 60 * given.minutes)
+        given.out.mkdir(parents=True, exist_ok=True)
+        save(material, given.out / f"{name}.json", precision="float16")
+        report |= {"epochs": history.epochs, "seconds_an_epoch": history.seconds / history.epochs}
+    else:
+        began = time.perf_counter()
+        material, history = trained(given, sets, MINUTE)
+        spent = time.perf_counter() - began
+        report["fresh"] = {"seconds": spent, "epochs": history.epochs, "curve": history.curve[-3:]}
+        report["seconds_an_epoch"] = history.seconds / max(history.epochs, 1)
+        shipped = WEIGHTS / f"{name}.json"
+        if shipped.exists():
+            material = load(shipped)
+            report["epochs"] = material.provenance["epochs"]
+    draw(material, given.out / f"{name}.png")
+    report["weights"] = material.numbers()
+    report |= errors_of(material, sets, given, solve=not given.no_solve)
+    report["printed"] = PRINTED.get(name.replace("_mirror", "").replace("_", " "), {})
+    if given.rivals:
+        report["rivals"] = rivals_of(given.experiment, sets, given.reach)
+    return report
+
+
+def draw(material: Operator, path: Path) -> None:
+    """ω over the bond length and the force state over the stretch, as they were learned."""
+    curves, (length, stress) = material.curves(), symbols(material.units)
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    r = np.linalg.norm(curves.xi, axis=1)
+    left.plot(r, curves.omega / np.abs(curves.omega).max())
+    left.axhline(0, color="0.7", linewidth=0.8)
+    left.set(xlabel=f"bond length |ξ| [{length}]", ylabel="ω over its largest size")
+    for r, state in zip(curves.lengths, curves.state):
+        right.plot(100 * curves.stretch, state, label=f"|ξ| = {r:.3g} {length}")
+    right.set(xlabel="stretch e/|ξ| [%], no dilatation", ylabel=f"force state [{stress}/{length}³]")
+    right.legend(frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
+
+
+def page(report: dict[str, Any]) -> str:
+    """Errors of the network beside the printed ones, as Markdown."""
+    rows = []
+    for key in ("E_res", "E_u", "E_res_abs"):
+        for name, value in report.get(key, {}).items():
+            printed = report["printed"].get(key, {}).get(name)
+            factor, digits = (1, "{:.3g}") if key == "E_res_abs" else (100, "{:.2f} %")
+            cells = [digits.format(factor * part) for part in (value,)]
+            cells.append("" if printed is None else digits.format(factor * printed))
+            rows.append([key, name, *cells])
+    text = table(["", "set", "network", "printed"], rows)
+    for rival, errors in report.get("rivals", {}).items():
+        text += f"\n{rival}: {json.dumps(plain(errors))}"
+    parts = ("weights", "epochs", "seconds_an_epoch", "fresh")
+    return text + "\n" + ", ".join(f"{k} {report[k]}" for k in parts if k in report)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("experiment", choices=("graphene", "hgo", "leaflet"))
+    parser.add_argument("--epochs", type=int, help="train so many; goes on from a checkpoint")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="after which it stops")
+    parser.add_argument(
+        "--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings"
+    )
+    parser.add_argument("--mirror", action="store_true", help="hgo: squares by the mirror rule")
+    for key, kind in (("rate", float), ("batch", int), ("cells", int), ("strain", float)):
+        parser.add_argument(f"--{key}", type=kind, help="other than the experiment's")
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add_argument("--no-solve", action="store_true", help="E_res alone")
+    parser.add_argument("--rivals", action="store_true", help="fit the other materials too")
+    parser.add_argument("--data", type=Path, default=ROOT / "data")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural")
+    parser.add_argument("--quiet", action="store_true", help="no bar of the training")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args(arguments)
+    report = finite(plain(run(given)))
+    print(json.dumps(report) if given.json else page(report))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))

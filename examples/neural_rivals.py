@@ -1,0 +1,89 @@
+"""Other materials learned from what the neural operator learns from, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import warp_peri
+from examples.hgo_square import FREE
+from examples.leaflet import ROSE
+from examples.neural_sets import Sets
+from examples.studies.leaflet_rivals import RIVALS, Window, fit
+from warp_peri.points.samples import Samples
+from warp_peri.tissue.energy_fit import fit_energy
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.from_displacement import fit_displacement
+from warp_peri.tissue.solid import HyperelasticSolid
+
+EVERY = 10
+"""Of the leaflet's training frames, one in so many is what elements and dictionary are fitted on:
+their numbers are few."""
+ELEMENTS = ("neo-Hookean", "Fung", "HGO, one family", "HGO, two families")
+
+Errors = dict[str, dict[str, float]]
+
+
+def linear_solid(sets: Sets) -> Errors:
+    """The linear peridynamic solid with a learned influence function, certified."""
+    model = warp_peri.fit(sets["train"], warp_peri.LPS(20.0), progress=False).material
+    errors = {name: warp_peri.evaluate(model, samples) for name, samples in sets.items()}
+    return {
+        key: {name: float(found[key]) for name, found in errors.items()}
+        for key in ("E_res", "E_res_abs", "E_u")
+    }
+
+
+def dictionary(sets: Sets, reach: int) -> Errors:
+    """The dictionary of energies, coefficients of any sign, at the same horizon."""
+    terms = dataclasses.replace(FREE, reach=float(reach))
+    return _errors(fit_energy(sets["train"], terms).material, sets)
+
+
+def frames_dictionary(sets: Sets) -> Errors:
+    """The dictionary learned from displacement alone."""
+    return _errors(fit_displacement(_few(sets["train"]), ROSE, most_steps=8).material, sets)
+
+
+def elements(name: str) -> Callable[[Sets], Errors]:
+    """A named energy in finite elements on the interior, fitted to the displacement."""
+
+    def errors(sets: Sets) -> Errors:
+        make, starts = RIVALS[name]
+        few = _few(sets["train"])
+        window = Window(few)
+        numbers, _ = min((fit(window, make, np.array(x), few) for x in starts), key=lambda f: f[1])
+        found = {
+            part: window.errors(make(numbers), samples, samples.u) for part, samples in sets.items()
+        }
+        return {"E_u": {part: float(np.nanmean(values)) for part, values in found.items()}}
+
+    return errors
+
+
+def _few(samples: Samples) -> Samples:
+    return Samples(samples.points, samples.u[::EVERY])
+
+
+def _errors(solid: HyperelasticSolid, sets: Sets) -> Errors:
+    """E_res where there are loads, and E_u."""
+    found: Errors = {}
+    for name, samples in sets.items():
+        errors = hyperelastic_errors(solid, samples)
+        for key in ("E_res", "E_u"):
+            if key in errors:
+                found.setdefault(key, {})[name] = float(errors[key])
+    return found
+
+
+def rivals_of(experiment: str, sets: Sets, reach: int) -> dict[str, Any]:
+    """Errors of the rivals of an experiment, by name, kind and set."""
+    if experiment == "graphene":
+        return {"linear solid": linear_solid(sets)}
+    if experiment == "hgo":
+        return {"dictionary": dictionary(sets, reach)}
+    fits = {"dictionary": frames_dictionary} | {name: elements(name) for name in ELEMENTS}
+    return {name: errors(sets) for name, errors in fits.items()}

@@ -1,0 +1,122 @@
+"""Force and gradient of the neural operator at the printed widths: against matmul and plain torch.
+
+The plain version evaluates the network for both ends of every directed bond of the interior, as a
+first implementation does. Seconds are of the processor, the least of some repeats in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import torch
+
+from examples import neural_sets
+from warp_peri.errors import exit_status
+from warp_peri.launch import set_threads
+from warp_peri.neural.file import load
+from warp_peri.neural.interpolation import interpolated_force
+from warp_peri.neural.material import Operator
+from warp_peri.neural.placed import Placed
+from warp_peri.neural.training import relative
+
+
+def plain(placed: Placed, u: torch.Tensor) -> torch.Tensor:
+    """The same force by torch alone."""
+    bonds, net = placed.bonds, placed.material
+    assert isinstance(net, Operator)
+    rows, whole = torch.as_tensor(bonds.rows), torch.as_tensor(bonds.whole)
+    row, table = torch.as_tensor(bonds.row), torch.as_tensor(bonds.neighbour).long()
+    xi = torch.as_tensor(bonds.xi, dtype=u.dtype)
+    r = xi.norm(dim=1)
+    Y = xi + u[:, table[whole]] - u[:, whole, None]
+    e = Y.norm(dim=-1) - r
+    omega = net.influence(r[:, None] / net.horizon)[:, 0]
+    theta = (e * omega * r).sum(-1) / (omega * r**2).sum()
+    inner = row[rows]
+    mine, far = e[:, inner], row[table[rows]]
+    total = torch.zeros(())
+    for dilatation in (theta[:, inner, None], theta[:, far]):
+        inputs = (omega, dilatation / net.strain, mine / (net.strain * r), r / net.horizon)
+        total = (
+            total
+            + net.scale
+            * net.state(torch.stack([part.expand_as(mine) for part in inputs], dim=-1))[..., 0]
+        )
+    M = Y[:, inner] / Y[:, inner].norm(dim=-1, keepdim=True)
+    return -bonds.area * (M * total[..., None]).sum(2)
+
+
+def least(ways: dict[str, Callable[[], None]], repeats: int) -> dict[str, float]:
+    """Processor seconds of each, the least."""
+    found: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(repeats + 1):
+        for name, way in ways.items():
+            began = time.process_time()
+            way()
+            found[name].append(time.process_time() - began)
+    return {name: min(values[1:]) for name, values in found.items()}
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--fresh", action="store_true", help="untrained numbers")
+    given = parser.parse_args()
+    torch.set_num_threads(given.threads)
+    set_threads(given.threads)
+    samples = neural_sets.graphene(ROOT / "data" / "graphene_0K.h5")["train"]
+    material = (
+        Operator(20.0, strain=0.5)
+        if given.fresh
+        else load(ROOT / "examples" / "neural_weights" / "graphene.json").float()
+    )
+    placed = material.on(samples.points)
+    u = torch.as_tensor(samples.u[: given.samples], dtype=torch.float32)
+    b = torch.as_tensor(samples.loads[: given.samples, samples.interior], dtype=torch.float32)
+    n = 2 * placed.bonds.acting * given.samples
+    x, W = torch.randn(n, 512), torch.randn(512, 512)
+
+    def learn(force: Callable[[Placed, torch.Tensor], torch.Tensor]) -> None:
+        relative(force(placed, u), b).mean().backward()
+
+    def products() -> None:
+        """The three products of a force and its gradient at these shapes."""
+        y = x @ W
+        y @ W.t()
+        y.t() @ x
+
+    with torch.no_grad():
+        gap = float((plain(placed, u) - placed(u)).norm() / placed(u).norm())
+    ways: dict[str, Callable[[], None]] = {
+        "three matmuls": products,
+        "plain torch": lambda: learn(plain),
+        "this": lambda: learn(lambda p, v: p(v)),
+        "interpolated": lambda: learn(lambda p, v: interpolated_force(p, v)),
+    }
+    seconds = least(ways, given.repeats)
+    rate = 6 * n * 512 * 512 / 1e9
+    report = {
+        "bond states a sample": n // given.samples,
+        "agree to": gap,
+        "seconds": seconds,
+        "of matmul's rate": seconds["three matmuls"] / seconds["this"],
+        "GFLOP/s of matmul": rate / seconds["three matmuls"],
+        "times plain torch": seconds["plain torch"] / seconds["this"],
+    }
+    print(json.dumps(report, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))

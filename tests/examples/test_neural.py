@@ -1,0 +1,79 @@
+"""The neural operator's experiments: their sets, and the errors of the weights that are shipped."""
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("skfem")
+
+from examples import neural_operator, neural_sets
+from examples.neural_sets import mirrored, within
+from examples.studies.neural_speed import plain
+from tests.support.problems import lattice
+from tools.make_hgo import square_points
+from warp_peri.neural.file import load
+from warp_peri.neural.material import Operator
+from warp_peri.points.samples import Samples
+
+
+def test_the_mirror_continues_a_straight_field_and_keeps_the_square():
+    points = square_points()
+    u = points.x @ np.array([[0.1, 0.2], [0.0, 0.3]])
+    samples = Samples(points, u[None], np.ones((1, *u.shape)))
+    for reach in (3, 4, 5):
+        wide = mirrored(samples, reach)
+        np.testing.assert_allclose(wide.u[0], wide.x @ [[0.1, 0.2], [0.0, 0.3]], atol=1e-12)
+        assert wide.interior.sum() == 19**2
+        assert np.abs(wide.b[0][wide.interior] - 1).max() == 0
+        assert Operator(reach * points.spacing, (2, 2), (2, 2)).on(wide.points).bonds.acting
+
+
+@pytest.mark.parametrize(("reach", "count"), [(3, 81), (4, 25), (5, 1)])
+def test_equations_stand_where_surroundings_are_data(reach, count):
+    points = square_points()
+    samples = within(Samples(points, np.zeros((1, len(points.x), 2))), reach)
+    assert samples.interior.sum() == count
+    Operator(reach * points.spacing, (2, 2), (2, 2)).on(samples.points)
+
+
+def test_the_plain_version_is_the_same_force():
+    placed = Operator(3.0, (6, 8), (10, 12)).double().on(lattice(4, 3.0))
+    u = torch.tensor(0.05 * np.random.default_rng(0).normal(size=(2, len(placed.points.x), 2)))
+    torch.testing.assert_close(plain(placed, u), placed(u), rtol=0, atol=1e-12)
+
+
+def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatch):
+    few = neural_sets.graphene(graphene)
+    few = {key: Samples(part.points, part.u[:2], part.b[:2]) for key, part in few.items()}
+    monkeypatch.setattr(neural_operator, "sets_of", lambda given: few)
+    small = {**neural_operator.WIDE, "influence": (4, 4), "state": (8, 8)}
+    monkeypatch.setattr(neural_operator, "WIDE", small)
+    asked = ["graphene", "--epochs", "2", "--out", str(tmp_path), "--no-solve", "--json"]
+    assert neural_operator.main(asked) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert set(report["E_res"]) == {"train", "val", "disks"}
+    material = load(tmp_path / "graphene.json")
+    assert material.provenance["epochs"] == report["epochs"] == 2
+    assert neural_operator.main(asked[:-1]) == 0
+    assert "printed" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_shipped_weights_of_graphene(graphene):
+    """Held to what docs/neural.md says of them; the training set by every tenth of its solves."""
+    material = load(neural_operator.WEIGHTS / "graphene.json")
+    assert material.widths == {"influence": (256, 512), "state": (512, 512)}
+    given = argparse.Namespace(json=True)
+    sets = neural_sets.graphene(graphene)
+    errors = neural_operator.errors_of(material, sets, given, solve=False)
+    assert errors["E_res"]["train"] < 0.0285
+    assert errors["E_res"]["val"] < 0.0265
+    assert errors["E_res_abs"]["disks"] < 3e-4
+    del sets["train"]
+    solved = neural_operator.errors_of(material, sets, given, solve=True)
+    assert solved["E_u"]["disks"] < 0.025
+    assert solved["E_u"]["val"] < 0.022
+    assert min(solved["converged"].values()) == 1

@@ -1,0 +1,141 @@
+"""Equilibria of the neural operator: two ways to them, and their derivatives."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.problems import lattice
+from warp_peri.errors import InputError
+from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.material import Operator
+from warp_peri.statics.conjugate_gradients import polak_ribiere
+
+HORIZON = 3.0
+
+
+def problem(precision=torch.float64):
+    """A stable material, and displacement on the collar."""
+    points = lattice(4, HORIZON)
+    material = Operator(HORIZON, (6, 8), (10, 12), anisotropic=True, proportional=True)
+    placed = material.to(precision).on(points)
+    u = 0.03 * np.random.default_rng(1).normal(size=points.x.shape)
+    u[points.interior] = 0
+    return material, placed, u
+
+
+def unbalanced(placed, u):
+    """The force on the interior as a function of its displacement."""
+    rows, field = torch.as_tensor(placed.bonds.rows), torch.as_tensor(u)
+    return lambda inner: placed(field.index_copy(0, rows, inner))
+
+
+def test_newton_and_conjugate_gradients_meet():
+    _, placed, u = problem()
+    found = Equilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-11)
+    assert found.converged
+    assert found.steps < 8
+    assert abs(placed(found.u)).max() < 1e-10 * abs(placed(u)).max()
+    with torch.no_grad():
+        inner, record = polak_ribiere(
+            unbalanced(placed, u), torch.zeros(16, 2, dtype=torch.float64), tolerance=1e-10
+        )
+    assert record.converged
+    np.testing.assert_allclose(inner, found.u[placed.bonds.rows], atol=1e-9 * abs(found.u).max())
+
+
+def test_a_load_is_balanced():
+    _, placed, u = problem()
+    rows = placed.bonds.rows
+    wanted = u.copy()
+    wanted[rows] = 0.02 * np.random.default_rng(2).normal(size=(16, 2))
+    b = np.zeros_like(u)
+    b[rows] = placed(wanted)
+    found = Equilibrium(placed).solve(b, u, tolerance=1e-12)
+    np.testing.assert_allclose(found.u, wanted, atol=1e-9)
+
+
+def gradient(material, loss):
+    material.zero_grad()
+    loss()
+    return torch.cat([part.grad.ravel() for part in material.parameters()])
+
+
+def test_gradients_of_an_equilibrium():
+    """By the adjoint, through the steps of the search as it converges, and by differences."""
+    material, placed, u = problem()
+    rows, search = placed.bonds.rows, Equilibrium(placed)
+    target = torch.tensor(0.01 * np.random.default_rng(3).normal(size=(16, 2)))
+
+    def loss():
+        found = search.solve(np.zeros_like(u), u, tolerance=1e-12)
+        return ((torch.tensor(found.u[rows]) - target) ** 2).sum(), found
+
+    def implicit():
+        found = torch.tensor(loss()[1].u)
+        search.gradient(found, 2 * (found[rows] - target))
+
+    def unrolled(steps):
+        inner, _ = polak_ribiere(
+            unbalanced(placed, u), torch.zeros_like(target), tolerance=1e-11, most=steps
+        )
+        ((inner - target) ** 2).sum().backward()
+
+    found = gradient(material, implicit)
+    gaps = [
+        float((gradient(material, lambda n=n: unrolled(n)) - found).norm()) for n in (5, 10, 60)
+    ]
+    assert gaps[2] < 1e-7 * float(found.norm())
+    assert gaps[2] < gaps[1] < gaps[0]
+    first = 0
+    random = torch.Generator().manual_seed(4)
+    for name, part in material.named_parameters():
+        mine = found[first : first + part.numel()].reshape(part.shape)
+        first += part.numel()
+        step = torch.randn(part.shape, generator=random, dtype=torch.float64)
+        values = []
+        with torch.no_grad():
+            for sign in (1, -2, 1):
+                part += sign * 1e-5 * step
+                values.append(float(loss()[0]))
+        expected = (values[0] - values[1]) / 2e-5
+        size = max(float(mine.norm() * step.norm()), 1e-6 * float(found.norm()))
+        assert abs(float((mine * step).sum()) - expected) < 1e-6 * size, name
+
+
+def test_factors_survive_other_numbers():
+    """A training changes the material under the search; old factors are only slower."""
+    material, placed, u = problem()
+    search = Equilibrium(placed)
+    with torch.no_grad():
+        for part in material.parameters():
+            part *= 1.3
+    found = search.solve(np.zeros_like(u), u, tolerance=1e-10)
+    fresh = Equilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-10)
+    assert found.converged
+    np.testing.assert_allclose(found.u, fresh.u, atol=1e-9)
+
+
+def test_conjugate_gradients_on_another_law():
+    """The search knows no law: the linear solid's operator does as well."""
+    from tests.support.problems import kernel
+    from warp_peri.operator.lps import NodeOperator
+
+    points = lattice(4, 3.0)
+    operator = NodeOperator(kernel("positive", 3.0), points, allow_uncertified=True)
+    u = torch.tensor(0.01 * np.random.default_rng(5).normal(size=points.x.shape))
+    rows = torch.tensor(np.flatnonzero(points.interior))
+    wanted = u[rows].clone()
+    load = torch.as_tensor(operator(u.numpy()))
+
+    def left(inner):
+        return torch.as_tensor(operator(u.index_copy(0, rows, inner).numpy())) - load
+
+    inner, record = polak_ribiere(left, torch.zeros_like(wanted), tolerance=1e-10, most=200)
+    assert record.converged
+    torch.testing.assert_close(inner, wanted, rtol=0, atol=1e-9)
+
+
+def test_what_is_refused():
+    _, placed, u = problem()
+    with pytest.raises(InputError, match="b: expected shape"):
+        Equilibrium(placed).solve(np.zeros(3), u)

@@ -1,0 +1,351 @@
+"""The neural operator: what its form guarantees, its derivatives, its files."""
+
+import copy
+import json
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from tests.support.problems import ell, lattice
+from warp_peri.errors import InputError
+from warp_peri.launch import set_threads, threads
+from warp_peri.neural.file import load, save
+from warp_peri.neural.interpolation import interpolated_force
+from warp_peri.neural.material import Operator
+from warp_peri.neural.matrix import matrix
+from warp_peri.neural.networks import CHUNK, evaluate, network
+from warp_peri.points.points import Points
+
+HORIZON = 3.0
+FORMS = {
+    "isotropic": {},
+    "anisotropic": {"anisotropic": True},
+    "proportional": {"anisotropic": True, "proportional": True},
+}
+ROUNDING = 1e-11
+
+
+def small(form="isotropic", **other):
+    return Operator(HORIZON, (6, 8), (10, 12), **FORMS[form], **other).double()
+
+
+def random_field(points, size=0.05, seed=0):
+    return size * np.random.default_rng(seed).normal(size=points.x.shape)
+
+
+def turn(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def slow_force(material, points, u):
+    """(NO1)–(NO6) in plain NumPy, bond by bond, on a lattice without a box."""
+
+    def net(layers, inputs):
+        for n, layer in enumerate(layers):
+            if n % 2 == 0:
+                inputs = inputs @ layer.weight.detach().numpy().T + layer.bias.detach().numpy()
+            else:
+                inputs = np.maximum(inputs, 0)
+        return inputs[..., 0]
+
+    x, delta, strain = points.x, material.horizon, material.strain
+    distance = np.linalg.norm(x[:, None] - x[None], axis=2)
+    family = [np.flatnonzero((row > 0) & (row <= delta * (1 + 1e-6))) for row in distance]
+
+    def bonds(i):
+        xi = x[family[i]] - x[i]
+        r = np.linalg.norm(xi, axis=1)
+        inputs = xi if material.anisotropic else r[:, None]
+        omega = net(material.influence, inputs / delta)
+        Y = xi + u[family[i]] - u[i]
+        length = np.linalg.norm(Y, axis=1)
+        return r, omega, length - r, Y / length[:, None]
+
+    def states(i):
+        r, omega, e, _ = bonds(i)
+        theta = (omega * e * r).sum() / (omega * r**2).sum()
+        stretch = e / (strain * r)
+        inputs = np.stack([omega, np.full_like(r, theta / strain), stretch, r / delta], axis=1)
+        t = material.scale * net(material.state, inputs)
+        return t * stretch if material.proportional else t
+
+    out = []
+    for i in np.flatnonzero(points.interior):
+        mine = states(i)
+        back = [states(j)[list(family[j]).index(i)] for j in family[i]]
+        out.append(-(points.spacing**2) * ((mine + back)[:, None] * bonds(i)[3]).sum(axis=0))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_force_is_the_printed_one(form, angle):
+    points = lattice(ell()[:4, :4], HORIZON, angle=angle)
+    u = random_field(points)
+    material = small(form)
+    expected = slow_force(material, points, u)
+    np.testing.assert_allclose(material.on(points)(u), expected, atol=1e-12 * abs(expected).max())
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_rigid_motion_gives_no_force(form):
+    points = lattice(4, HORIZON)
+    placed = small(form).on(points)
+    moved = points.x @ turn(0.7).T + (3.0, -2.0) - points.x
+    size = abs(placed(random_field(points))).max()
+    assert abs(placed(moved)).max() < ROUNDING * size
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_force_turns_with_the_deformed_body(form):
+    points = lattice(4, HORIZON)
+    placed, u, R = small(form).on(points), random_field(points), turn(1.1)
+    turned = (points.x + u) @ R.T - points.x
+    np.testing.assert_allclose(placed(turned), placed(u) @ R.T, atol=ROUNDING)
+
+
+def test_isotropic_force_turns_with_the_lattice_and_an_anisotropic_one_does_not():
+    straight, turned = lattice(4, HORIZON), lattice(4, HORIZON, angle=0.5)
+    u, R = random_field(straight), turn(0.5)
+    gaps = {}
+    for form in ("isotropic", "anisotropic"):
+        material = small(form)
+        gap = material.on(turned)(u @ R.T) - material.on(straight)(u) @ R.T
+        gaps[form] = abs(gap).max()
+    assert gaps["isotropic"] < ROUNDING
+    assert gaps["anisotropic"] > 1e-3
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_momenta_are_balanced(form):
+    points = lattice(4, HORIZON)
+    placed, u = small(form).on(points), random_field(points)
+    bonds = placed.bonds
+    tension = torch.randn(1, bonds.acting, dtype=torch.float64)
+    force = bonds.pull(torch.tensor(u)[None], tension, "every")[0].numpy()
+    y = points.x + u
+    assert abs(force.sum(axis=0)).max() < ROUNDING
+    assert abs((y[:, 0] * force[:, 1] - y[:, 1] * force[:, 0]).sum()) < 100 * ROUNDING
+    x = np.argwhere(np.ones((9, 9))).astype(float)
+    torus = Points(x, np.ones(81, bool), 1.0, box=(9.0, 9.0))
+    total = small(form).on(torus)(random_field(torus))
+    assert abs(total.sum(axis=0)).max() < ROUNDING * abs(total).max() * len(x)
+
+
+def test_a_finer_lattice_has_the_same_response():
+    """The operator is an integral: sums over lattices differ by what enters and leaves the ball."""
+    material = small()
+    forces = []
+    for n in (2, 4, 8):
+        spacing = 1.0 / n
+        points = lattice(1, HORIZON, spacing)
+        x = points.x - points.x[points.interior]
+        u = 0.02 * np.stack([np.sin(x[:, 0] + 0.3), np.cos(0.7 * x[:, 1] + 0.2)], axis=1)
+        forces.append(material.on(points)(u)[0])
+    for force in forces[:2]:
+        assert np.linalg.norm(force - forces[2]) < 0.05 * np.linalg.norm(forces[2])
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_gradients_against_differences(form):
+    points = lattice(3, HORIZON)
+    material = small(form)
+    placed = material.on(points)
+    u = torch.tensor(np.stack([random_field(points, seed=n) for n in (0, 1)]), requires_grad=True)
+    weight = torch.tensor(np.random.default_rng(2).normal(size=(2, 9, 2)))
+    parts = {"u": u, **dict(material.named_parameters())}
+    found = torch.autograd.grad((placed(u) * weight).sum(), list(parts.values()))
+    random = torch.Generator().manual_seed(3)
+    for (name, part), gradient in zip(parts.items(), found):
+        step = torch.randn(part.shape, generator=random, dtype=torch.float64)
+        values = []
+        with torch.no_grad():
+            for sign in (1, -2, 1):
+                part += sign * 1e-6 * step
+                values.append(float((placed(u) * weight).sum()))
+        expected = (values[0] - values[1]) / 2e-6
+        size = float(gradient.norm() * step.norm())
+        assert abs(float((gradient * step).sum()) - expected) < 1e-6 * size, name
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_products_with_the_tangent(form):
+    points = lattice(3, HORIZON)
+    placed = small(form).on(points)
+    u, v = (random_field(points, seed=n) for n in (0, 1))
+    product = placed.product(u, v)
+    expected = (placed(u + 1e-5 * v) - placed(u - 1e-5 * v)) / 2e-5
+    np.testing.assert_allclose(product, expected, atol=1e-7 * abs(expected).max())
+    tangent = placed.tangent(torch.tensor(u))
+    J = matrix(tangent)
+    np.testing.assert_allclose((J @ v.ravel()).reshape(-1, 2), product, atol=ROUNDING)
+    w = np.random.default_rng(4).normal(size=product.shape)
+    back = tangent.transposed(torch.tensor(w)).numpy()
+    np.testing.assert_allclose(back.ravel(), J.T @ w.ravel(), atol=ROUNDING)
+
+
+def test_many_bonds_at_once_are_the_plain_network():
+    torch.manual_seed(0)
+    layers = network(4, 32, 48, 1).double()
+    x = 0.2 * torch.randn(CHUNK + 100, 4, dtype=torch.float64) + torch.tensor([1.0, 0, 0, 0.5])
+    x.requires_grad_()
+    seed = torch.randn(len(x), dtype=torch.float64)
+    wanted = [x, *layers.parameters()]
+    plain = torch.autograd.grad(layers(x)[:, 0] @ seed, wanted)
+    value = evaluate(layers, x)
+    torch.testing.assert_close(value, layers(x)[:, 0], rtol=0, atol=1e-13)
+    for found, expected in zip(torch.autograd.grad(value @ seed, wanted), plain):
+        torch.testing.assert_close(
+            found, expected, rtol=0, atol=1e-12 * float(expected.abs().max())
+        )
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_interpolation_approaches_the_networks(form):
+    """Rectifiers bend where they like: a cell with a kink is wrong by its width, others not."""
+    points = lattice(3, HORIZON)
+    placed = small(form).on(points)
+    u = torch.tensor(random_field(points, 0.02))[None]
+    with torch.no_grad():
+        exact = placed(u)
+        gaps = [float((interpolated_force(placed, u, cells=n) - exact).norm()) for n in (4, 64)]
+    assert gaps[1] < gaps[0] / 16
+    assert gaps[1] < 2e-3 * float(exact.norm())
+
+
+def test_gradients_of_the_interpolation_against_differences():
+    points = lattice(2, HORIZON)
+    material = small("anisotropic")
+    placed = material.on(points)
+    u = torch.tensor(random_field(points))[None]
+    weight = torch.tensor(np.random.default_rng(2).normal(size=(1, 4, 2)))
+    size = 3.0  # a grid that moves with its own values would not be seen by the gradient
+
+    def value():
+        return (interpolated_force(placed, size * u / 3.0, cells=6) * weight).sum()
+
+    for part in material.state.parameters():
+        (gradient,) = torch.autograd.grad(value(), part)
+        step = torch.randn(part.shape, generator=torch.Generator().manual_seed(5)).double()
+        values = []
+        with torch.no_grad():
+            for sign in (1, -2, 1):
+                part += sign * 1e-6 * step
+                values.append(float(value()))
+        expected = (values[0] - values[1]) / 2e-6
+        scale = float(gradient.norm() * step.norm())
+        assert abs(float((gradient * step).sum().detach()) - expected) < 1e-6 * scale
+
+
+def test_single_precision_and_threads():
+    points = lattice(ell(), HORIZON)
+    exact = small("anisotropic")
+    u = random_field(points)
+    force = exact.on(points)(u)
+    rough = copy.deepcopy(exact).float().on(points)
+    np.testing.assert_allclose(rough(u), force, atol=1e-5 * abs(force).max())
+    before = threads()
+    try:
+        for count in (1, 3):
+            set_threads(count)
+            assert np.array_equal(exact.on(points)(u), force)
+    finally:
+        set_threads(before)
+    with pytest.raises(InputError, match="precision"):
+        rough(torch.tensor(u))
+
+
+def test_other_units():
+    points = lattice(3, HORIZON)
+    material = small()
+    other = material.in_units(("nm", "GPa"))
+    there = Points(points.x / 10, points.interior, points.spacing / 10, units=("nm", "GPa"))
+    u = random_field(points)
+    # TPa/Å to GPa/nm: 1000 of stress, and 10 of length below
+    np.testing.assert_allclose(other.on(there)(u / 10), material.on(points)(u) * 1e4, rtol=1e-9)
+    with pytest.raises(InputError, match="units"):
+        material.on(there)
+
+
+@pytest.mark.parametrize("precision", [None, "float32", "float16"])
+def test_a_file_holds_everything(tmp_path, precision):
+    material = small("proportional", strain=0.3, units=("mm", "MPa"))
+    material.scale, material.provenance = 2.5, {"seed": 7}
+    save(material, tmp_path / "m.json", precision=precision)
+    found = load(tmp_path / "m.json")
+    assert found.content() == material.content()
+    allowed = {None: 0, "float32": 1e-7, "float16": 1e-3}[precision]
+    for mine, theirs in zip(material.parameters(), found.parameters()):
+        torch.testing.assert_close(theirs, mine, rtol=allowed, atol=allowed)
+    assert load(tmp_path / "m.json", units=("m", "Pa")).horizon == pytest.approx(0.003)
+
+
+def test_files_that_are_not_believed(tmp_path):
+    path = tmp_path / "m.json"
+    save(small(), path)
+    content = json.loads(path.read_text())
+    with h5py.File(tmp_path / "m.h5", "r+") as file:
+        file["state.0.weight"][0, 0] += 1
+    with pytest.raises(InputError, match="not the weights"):
+        load(path)
+    with h5py.File(tmp_path / "m.h5", "r+") as file:
+        file["state.0.weight"][0, 0] = np.nan
+    with pytest.raises(InputError, match="finite"):
+        load(path)
+    with h5py.File(tmp_path / "m.h5", "r+") as file:
+        file["state.0.weight"][0, 0] = 0.0
+    path.write_text(json.dumps(content | {"state": [10, 13]}))
+    with pytest.raises(InputError, match="expected shape"):
+        load(path)
+    path.write_text(json.dumps(content | {"weights": "../m.h5"}))
+    with pytest.raises(InputError, match="beside"):
+        load(path)
+    (tmp_path / "m.h5").unlink()
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="weights"):
+        load(path)
+    path.write_text("{}")
+    with pytest.raises(InputError, match="format"):
+        load(path)
+    with pytest.raises(InputError, match="json"):
+        save(small(), tmp_path / "m.h5")
+
+
+def test_curves_are_the_networks():
+    curves = small().curves(strain=0.05, lengths=3)
+    assert curves.omega.shape == (len(curves.xi),)
+    assert curves.state.shape == (3, 201)
+    r = torch.tensor(np.linalg.norm(curves.xi, axis=1))[:, None]
+    with torch.no_grad():
+        np.testing.assert_allclose(curves.omega, small().influence(r / HORIZON)[:, 0])
+    wide = small("anisotropic").curves()
+    assert np.linalg.norm(wide.xi, axis=1).max() <= HORIZON
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"horizon": 0.0}, "horizon"),
+        ({"strain": np.nan}, "strain"),
+        ({"influence": (3,)}, "influence"),
+        ({"state": (3, 0)}, "state"),
+        ({"units": ("mile", "Pa")}, "length_unit"),
+    ],
+)
+def test_numbers_that_are_refused(given, words):
+    with pytest.raises(InputError, match=words):
+        Operator(**{"horizon": HORIZON, **given})
+
+
+def test_points_and_fields_that_are_refused():
+    points = lattice(3, HORIZON)
+    placed = small().on(points)
+    with pytest.raises(InputError, match="shape"):
+        placed(np.zeros((4, 2)))
+    scattered = Points(points.x, points.interior, 0.0)
+    with pytest.raises(InputError, match="lattice"):
+        small().on(scattered)
+    with pytest.raises(InputError, match="complete families"):
+        small().on(Points(points.x, np.ones(len(points.x), bool), 1.0))

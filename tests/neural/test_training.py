@@ -1,0 +1,116 @@
+"""Learning: errors fall, work that was stopped goes on, and what cannot be learned is refused."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.problems import lattice
+from warp_peri.errors import InputError
+from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.evaluation import evaluate
+from warp_peri.neural.material import Operator
+from warp_peri.neural.training import Training, residuals, train
+from warp_peri.points.samples import Samples
+
+HORIZON = 2.5
+
+
+def waves(points, seed, count):
+    random = np.random.default_rng(seed)
+    k, phase = random.uniform(-1, 1, (count, 2, 2)), random.uniform(0, 6, (count, 2))
+    return 0.03 * np.sin(points.x @ k.transpose(0, 2, 1) + phase[:, None])
+
+
+def truth():
+    """A material to learn: its force state pulls back, and hardens."""
+    material = Operator(HORIZON, (6, 8), (10, 12), proportional=True, seed=5)
+    return material.double()
+
+
+def loads(seed, count=6):
+    points = lattice(4, HORIZON)
+    u, placed = waves(points, seed, count), truth().on(points)
+    b = np.zeros_like(u)
+    b[:, points.interior] = placed(u)
+    return Samples(points, u, b)
+
+
+def frames(seed, count=3):
+    points = lattice(3, HORIZON)
+    search, fields = Equilibrium(truth().on(points)), waves(points, seed, count)
+    u = [search.solve(np.zeros_like(field), field).u for field in fields]
+    return Samples(points, np.array(u))
+
+
+def student(**other):
+    return Operator(HORIZON, (8, 8), (16, 16), strain=0.2, seed=1, **other).double()
+
+
+@pytest.mark.parametrize("cells", [0, 12])
+def test_forces_are_learned(cells):
+    material = student()
+    settings = Training(epochs=60, rate=1e-2, batch=2, cells=cells)
+    history = train(material, loads(0), loads(1), settings, progress=False)
+    assert history.epochs == 60
+    assert history.best > 20
+    assert history.curve[-1][1] < 0.2 * history.curve[0][1]
+    unseen = loads(2)
+    errors = evaluate(material, unseen)
+    assert errors["E_res"] == pytest.approx(residuals(material, unseen).mean())
+    assert errors["E_res"] < 0.25
+    assert errors["E_u"] < 0.15
+    assert errors["converged"] == 1
+
+
+def test_displacements_are_learned():
+    material = student(proportional=True)
+    before = residuals(material, frames(4)).mean()
+    settings = Training(epochs=20, rate=1e-2, batch=3)
+    history = train(material, frames(3), frames(4), settings, progress=False)
+    assert history.curve[-1][2] < 0.5 * before
+    assert residuals(material, frames(5)).mean() < 0.6 * before
+
+
+@pytest.mark.parametrize("seen", [loads, frames])
+def test_a_stopped_training_goes_on_where_it_was(tmp_path, seen):
+    samples, val = seen(0), seen(1)
+    settings = Training(epochs=10, rate=1e-3, batch=2)
+    whole, parts = (student(proportional=seen is frames) for _ in range(2))
+    train(whole, samples, val, settings, progress=False)
+    path = tmp_path / "run.ckpt"
+    part = train(parts, samples, val, settings, checkpoint=path, seconds=0.0, progress=False)
+    assert part.epochs == 1
+    fresh = student(proportional=seen is frames)
+    history = train(fresh, samples, val, settings, checkpoint=path, progress=False)
+    assert history.epochs == 10
+    for mine, theirs in zip(whole.parameters(), fresh.parameters()):
+        gap = 0 if seen is loads else 1e-7  # starts and factors of a search are not kept
+        torch.testing.assert_close(mine, theirs, rtol=0, atol=gap)
+
+
+def test_checkpoints_of_other_trainings(tmp_path):
+    path = tmp_path / "run.ckpt"
+    settings = Training(epochs=1, batch=2)
+    train(student(), loads(0), loads(1), settings, checkpoint=path, progress=False)
+    with pytest.raises(InputError, match="batch"):
+        train(student(), loads(0), loads(1), Training(epochs=2, batch=3), checkpoint=path,
+              progress=False)  # fmt: skip
+    path.write_bytes(b"no checkpoint")
+    with pytest.raises(InputError, match="expected a checkpoint"):
+        train(student(), loads(0), loads(1), settings, checkpoint=path, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [({"epochs": 0}, "epochs"), ({"batch": 1.5}, "batch"), ({"rate": -1.0}, "rate")],
+)
+def test_settings_that_are_refused(given, words):
+    with pytest.raises(InputError, match=words):
+        Training(**given)
+
+
+def test_a_sample_without_load_among_loads():
+    samples = loads(0)
+    samples.b[1] = 0
+    with pytest.raises(InputError, match="expected a load in every sample"):
+        train(student(), samples, loads(1), Training(epochs=1), progress=False)

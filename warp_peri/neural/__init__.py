@@ -1,0 +1,8 @@
+"""The peridynamic neural operator: influence function and force state as networks (NO1–NO12)."""
+
+from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.evaluation import evaluate
+from warp_peri.neural.material import Operator
+from warp_peri.neural.training import NeuralFit, Training, train
+
+__all__ = ["Equilibrium", "NeuralFit", "Operator", "Training", "evaluate", "train"]

@@ -1,0 +1,324 @@
+"""Learning from forces (NO7) or displacements (NO8): Adam, resumable, the best epoch kept."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import whole_file
+from warp_peri.neural.equilibrium import Equilibrium, Found
+from warp_peri.neural.interpolation import CELLS, interpolated_force
+from warp_peri.neural.material import Operator
+from warp_peri.points.samples import Samples
+
+FIRST = 7
+"""Samples that the size of an untrained network's force is set by."""
+WARM, DECAY = 5, 0.4
+"""Epochs in which the rate rises, and the last share of all, in which it falls."""
+LOOKED = 5
+"""Epochs from one look at the validation samples to the next."""
+SAVED = 120.0
+"""Seconds between two checkpoints."""
+SOLVED = 1e-5
+"""Tolerance of the equilibria of a training from displacements."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """Settings of a training.
+
+    Attributes:
+        epochs: over the training samples.
+        rate: of Adam; it rises over the first epochs and falls to zero over the last two fifths.
+        batch: samples a step.
+        cells: of the grid that the force state is interpolated on; 0 evaluates it for every bond.
+        seed: of the order of the samples and of the grid's places.
+    """
+
+    epochs: int = 150
+    rate: float = 1e-3
+    batch: int = 7
+    cells: int = CELLS
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("epochs", 1), ("batch", 1), ("cells", 0)):
+            value = getattr(self, name)
+            if int(value) != value or value < least:
+                raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r}")
+        if not (math.isfinite(self.rate) and self.rate > 0):
+            raise InputError(f"rate: expected a number > 0, got {self.rate!r}")
+
+
+@dataclass
+class History:
+    """What a training did.
+
+    Attributes:
+        epochs: done.
+        seconds: they took.
+        curve: epoch, mean training error while it ran, validation error, of every look.
+        best: the epoch whose numbers the material holds.
+    """
+
+    epochs: int = 0
+    seconds: float = 0.0
+    curve: list[tuple[int, float, float]] = field(default_factory=list)
+    best: int = 0
+
+
+class _Loads:
+    """Samples whose loads are known, as a training takes them: (NO7)."""
+
+    def __init__(self, material: Operator, samples: Samples) -> None:
+        self.placed = material.on(samples.points)
+        dtype = self.placed.dtype
+        self.u = torch.as_tensor(samples.u, dtype=dtype)
+        self.b = torch.as_tensor(samples.loads[:, samples.interior], dtype=dtype)
+        if not (self.b.flatten(1).norm(dim=1) > 0).all():
+            raise InputError("b: expected a load in every sample; (NO7) divides by it")
+
+    def errors(
+        self, some: torch.Tensor, cells: int, offset: tuple[float, float] = (0.5, 0.5)
+    ) -> torch.Tensor:
+        """Relative ℓ2 errors of b of some samples."""
+        u = self.u[some]
+        if cells:
+            force = interpolated_force(self.placed, u, cells=cells, offset=offset)
+        else:
+            force = self.placed(u)
+        return relative(force, self.b[some])
+
+    def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
+        """The errors, with gradients of their mean added to the material's."""
+        errors = self.errors(some, cells, offset)
+        errors.mean().backward()
+        return errors.detach()
+
+
+class _Frames:
+    """Samples whose displacement is seen and whose load is zero: (NO8)."""
+
+    def __init__(self, material: Operator, samples: Samples, *, near: bool) -> None:
+        self.placed = material.on(samples.points)
+        self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
+        self.rows, self.search = self.placed.bonds.rows, Equilibrium(self.placed)
+        self.near = near
+        self.start = samples.u.copy() if near else np.stack([affine(samples, u) for u in samples.u])
+        self.unsolved = 0
+
+    def errors(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
+        """Relative ℓ2 errors of the solved displacement."""
+        return torch.stack([self._solved(int(n))[1] for n in some])
+
+    def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
+        """The errors, with gradients of their mean added to the material's."""
+        errors = []
+        for n in some.tolist():
+            found, error = self._solved(n)
+            errors.append(error)
+            if not found.converged:
+                self.unsolved += 1
+                continue
+            self.start[n] = found.u
+            u, seen = torch.as_tensor(found.u, dtype=self.u.dtype), self.u[n]
+            gap = u[self.rows] - seen[self.rows]
+            if float(gap.norm()) > 0:
+                by_u = gap / (gap.norm() * seen[self.rows].norm() * len(some))
+                self.search.gradient(u, by_u)
+        return torch.stack(errors)
+
+    def _solved(self, n: int) -> tuple[Found, torch.Tensor]:
+        """The equilibrium of a frame and its error."""
+        field = self.start[n]
+        found = self.search.solve(np.zeros_like(field), field, tolerance=SOLVED)
+        u = torch.as_tensor(found.u, dtype=self.u.dtype)
+        return found, relative(u[None, self.rows], self.u[n : n + 1, self.rows])[0]
+
+
+def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
+    """A field with the interior on the affine motion that fits its collar best, shape [N, 2]."""
+    places = np.column_stack([samples.x, np.ones(len(u))])
+    collar = ~samples.interior
+    motion, *_ = np.linalg.lstsq(places[collar], u[collar], rcond=None)
+    return np.where(collar[:, None], u, places @ motion)
+
+
+def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """‖force − b‖ / ‖b‖, shape [S]."""
+    errors: torch.Tensor = (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
+    return errors
+
+
+def _taken(material: Operator, samples: Samples, *, near: bool = False) -> _Loads | _Frames:
+    """Samples by what is known of them."""
+    if samples.b is None:
+        return _Frames(material, samples, near=near)
+    return _Loads(material, samples)
+
+
+def residuals(material: Operator, samples: Samples) -> np.ndarray:
+    """Relative ℓ2 errors of b on the interior, E_res, by the networks themselves, shape [S]."""
+    data = _taken(material, samples)
+    with torch.no_grad():
+        parts = [data.errors(torch.tensor([n]), 0) for n in range(len(samples))]
+    return torch.cat(parts).double().numpy()
+
+
+@dataclass(frozen=True)
+class NeuralFit:
+    """A trained operator; nothing is proven of it, so that it has no certificate.
+
+    Attributes:
+        material: with the numbers of the best epoch.
+        history: of the training.
+    """
+
+    material: Operator
+    history: History
+
+
+def train(
+    material: Operator,
+    samples: Samples,
+    val: Samples,
+    training: Training,
+    *,
+    checkpoint: str | os.PathLike[str] | None = None,
+    seconds: float = math.inf,
+    progress: bool = True,
+) -> History:
+    """Learn the material's numbers in place; it ends with those of least train + val error.
+
+    Args:
+        material: with the numbers to start from.
+        samples: to learn from; every interior node counts.
+        val: to choose the epoch by.
+        training: settings; with more epochs than a checkpoint has, the work goes on.
+        checkpoint: a file of weights, Adam's state and the curve, written every two minutes.
+        seconds: after which no other epoch is begun.
+        progress: a bar on stderr.
+
+    Raises InputError for samples without loads and a checkpoint of other settings.
+    """
+    learned, unseen = _taken(material, samples, near=True), _taken(material, val)
+    run = _Run(material, learned, training)
+    run.resume(checkpoint)
+    every = torch.arange(len(unseen.u))
+    began, spent, saved = time.perf_counter(), run.history.seconds, time.perf_counter()
+    bar = tqdm(
+        total=training.epochs, initial=run.history.epochs, unit="epoch", disable=not progress
+    )
+    took = 0.0
+    while run.history.epochs < training.epochs and (took == 0 or took < seconds):
+        error = run.epoch()
+        took = time.perf_counter() - began
+        epoch, last = run.history.epochs, run.history.epochs == training.epochs or took >= seconds
+        run.history.seconds = spent + took
+        bar.update()
+        if epoch % LOOKED and not last:
+            continue
+        with torch.no_grad():
+            other = float(unseen.errors(every, training.cells).mean())
+        run.look(error, other)
+        bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
+        if checkpoint is not None and (last or time.perf_counter() - saved > SAVED):
+            run.save(checkpoint)
+            saved = time.perf_counter()
+    bar.close()
+    if run.kept:
+        material.load_state_dict(run.kept)
+    return run.history
+
+
+class _Run:
+    """A training as it stands."""
+
+    def __init__(self, material: Operator, learned: _Loads | _Frames, training: Training) -> None:
+        self.material, self.learned, self.training = material, learned, training
+        self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
+        self.random = torch.Generator().manual_seed(training.seed)
+        self.history, self.least = History(), math.inf
+        self.kept: dict[str, torch.Tensor] = {}
+        if isinstance(learned, _Loads):
+            with torch.no_grad():
+                force = interpolated_force(learned.placed, learned.u[:FIRST])
+            material.fitted(force, learned.b[:FIRST])
+
+    def epoch(self) -> float:
+        """Once over all samples; the mean error on the way."""
+        training, count = self.training, len(self.learned.u)
+        for group in self.adam.param_groups:
+            group["lr"] = training.rate * _share(self.history.epochs, training.epochs)
+        total = 0.0
+        for some in torch.randperm(count, generator=self.random).split(training.batch):
+            offset = torch.rand(2, generator=self.random).tolist()
+            self.adam.zero_grad()
+            errors = self.learned.learn(some, training.cells, (offset[0], offset[1]))
+            self.adam.step()
+            total += float(errors.sum()) / count
+        self.history.epochs += 1
+        return total
+
+    def look(self, error: float, other: float) -> None:
+        """Write the errors down, and keep the numbers if they are the best."""
+        self.history.curve.append((self.history.epochs, error, other))
+        if error + other < self.least:
+            self.least, self.history.best = error + other, self.history.epochs
+            self.kept = {key: part.clone() for key, part in self.material.state_dict().items()}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Everything that is needed to go on."""
+        settings = {**asdict(self.training), **self.material.content(), "epochs": 0}
+        state = {
+            "settings": {k: v for k, v in settings.items() if k not in ("provenance", "scale")},
+            "scale": self.material.scale,
+            "material": self.material.state_dict(),
+            "adam": self.adam.state_dict(),
+            "random": self.random.get_state(),
+            "history": asdict(self.history),
+            "least": self.least,
+            "kept": self.kept,
+        }
+        with whole_file(path) as temporary:
+            torch.save(state, temporary)
+
+    def resume(self, path: str | os.PathLike[str] | None) -> None:
+        """Go on from a checkpoint, where there is one."""
+        if path is None or not Path(path).exists():
+            return
+        try:
+            state = torch.load(path, weights_only=True)
+        except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
+            raise InputError(f"{path}: expected a checkpoint of a training ({error})") from None
+        mine = {**asdict(self.training), **self.material.content(), "epochs": 0}
+        for key, value in state["settings"].items():
+            if mine[key] != value:
+                raise InputError(
+                    f"{path}: the checkpoint has {key} {value!r}, expected {mine[key]!r}"
+                )
+        self.material.load_state_dict(state["material"])
+        self.adam.load_state_dict(state["adam"])
+        self.random.set_state(state["random"])
+        self.material.scale, self.least, self.kept = (
+            state[key] for key in ("scale", "least", "kept")
+        )
+        history = state["history"]
+        self.history = History(**{**history, "curve": [tuple(c) for c in history["curve"]]})
+
+
+def _share(epoch: int, epochs: int) -> float:
+    """Of the rate in an epoch: a rise, a plateau, and half a cosine down to zero."""
+    left = (epochs - epoch) / (DECAY * epochs)
+    fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, left))
+    return min(1.0, (epoch + 1) / WARM) * fall
