@@ -13,6 +13,9 @@ from tests.support.nonlinear import CONSTANTS, psi, rotation
 from tests.support.problems import AXIS, difference, kernel, lattice, noise, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri import launch
+from warp_peri.micromodulus.family import family
+from warp_peri.micromodulus.groups import point_group, shared_with_nodes
+from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import Smoothing
@@ -138,6 +141,32 @@ def cell():
     return periodic((14, 16))[0]
 
 
+def tensors():
+    """A crystal with four axes, its tensors no states of bonds."""
+    group = point_group("4mm", 2)
+    bonds = family(3.0, shared_with_nodes(group, np.eye(2)))
+    p = np.random.default_rng(4).normal(size=len(bonds.basis))
+    stiff = 1 / (bonds.steps**2).sum(axis=1)[:, None, None] ** 2 * np.eye(2)
+    C = stiff + 0.02 * np.tensordot(p, bonds.basis, 1)
+    return replace(Crystal(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
+
+
+def plain(side, angle=0.0):
+    return replace(lattice(side, 3.0, angle=angle), axis=np.rad2deg(angle))
+
+
+def plain_cell():
+    return replace(cell(), axis=0.0)
+
+
+def of_tensors(material, H):
+    return np.einsum("ijkl,kl->ij", material.tensor(), H)
+
+
+def single_tensors(material, points, u):
+    return material.on(points, dtype=np.float32)(u)
+
+
 LINEAR = {"points": crystal, "stress": hookean, "sheet": cell, "single": single_linear}
 CUBIC = {"points": crystal, "stress": of_third_order, "sheet": cell, "stress_turns": True}
 LAWS = {
@@ -146,6 +175,7 @@ LAWS = {
     "LPS, two functions": Law(linear("two functions", lam=-0.2), **LINEAR),
     "third order, filtered": Law(third_order(Smoothing(2.0)), energy=False, **CUBIC),
     "third order, energy": Law(third_order(None), **CUBIC),
+    "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),
     "hyperelastic": Law(
         hyperelastic,
         tissue,

@@ -80,7 +80,7 @@ class Operator:
         """In equilibrium with b on the interior, u given on the collar, shape [..., N, d].
 
         Args:
-            b, u: on all nodes.
+            b, u: on all nodes; b counts on the interior, u on the collar.
             solver: Krylov(preconditioner, tolerance), the first a name of statics.METHODS or None.
 
         Raises InputError as statics.solve does.
@@ -88,9 +88,9 @@ class Operator:
         refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
         asked = solver if isinstance(solver, Krylov) else Krylov()
         method = asked.preconditioner or "auto"
-        answer, record = solve(
-            self, np.asarray(b), np.asarray(u), method=method, tolerance=asked.tolerance
-        )
+        inside = self.points.interior[:, None]
+        given, load = np.where(inside, 0.0, u), np.where(inside, b, 0.0)
+        answer, record = solve(self, load, given, method=method, tolerance=asked.tolerance)
         proof = getattr(self.model, "certificate", None)
         proven = None
         if proof is not None and proof.holds:
