@@ -6,8 +6,7 @@ import pytest
 from examples.static_crack import main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
-from tests.support.solving import solve
-from warp_peri import InputError, Model, Points, move
+from warp_peri import InputError, Model, Points, move, solve
 from warp_peri.damage import (
     Cracked,
     Mixed,

@@ -9,8 +9,7 @@ from examples.diffusion import coupled, jump, main, order, smooth, square
 from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import kernel
-from tests.support.solving import solve
-from warp_peri import Dirichlet, InputError, Krylov, Model, Points, load, move, save
+from warp_peri import Dirichlet, InputError, Krylov, Model, Points, load, move, save, solve
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.diffusion import Conductor, CoupledOperator, CoupledSolid, DiffusionOperator
 

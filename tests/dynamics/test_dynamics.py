@@ -186,6 +186,7 @@ def test_bad_input_is_refused(change, words):
 
 def test_scattered_points_have_no_motion():
     points = replace(lattice(4, 2.0), spacing=0.0)
-    operator = kernel("1/r", 2.0).on(points, transfer=False, allow_uncertified=True)
+    with pytest.warns(UserWarning, match="not on scattered points"):
+        operator = kernel("1/r", 2.0).on(points, transfer=False, allow_uncertified=True)
     with pytest.raises(InputError, match="points: expected a lattice"):
         march(operator, None, 0 * points.x, density=DENSITY, step=0.1, steps=1)

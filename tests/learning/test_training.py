@@ -237,7 +237,7 @@ def test_bad_choices_are_refused(change, words):
         (lambda: Bernstein(-1), "degree: expected a whole number ≥ 0, got -1"),
         (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
         (lambda: Conditions("none"), "conditions: expected one of direct, paper, got 'none'"),
-        (lambda: Conditions(zeta=-0.01), "zeta: expected a stiffness > 0 TPa, got -0.01"),
+        (lambda: Conditions(zeta=-0.01), "zeta: expected a stiffness > 0, got -0.01"),
         (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
         (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
         (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),

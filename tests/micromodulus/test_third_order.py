@@ -11,7 +11,6 @@ import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.nonlinear import psi as psi_of_green_strain
 from tests.support.problems import lattice, smooth
-from tests.support.solving import solve
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import ThirdOrder, fit
 from warp_peri.learning.methods import Bernstein
@@ -168,12 +167,12 @@ def test_equilibria_are_found_and_known_to_be_the_only_ones(law, monkeypatch):
     points = nodes(6)
     samples = loaded(law, points, 0.01, count=2)
     problem = warp_peri.Dirichlet(points, samples.b, samples.u)
-    solution = solve(law, problem)
+    solution = warp_peri.solve(law, problem)
     np.testing.assert_allclose(solution.u, samples.u, atol=1e-6 * np.abs(samples.u).max())
     assert all(record.unique for record in solution.details)
     assert 0 < max(record.largest_gradient for record in solution.details) < law.proven["strain"]
     monkeypatch.setattr(third_order_operator, "DIRECT", 0)
-    again = solve(law, problem)
+    again = warp_peri.solve(law, problem)
     np.testing.assert_allclose(again.u, solution.u, atol=1e-6 * np.abs(samples.u).max())
     errors = warp_peri.evaluate(law, samples)
     assert errors["E_res"] < 1e-12

@@ -91,8 +91,8 @@ def test_the_search_finds_what_a_finer_grid_finds(name, kind):
     ("kind", "zeta", "words"),
     [
         ("plain", 0.01, "conditions: expected one of direct, paper, got 'plain'"),
-        ("direct", 0.0, "zeta: expected a stiffness > 0 TPa, got 0.0"),
-        ("direct", np.nan, "zeta: expected a stiffness > 0 TPa, got nan"),
+        ("direct", 0.0, "zeta: expected a stiffness > 0, got 0.0"),
+        ("direct", np.nan, "zeta: expected a stiffness > 0, got nan"),
     ],
 )
 def test_bad_choices_are_refused(kind, zeta, words):

@@ -116,7 +116,7 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
         random = np.random.default_rng(seed)
         mask = random.uniform(size=(5, 5)) < 0.7
         mask[2, 2] = True
-        iteration = dict(model, proof.strain, lattice(mask, HORIZON), seed)
+        iteration = Iteration(model, proof.strain, lattice(mask, HORIZON), seed)
         starts = [iteration.start(size, random) for size in (0.1, 1.0, 30.0)]
         for _ in range(3):
             after = [iteration(start) for start in starts]

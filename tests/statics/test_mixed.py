@@ -7,8 +7,7 @@ from examples import diffusion, pressurised_crack, static_crack
 from examples import inclusion as inclusions
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
-from tests.support.solving import solve
-from warp_peri import InputError, Model, Points, move, save
+from warp_peri import InputError, Model, Points, move, save, solve
 from warp_peri.damage import Cracked, Injected, Mixed, opening_volume, rectangle
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.inclusions import ball_excess, bond_modulus

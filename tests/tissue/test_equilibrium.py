@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary, square, waves
-from tests.support.solving import solve as wp_solve
-from warp_peri import Dirichlet, InputError, Samples
+from warp_peri import Dirichlet, InputError, Samples, solve
 from warp_peri.tissue.equilibrium import (
     NoEquilibrium,
     StaticProblem,
@@ -94,9 +93,9 @@ def test_a_solid_without_stiffness_is_refused(manufactured):
     op, u, b = manufactured
     solid = HyperelasticSolid(op.dictionary, -COEFFICIENTS, op.points.spacing)
     with pytest.raises(NoEquilibrium, match="no stable equilibrium found"):
-        wp_solve(solid, Dirichlet(op.points, b, u))
+        solve(solid, Dirichlet(op.points, b, u))
     with pytest.raises(InputError, match="b: expected finite numbers"):
-        wp_solve(solid, Dirichlet(op.points, np.full_like(b, np.nan), u))
+        solve(solid, Dirichlet(op.points, np.full_like(b, np.nan), u))
 
 
 def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
@@ -149,12 +148,12 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     assert reached > 1.05
     samples = Samples(op.points, u[None], b[None])
     known = HyperelasticSolid(hgo_dictionary(), COEFFICIENTS, op.points.spacing, reached)
-    assert np.allclose(wp_solve(known, Dirichlet(op.points, b, u)).u, u)
+    assert np.allclose(solve(known, Dirichlet(op.points, b, u)).u, u)
     hyperelastic_errors(known, samples)
     less = replace(known, stretch=1.02)
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
     with pytest.warns(UserWarning, match=said):
-        wp_solve(less, Dirichlet(op.points, b, u))
-    for solve in (True, False):
+        solve(less, Dirichlet(op.points, b, u))
+    for solved in (True, False):
         with pytest.warns(UserWarning, match=said):
-            hyperelastic_errors(less, samples, solve=solve)
+            hyperelastic_errors(less, samples, solve=solved)

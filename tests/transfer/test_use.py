@@ -148,5 +148,5 @@ def test_nodes_around_a_free_edge_are_told_of_it(file, spacing):
     x = x[np.linalg.norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
     inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
     holed = Points(x=x, interior=inside, spacing=spacing)
-    with pytest.raises(InputError, match=r"edge.* solve_body"):
+    with pytest.raises(InputError, match=r"edges.* Body"):
         solve(load_model(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))

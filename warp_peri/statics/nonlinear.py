@@ -204,7 +204,11 @@ class _Solver:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
         self.linear = operator.inverse(LINEAR_SHARE * tolerance)
-        self.clipped = operator.clipped(self.proven)
+
+    @cached_property
+    def clipped(self) -> NonlinearOperator:
+        """Placed only where the plain iteration stalls, which few loads ask for."""
+        return self.operator.clipped(self.proven)
 
     def solve(self, load: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement of the interior, from the field's collar; the record.
