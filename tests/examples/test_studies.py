@@ -47,6 +47,7 @@ def test_manufactured_loss_falls_with_degree_and_spacing(tmp_path):
     assert np.all(np.diff(record["fixed_alpha"]["kernel_error"]) < 0)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_path):
     data = load_dataset(graphene)

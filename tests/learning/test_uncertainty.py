@@ -55,6 +55,7 @@ def in_a_body(model, points):
     return u[:, len(points.x) // 2]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified on no spacing")
 def test_the_band_holds_the_truth_as_often_as_it_says():
     true = kernel("positive", HORIZON, lam=-0.1, mu=0.7)
