@@ -164,15 +164,16 @@ def rows(scalar):
         numbers=wp.types.vector(6, scalar),
         vec=wp.types.vector(2, scalar),
         mat=wp.types.matrix((2, 2), scalar),
-        state=_state(scalar, forward),
+        state=state_of(scalar, wp.types.vector(6, scalar), forward),
         state_adjoint=_state_adjoint(scalar, backward),
         force=_force(scalar, native(FORCE, scalar)),
         tangents=_tangents(scalar, native(UNIT, scalar)),
     )
 
 
-def _state(scalar, body):
-    pair, numbers = wp.types.vector(6, scalar), wp.types.vector(6, scalar)
+def state_of(scalar, pair, body):
+    """The kernel whose C++ goes through bonds that hold `pair`, here and in tensors.py."""
+    numbers = wp.types.vector(6, scalar)
 
     @wp.func_native(body)
     def piecewise(
@@ -200,7 +201,7 @@ def _state(scalar, body):
         planes: wp.array2d(dtype=scalar),
         result: wp.array2d(dtype=scalar),
     ):
-        """P = Ψ′(H), θ and H of u, (N1) and (N4); H is clipped for P where a radius is given."""
+        """P = Ψ′(H), H and an LPS's θ of u, (N1) and (N4); a radius clips H for P."""
         s, t = wp.tid()
         piecewise(s, pieces[first + t], offset, bonds, p_in, m, radius, planes, result)
 

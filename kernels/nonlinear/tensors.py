@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.nonlinear.law import CLIP, CLIPPED, STRESS
-from warp_peri.kernels.nonlinear.rows import HERE, KEPT, OF_FIELD, P_IN, PAIR, native, rows
+from warp_peri.kernels.nonlinear.rows import HERE, KEPT, OF_FIELD, PAIR, native, rows, state_of
 
 STATE = (
     HERE
@@ -98,44 +98,10 @@ def tensor_rows(scalar):
         numbers=of.numbers,
         vec=of.vec,
         mat=of.mat,
-        state=_state(scalar, pair, of.numbers, native(STATE, scalar)),
+        state=state_of(scalar, pair, native(STATE, scalar)),
         force=_force(scalar, pair, of.vec, native(FORCE, scalar)),
         tangents=of.tangents,
     )
-
-
-def _state(scalar, pair, numbers, body):
-    @wp.func_native(body)
-    def piecewise(
-        s: wp.int32,
-        piece: wp.vec3i,
-        offset: wp.array(dtype=wp.int32),
-        bonds: wp.array(dtype=pair),
-        column: wp.int32,
-        m: numbers,
-        radius: scalar,
-        planes: wp.array2d(dtype=scalar),
-        result: wp.array2d(dtype=scalar),
-    ): ...
-
-    p_in = wp.constant(P_IN)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def state(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec3i),
-        offset: wp.array(dtype=wp.int32),
-        bonds: wp.array(dtype=pair),
-        m: numbers,
-        radius: scalar,
-        planes: wp.array2d(dtype=scalar),
-        result: wp.array2d(dtype=scalar),
-    ):
-        """P = Ψ′(H) and H of u; H is clipped for P where a radius is given."""
-        s, t = wp.tid()
-        piecewise(s, pieces[first + t], offset, bonds, p_in, m, radius, planes, result)
-
-    return state
 
 
 def _force(scalar, pair, vec, body):

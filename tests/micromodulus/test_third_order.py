@@ -9,7 +9,7 @@ import pytest
 
 import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive
-from tests.support.nonlinear import psi as psi_of_green_strain
+from tests.support.nonlinear import psi
 from tests.support.problems import lattice, smooth
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import ThirdOrder, fit
@@ -23,7 +23,6 @@ from warp_peri.micromodulus.laws import Micromodulus
 from warp_peri.micromodulus.learning import fit_symbol
 from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
-from warp_peri.micromodulus.third_order_operator import psi
 from warp_peri.micromodulus.third_order_proof import (
     _Gradient,
     _holds,
@@ -31,6 +30,7 @@ from warp_peri.micromodulus.third_order_proof import (
     proven_kappa,
     uniqueness,
 )
+from warp_peri.models.nonlinear import energy_density
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -75,8 +75,8 @@ def test_the_energy_is_that_of_the_green_strain(law):
         linear = type("", (), {"lam": LAM, "mu": MU})
         t3, tq2, q3 = law.t3, law.tq2, law.q3
 
-    expected = psi_of_green_strain(H, Model, 0.3)
-    np.testing.assert_allclose(psi(H, law.numbers_at(0.3)), expected, rtol=1e-12)
+    expected = psi(H, Model, 0.3)
+    np.testing.assert_allclose(energy_density(H, law.numbers_at(0.3)), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4])

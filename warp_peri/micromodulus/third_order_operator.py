@@ -23,6 +23,7 @@ from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.third_order_proof import proven_crystal
+from warp_peri.models.nonlinear import energy_density
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.axis import axis_of
@@ -181,7 +182,7 @@ class PlacedCrystal(PlacedThirdOrder):
         if self.model.form != "energy":
             return None
         H, _ = self.gradients(u)
-        own = psi(H, self.numbers.numpy()).sum(axis=-1) * self.model.spacing**2
+        own = energy_density(H, self.numbers.numpy()).sum(axis=-1) * self.model.spacing**2
         return np.asarray(self.straight.energy(u) + own)
 
     def stress(self, u: np.ndarray) -> np.ndarray:
@@ -212,16 +213,3 @@ class PlacedCrystal(PlacedThirdOrder):
                 )
                 matrix = matrix + sp.csr_array(sp.kron(bonds, C))
         return sp.csr_array(matrix)
-
-
-def psi(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Ψ of (N3) [stress] of gradients [..., 2, 2], with six numbers as numbers_at gives them."""
-    lam, mu, t3, tq2 = numbers[:4]
-    t, w = H[..., 0, 0] + H[..., 1, 1], (H[..., 1, 0] - H[..., 0, 1]) / 2
-    q = (H[..., 0, 0] - H[..., 1, 1] + 1j * (H[..., 0, 1] + H[..., 1, 0])) / 2
-    rho = np.abs(q) ** 2
-    e, s = t + t**2 / 4 + w**2 + rho, q * (1 + t / 2 - 1j * w)
-    square = np.abs(s) ** 2
-    harmonic = (lam + mu) * (e**2 - t**2) / 2 + 2 * mu * (square - rho)
-    return np.asarray(harmonic + t3 * e**3 + tq2 * e * square
-                      + ((numbers[4] + 1j * numbers[5]) * s**3).real)  # fmt: skip

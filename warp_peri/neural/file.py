@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import whole_file, write_json
+from warp_peri.files.atomic import read_json, whole_file, write_json
 from warp_peri.neural.material import Operator
 from warp_peri.points.unit_names import Units
 
@@ -55,14 +54,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operato
     finite, or not those that the JSON was written with.
     """
     path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected a JSON file ({error})") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path}: expected a file of format {FORMAT}")
-    if content.get("version") != VERSION:
-        raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
+    content = read_json(path, FORMAT, VERSION)
     try:
         material = Operator(
             float(content["horizon"]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
+from warp_peri.files.atomic import read_json, write_json
 from warp_peri.points.unit_names import (
     USUAL,
     Units,
@@ -340,15 +339,7 @@ def load_hyperelastic(path: str | os.PathLike[str]) -> HyperelasticSolid:
 
     Of a file that names no units Å and TPa are taken, with a warning.
     """
-    try:
-        with open(path, encoding="utf-8") as file:
-            content = json.load(file)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected a JSON file ({error})") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path}: expected a file of format {FORMAT}")
-    if content.get("version") != VERSION:
-        raise InputError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
+    content = read_json(path, FORMAT, VERSION)
     try:
         dictionary = Dictionary(
             float(content["reach"]),
