@@ -42,7 +42,7 @@ class Loads:
     def density(self, x: np.ndarray, spacing: float) -> np.ndarray:
         """The body force density [TPa/Å] that nodes of a lattice feel, both of shape [n, 2].
 
-        Its mean around a node, by weights of Keys (1981) that add up to one over the nodes and
+        Its mean around a node (B16), by weights that add up to one over the nodes and
         leave quadratic fields as they are: no force is lost between nodes, and what changes from
         triangle to triangle is not taken for a long wave. It is read up to 2.5 spacings away.
 
