@@ -18,6 +18,6 @@ step = 0.4 * solid.longest_step(h)
 run = wp.move(solid, plate, step=step, steps=300, every=10, no_fail=rim)
 
 print(run, f"energy that is missing from the ledger: {run.missing:.1e}", sep="\n")
-plt.scatter(*(1e3 * x).T, c=run.details.damage, s=4)
+plt.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=run.details.damage, s=4)
 plt.gca().set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="Share of broken bonds")
 plt.savefig("cracks.png")

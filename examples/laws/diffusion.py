@@ -7,7 +7,7 @@ import warp_peri as wp
 
 h = 1 / 32
 steps = np.argwhere(np.ones((77, 77))) - 38
-points = wp.Points(h * steps, interior=(np.abs(steps) <= 32).all(axis=1), spacing=h)
+points = wp.Points(h * steps, interior=np.abs(steps).max(axis=1) <= 32, spacing=h)
 phi = points.x[:, 0]  # temperature on the collar: from −1 on the left to 1 on the right
 
 
