@@ -70,10 +70,11 @@ class Placed:
         y = xi + field[:, far] - field[:, near]
         pull = (tension / np.linalg.norm(y, axis=2))[..., None] * y
         part = 0.5 * bonds.area * pull[..., :, None] * xi[:, None, :]
-        whole = np.zeros((len(field), len(self.points.x), 2, 2))
+        whole = np.zeros((len(self.points.x), len(field), 2, 2))
         for ends in (near, far):
-            np.add.at(whole, (slice(None), ends), part)
-        return whole[:, bonds.rows].reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
+            np.add.at(whole, ends, part.swapaxes(0, 1))
+        rows = whole[bonds.rows].swapaxes(0, 1)
+        return rows.reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
 
     def force(self, u: torch.Tensor) -> torch.Tensor:
         """Forces [S, I, 2] of u [S, N, 2]."""
