@@ -74,7 +74,8 @@ class Placed:
         for ends in (near, far):
             np.add.at(whole, ends, part.swapaxes(0, 1))
         rows = whole[bonds.rows].swapaxes(0, 1)
-        return rows.reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
+        stress: np.ndarray = rows.reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
+        return stress
 
     def force(self, u: torch.Tensor) -> torch.Tensor:
         """Forces [S, I, 2] of u [S, N, 2]."""
