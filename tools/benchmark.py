@@ -362,7 +362,7 @@ def ceilings(*, quick: bool) -> None:
             roofline.roofline(bonds, Solid(**MODEL), u, bandwidth)
 
 
-def launches(*, quick: bool) -> None:
+def launches(*, quick: bool, threads: int = 2) -> None:
     """Where one forward sweep's time goes, on one thread and two; by rows in Numba beside it."""
     try:
         import numba
@@ -375,7 +375,7 @@ def launches(*, quick: bool) -> None:
         for precision in ("float64", "float32"):
             bonds = Bonds(points, HORIZON, precision=precision)
             t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
-            for count in (1, 2):
+            for count in range(1, threads + 1):
                 set_threads(count)
                 torch.set_num_threads(count)
                 forward, _ = ours(bonds, fields, getattr(torch, precision))
@@ -397,7 +397,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
     )
-    parser.add_argument("--threads", type=int, default=2, help="operator: of every candidate")
+    parser.add_argument(
+        "--threads", type=int, default=2, help="operator, launch: of every candidate"
+    )
     parser.add_argument("--model", type=Path, help="solve: model file (default: learned graphene)")
     parser.add_argument("--out", type=Path, help="solve: write the table as JSON")
     given = parser.parse_args(arguments)
@@ -406,7 +408,7 @@ def main(arguments: list[str] | None = None) -> int:
     elif given.what == "roofline":
         ceilings(quick=given.quick)
     elif given.what == "launch":
-        launches(quick=given.quick)
+        launches(quick=given.quick, threads=given.threads)
     else:
         operator(quick=given.quick, threads=given.threads)
     return 0
