@@ -173,15 +173,17 @@ def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: boo
     known, name = whole(), f"{FITTED} bonds"
     known.ends(cracks, half)  # refused before an hour of atoms
     base = atoms({name: ([(-FITTED / 2, FITTED / 2)], 0.0315)}, step, kept)[name]
-    if all(crack[0][1] == crack[1][1] for crack in cracks):
+    along = all(crack[0][1] == crack[1][1] for crack in cracks)
+    if along:
         single = [np.array([(-FITTED / 2 * step, 0.0), (FITTED / 2 * step, 0.0)])]
         factor = known.factor(known.held(single, HALF * step), base)
-        table = {"by": "rows", "predicted": known.predicted(known.held(cracks, half), factor)}
+        predicted = known.predicted(known.held(cracks, half), factor)
     else:
-        table = {"by": "kinks", "predicted": by_kinks(known, cracks, half, base)}
+        predicted = by_kinks(known, cracks, half, base)
+    table = {"by": "rows" if along else "kinks", "predicted": predicted}
     if pull:
-        strain = critical_strain(cracks, 0.95 * table["predicted"], half=half)["strain"]
-        table |= {"atoms": strain, "error": table["predicted"] / strain - 1}
+        strain = critical_strain(cracks, 0.95 * predicted, half=half)["strain"]
+        table |= {"atoms": strain, "error": predicted / strain - 1}
     return table
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -90,7 +91,7 @@ class Pieces:
     def packed(self) -> None:
         """As the library launches them: arguments are packed anew."""
         for one in self.slices:
-            at_once([lambda k=k, d=d, i=i, o=o: launch(k, d, i, (o,)) for k, d, i, o in one])
+            at_once([partial(launch, k, d, i, (o,)) for k, d, i, o in one])
 
     def alone(self) -> None:
         """Recorded before: nothing but the kernels, and threads that wait for each other."""

@@ -78,7 +78,8 @@ class SheetFeatures:
         if not self._dilatation:
             return self.orbits()
         forces = Features(self._samples, self._horizon)(self._samples.u)
-        return np.einsum("sifa,ab->sibf", forces, self.axes)
+        along: np.ndarray = np.einsum("sifa,ab->sibf", forces, self.axes)
+        return along
 
     def hexagonal(self) -> np.ndarray:
         """Forces that turn by −4φ with the bond, of sums of classes that short waves alone see.
@@ -96,7 +97,8 @@ class SheetFeatures:
             out[..., 2 * kind + 1] += d @ np.array([[s, c], [c, -s]])
             moments[:, 2 * kind] += np.outer(np.outer(step, step), [c, -s]).ravel()
             moments[:, 2 * kind + 1] += np.outer(np.outer(step, step), [s, c]).ravel()
-        return out @ null_space(moments)
+        short: np.ndarray = out @ null_space(moments)
+        return short
 
     def pairs(self) -> np.ndarray:
         """Unit bonds, each by itself, with every symmetric matrix."""
@@ -201,7 +203,8 @@ class SheetFeatures:
 
 def _trace(a: np.ndarray) -> np.ndarray:
     """Of matrices in the last two axes, kept as axes of one."""
-    return np.trace(a, axis1=-2, axis2=-1)[..., None, None]
+    trace: np.ndarray = np.trace(a, axis1=-2, axis2=-1)[..., None, None]
+    return trace
 
 
 def _spin(e: np.ndarray) -> np.ndarray:
