@@ -6,9 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from tests.support.cubes import cube, periodic_cloud, periodic_cube, solid
 from tests.support.problems import difference
+from warp_peri import load, save
 from warp_peri.errors import InputError
 from warp_peri.methods import Solid
 from warp_peri.models.lps import load_model
@@ -164,6 +166,20 @@ def test_moduli_are_those_of_the_solid():
     assert model.nu == pytest.approx(model.E / (2 * model.mu) - 1)
     with pytest.raises(InputError, match="expected one of 2 dimensions, those of the lattice"):
         moduli(model, bond_classes(1.0, 2.5))
+
+
+def test_forces_turn_with_the_lattice_and_follow_the_units(tmp_path):
+    points, model, operator = placed("lattice")
+    u = np.random.default_rng(8).normal(size=points.x.shape)
+    turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
+    turned = replace(points, x=points.x @ turn.T)
+    force = NodeOperator(model, turned, allow_uncertified=True)(u @ turn.T)
+    np.testing.assert_allclose(force, operator(u) @ turn.T, atol=1e-11)
+    save(tmp_path / "m.json", model)
+    other = load(tmp_path / "m.json", units=("nm", "GPa"))
+    small = replace(points, x=points.x / 10, spacing=0.1, units=other.units)
+    force = NodeOperator(other, small, allow_uncertified=True)(u / 10)
+    np.testing.assert_allclose(force, 1e4 * operator(u), rtol=1e-9, atol=1e-7)
 
 
 def test_a_model_knows_its_dimension_in_its_file_and_on_points(tmp_path):

@@ -9,7 +9,9 @@ from tests.support.cubes import cube, field, load, periodic_cube, solid
 from tests.support.problems import difference, fitted_order
 from tests.support.solving import solve
 from warp_peri import Krylov
+from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
+from warp_peri.learning.evaluate import without_rigid_part
 from warp_peri.methods import Solid
 from warp_peri.micromodulus import tensors_of
 from warp_peri.operator.symbol import moduli
@@ -36,9 +38,8 @@ def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
     assert fitted_order(LENGTH / numbers, errors) >= 2
 
 
-@pytest.mark.parametrize("law", [{}, {"D": [1.0, -0.3, 0.6], "D_dilatation": [0.5, 1.0, 0.2]}])
-def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size(law):
-    model = solid(2.0, **law)
+def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size():
+    model = solid(2.0, D=[1.0, -0.3, 0.6], D_dilatation=[0.5, 1.0, 0.2])
     tensors = tensors_of(model, 1.0)
     points = cube(3, 2.0)
     u = np.random.default_rng(1).normal(size=points.x.shape)
@@ -56,6 +57,36 @@ def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size(law):
         problem = warp_peri.Dirichlet(points, load(points.x, 0.3, 0.8), exact)
         errors.append(np.abs(warp_peri.solve(fine, problem).u - exact).max())
     assert errors[0] > 4 * errors[1]
+
+
+def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
+    model, density = solid(2.0, lam=3.0), 2000.0
+    step = critical_time_step(model, spacing=1.0, density=density, allow_uncertified=True)
+    waves = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, 3))
+    stiffest = np.linalg.eigvalsh(tensors_of(model, 1.0).symbol(waves)).max()
+    longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
+    assert 0.6 * longest < step < longest
+    points = cube(3, 2.0)
+    u = np.where(points.interior[:, None], np.random.default_rng(3).normal(size=points.x.shape), 0)
+    problem = warp_peri.Dirichlet(points, None, 1e-3 * u)
+    operator = model.on(points, allow_uncertified=True)
+    motion = warp_peri.move(operator, problem, density=density, step=0.9 * step, steps=200)
+    assert motion.u.shape == points.x.shape
+    assert np.ptp(motion.energy) < 1e-9 * motion.energy.mean()
+
+
+def test_errors_in_space_leave_rigid_motions_out():
+    points, operator = cube(2, 2.0), solid(2.0).on(cube(2, 2.0), allow_uncertified=True)
+    spin = np.array([[0, -0.1, 0.4], [0.1, 0, -0.7], [-0.4, 0.7, 0]])
+    rigid = points.x @ spin.T + [1.0, 2.0, 3.0]
+    assert np.abs(without_rigid_part(points.x, rigid[None])).max() < 1e-12
+    u, load = 0.1 * field(points.x), np.zeros_like(points.x)
+    load[points.interior] = operator(u)
+    samples = warp_peri.Samples(points, (u + rigid)[None], load[None])
+    assert warp_peri.evaluate(operator, samples)["E_shape"] < 1e-12
+    report = warp_peri.proofs.solvability(operator.model, points)
+    assert report.symmetric_min > 0
+    assert report.asymmetry < 1e-12
 
 
 def test_what_is_made_for_sheets_is_refused_in_space():

@@ -18,8 +18,8 @@ def tensors_of(model: Model, spacing: float) -> Crystal:
     """The law of an LPS, with one influence function or two, on a lattice, exactly.
 
     C(ξ) is minus its stencil at ξ: products of dilatations make bonds of range 2δ. Any points whose
-    families are whole give the same force. Of a solid in space it is what is proven, moved, and
-    solved where nodes are many.
+    families are whole give the same force. Of a solid in space it is what is proven,
+    and solved where nodes are many.
 
     Args:
         model: linear.
