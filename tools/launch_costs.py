@@ -54,14 +54,14 @@ class Pieces:
             raise RuntimeError("the lattice is not laid out in rows")
         lam, mu, alpha, D = (bonds.floats(np.atleast_1d(v)) for v in solid.values())
         kw, m = influence(bonds, alpha, D)
-        law = filled(structs(scalar).Law, kw, m, kw, m, lam, mu)
+        law = filled(structs(scalar, bonds.dimension).Law, kw, m, kw, m, lam, mu)
         planes, theta = rows.planes("forward", 1)
         values: Any = wp.array(u[None], dtype=bonds.vec, device="cpu")
         Lu = empty(1, len(bonds.rows), dtype=bonds.vec)
         degree, of, weight = len(D) - 1, rows.pieces, rows.kernels.lanes // 4
         table = (*influence_inputs(bonds, degree), alpha, D)
         shared = (rows.offset, bonds.arrays, law, planes)
-        volume = sweeps(scalar).weighted_volume
+        volume = sweeps(scalar, bonds.dimension).weighted_volume
         calls: list[tuple[Any, int, int, tuple[Any, ...], Any]] = [
             (influence_kernel(degree, scalar), len(bonds.r), 0, table, kw),
             (volume, 1, 0, (bonds.full, bonds.arrays, bonds.r, kw), m),
