@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, overload
 
@@ -35,17 +35,12 @@ class _Force(torch.autograd.Function):
         ctx.gathers = len(bonds.cut) == 0 and bonds.device == DEVICE
         ctx.save_for_backward(*inputs)  # the arrays share their memory
         taped = any(ctx.needs_input_grad) and not ctx.gathers
-        types = [bonds.vec] + (len(inputs) - 1) * [bonds.scalar]
-        ctx.arrays = [
-            wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=taped)
-            for tensor, dtype in zip(inputs, types)
-        ]
+        ctx.arrays = _arrays(bonds, inputs, gradient=taped)
         if taped:
             with wp.Tape() as ctx.tape:
                 ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
         else:
-            wanted = any(ctx.needs_input_grad)
-            ctx.evaluation = evaluate(bonds, *ctx.arrays, dilatation=wanted)
+            ctx.evaluation = evaluate(bonds, *ctx.arrays)
         Lu: torch.Tensor = wp.to_torch(ctx.evaluation.Lu, requires_grad=False)
         return Lu
 
@@ -80,6 +75,15 @@ class _Force(torch.autograd.Function):
 
 
 _force: Callable[..., torch.Tensor] = _Force.apply
+
+
+def _arrays(bonds: Bonds, tensors: Sequence[torch.Tensor], *, gradient: bool = False) -> list[Any]:
+    """u and the numbers as Warp arrays, which share the tensors' memory."""
+    types = [bonds.vec] + (len(tensors) - 1) * [bonds.scalar]
+    return [
+        wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=gradient)
+        for tensor, dtype in zip(tensors, types)
+    ]
 
 
 class NodeOperator:
@@ -183,7 +187,12 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
         raise InputError(
             f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
         )
-    Lu = _force(bonds, u.reshape(-1, bonds.nodes, bonds.dimension), *numbers)
+    inputs = (u.reshape(-1, bonds.nodes, bonds.dimension), *numbers)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
+        Lu = _force(bonds, *inputs)
+    else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
+        made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
+        Lu = wp.to_torch(made, requires_grad=False)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
 
 
