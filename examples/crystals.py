@@ -76,7 +76,8 @@ def in_ball(law: Crystal, seen: Samples) -> tuple[float, float]:
     """Means of E_res and E_u [%] inside a free ball of atoms, displacement given around."""
     far, h = np.linalg.norm(seen.x, axis=1), seen.spacing
     inside = seen.interior & (far <= SEEN * h - law.horizon + 1e-9)  # a long reach asks more collar
-    return placed_errors(law, dataclasses.replace(seen, interior=inside))
+    points = dataclasses.replace(seen.points, interior=inside)
+    return placed_errors(law, Samples(points, seen.u, seen.loads))
 
 
 def dispersion(paths: dict[str, Any], atoms: Symbol, law: Symbol, h: float) -> dict[str, float]:

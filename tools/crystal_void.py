@@ -82,9 +82,14 @@ def void(name: str, constants: ForceConstants, spacing: float) -> Void:
     return Void(Samples(nodes, u, np.zeros_like(u)), float((3 * volume / (4 * np.pi)) ** (1 / 3)))
 
 
-def void_error(law: Crystal, found: Void) -> float:
-    """Mean E_u [%] on the nodes within INNER that are seen cleanly, u given on those beyond."""
+def void_error(law: Crystal, found: Void) -> float | None:
+    """Mean E_u [%] on the nodes within INNER that are seen cleanly, u given on those beyond.
+
+    None for a law that reaches further than the nodes that are given.
+    """
     h, seen = law.spacing, found.samples
+    if law.horizon > (HELD - INNER) * h:
+        return None
     collar = found.radius / h + MARGIN
     near = collar + law.horizon / h  # unknown nodes from here on
     shell = Shell(law.tensor(), found.radius, (near + OVERLAP) * h)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -44,6 +45,8 @@ SAME_SPACING = 1e-6
 """Relative, of spacings that are taken as the same."""
 BROKEN = 1e-8
 """Relative, that tensors may break a symmetry they are said to have."""
+
+_said: list[str] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,14 +297,28 @@ class Crystal:
         )
 
     def _check_axis(self, nodes: Points) -> None:
-        """Raise InputError where points state another direction of the crystal than the law's."""
+        """Raise InputError where points state another direction of the crystal than the law's.
+
+        Where they state none, and lattice or crystal are turned, what is assumed is said once.
+        """
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
-        if nodes.axis is None or self.dimension != 2 or isotropic:
+        if isotropic or nodes.dimension != self.dimension:
             return
-        there = node_steps(nodes)[1].T @ checked_orientation(nodes.axis, 2)
-        same = np.asarray(self.orientation) @ point_group(self.symmetry, 2)
+        d, axes = self.dimension, node_steps(nodes)[1]
+        same = np.asarray(self.orientation) @ point_group(self.symmetry, d)
+        if nodes.axis is None:
+            straight = np.abs(same - np.eye(d)).max(axis=(1, 2)).min() < SAME_AXIS
+            if not (straight and np.abs(axes - np.eye(d)).max() < SAME_AXIS) and not _said:
+                _said.append("axis")
+                warnings.warn(
+                    "axis: lattice or crystal are turned, and the points do not state how the "
+                    "crystal lies: taken as on its nodes in the law; Points(…, axis=…) states it",
+                    stacklevel=3,
+                )
+            return
+        there = axes.T @ checked_orientation(nodes.axis, d)
         if np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS:
-            angle = np.degrees(np.arctan2(there[1, 0], there[0, 0]))
+            angle = np.degrees(np.arccos(np.clip((np.trace(there) - (d - 2)) / 2, -1, 1)))
             raise InputError(
                 f"axis: the crystal stands at {angle:.4g}° to these nodes, other than in the law; "
                 "transferred(law, spacing, rotation=…) turns it"
