@@ -5,6 +5,7 @@ from warp_peri.micromodulus.force_constants import from_calculator, read_force_c
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.laws import CrystalFit, Micromodulus
 from warp_peri.micromodulus.learning import fit_symbol, from_phonons, transferred
+from warp_peri.micromodulus.planes import plane_strain, plane_stress
 from warp_peri.micromodulus.states import tensors_of
 
 __all__ = [
@@ -15,6 +16,8 @@ __all__ = [
     "from_calculator",
     "from_phonons",
     "from_voigt",
+    "plane_strain",
+    "plane_stress",
     "read_force_constants",
     "tensors_of",
     "transferred",

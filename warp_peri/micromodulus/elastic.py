@@ -215,11 +215,6 @@ def named_moduli(tensor: np.ndarray) -> dict[str, float]:
     return {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in found}
 
 
-def plane_strain(tensor: np.ndarray) -> np.ndarray:
-    """The plane tensor [2, 2, 2, 2] of a solid whose third strains are zero."""
-    return np.array(tensor[:2, :2, :2, :2])
-
-
 def plane_stress(tensor: np.ndarray) -> np.ndarray:
     """The plane tensor of a sheet free of stresses 33, 23 and 13: a Schur complement (T6)."""
     M = voigt(tensor)

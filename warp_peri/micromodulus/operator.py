@@ -108,6 +108,10 @@ class Operator:
             measured=record.residual,
         )
 
+    def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
+        """In equilibrium with b on a period, without its mean; as `rest`."""
+        return self.rest(b, np.zeros(np.shape(b)), solver)
+
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative of L u along v, shape [..., I, d]: L v, whatever u, for L is linear."""
         return self(v)
