@@ -1,7 +1,7 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory.md, T)."""
 
 from warp_peri.micromodulus.elastic import from_voigt
-from warp_peri.micromodulus.force_constants import from_calculator, read_force_constants
+from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.laws import CrystalFit, Micromodulus
 from warp_peri.micromodulus.learning import fit_symbol, from_phonons, transferred
@@ -12,6 +12,7 @@ __all__ = [
     "Crystal",
     "CrystalFit",
     "Micromodulus",
+    "Polar",
     "fit_symbol",
     "from_calculator",
     "from_phonons",

@@ -254,7 +254,9 @@ def from_supercell(
     if polar is not None:
         if thickness is not None:
             raise InputError("polar: expected a solid; the field of a sheet's ions is another")
-        polar = replace(polar, decay=2 * DECAYED / float(np.linalg.norm(box, axis=1).min()))
+        most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
+        decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
+        polar = replace(polar, decay=decay)
         phi = phi - _dipoles(polar, cell, box, x, X[:, None] - X[list(displaced)], kind)
     shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
     pairs, vectors, values = [], [], []
