@@ -202,11 +202,12 @@ def picture(name: str, path: Path) -> None:
     along = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
     across = np.outer(-np.sin(angle), one[0]) + np.outer(np.cos(angle), one[-1])
     values = np.array([directional(1e3 * law.tensor(), *pair) for pair in zip(along, across)])
-    for column, (title, value) in enumerate(zip(("E [GPa]", "Poisson's number"), values.T)):
+    for column, (title, value) in enumerate(zip(("E [GPa]", "ν"), values.T)):
         polar = figure.add_subplot(1, 3, 2 + column, projection="polar")
         polar.plot(angle, value)
         polar.set_rlim(min(0.0, 1.1 * value.min()), 1.1 * value.max())
-        polar.set_title(f"{title} in the plane of axes 1 and {law.dimension}")
+        polar.set_rlabel_position(67.5)
+        polar.set_title(f"{title}, axes 1 and {law.dimension}")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
