@@ -203,7 +203,7 @@ def picture(name: str, path: Path) -> None:
     across = np.outer(-np.sin(angle), one[0]) + np.outer(np.cos(angle), one[-1])
     values = np.array([directional(1e3 * law.tensor(), *pair) for pair in zip(along, across)])
     for column, (title, value) in enumerate(zip(("E [GPa]", "ν"), values.T)):
-        polar = figure.add_subplot(1, 3, 2 + column, projection="polar")
+        polar: Any = figure.add_subplot(1, 3, 2 + column, projection="polar")
         polar.plot(angle, value)
         polar.set_rlim(min(0.0, 1.1 * value.min()), 1.1 * value.max())
         polar.set_rlabel_position(67.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import re
@@ -38,7 +39,7 @@ def cube(law: Crystal, side: int) -> Points:
     line = np.arange(-reach, side + reach)
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = ((grid >= 0) & (grid < side)).all(axis=1)
-    return Points(law.spacing * grid, inside, law.spacing)
+    return Points(law.spacing * grid, np.asarray(inside), law.spacing)
 
 
 def least(function: Callable[[], Any], rounds: int) -> float:
@@ -62,7 +63,7 @@ def forces(law: Crystal, *, side: int, rounds: int) -> dict[str, float]:
         operator = law.on(points, method=method)
         planes = operator.nodes.lay_out(u[None])
         key = f"{method}, {threads} thread{'s'[: threads - 1]}"
-        found[key] = least(lambda pull=operator.pull, p=planes: pull(p), rounds)
+        found[key] = least(functools.partial(operator.pull, planes), rounds)
     small = cube(law, side // 2)
     matrix = law.on(small).matrix()
     v = np.random.default_rng(0).normal(size=small.x.size)

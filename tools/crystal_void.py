@@ -11,6 +11,7 @@ import functools
 import itertools
 import operator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -150,7 +151,7 @@ class Shell:
         self.scalar = skfem.Basis(cubes, element, intorder=4)
 
         @skfem.BilinearForm
-        def energy(u, v, w):  # type: ignore[no-untyped-def]
+        def energy(u: Any, v: Any, w: Any) -> Any:
             return np.einsum("ijkl,kl...,ij...->...", elastic, u.grad, v.grad)
 
         K = sp.csc_array(energy.assemble(self.basis))

@@ -205,7 +205,9 @@ def named_moduli(tensor: np.ndarray) -> dict[str, float]:
     M, d = voigt(tensor), tensor.shape[0]
     label = "123456" if d == 3 else "124"
     name = named_symmetry(tensor)
-    kept = {"hexagonal": (11, 12, 13, 33, 44, 66), "tetragonal": (11, 12, 13, 33, 44, 66)}
+    kept: dict[str, tuple[int, ...]] = dict.fromkeys(
+        ("hexagonal", "tetragonal"), (11, 12, 13, 33, 44, 66)
+    )
     kept |= dict.fromkeys(("cubic", "isotropic", "square"), (11, 12, 44))
     if name in kept:
         places = [(label.index(str(mn)[0]), label.index(str(mn)[1]), mn) for mn in kept[name]]
