@@ -4,6 +4,7 @@
     python tools/benchmark.py roofline [--quick]
     python tools/benchmark.py launch [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
+    python tools/benchmark.py crystals [--quick]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
 first. Rounds are interleaved, each timing follows an untimed call, and the best round counts (a
@@ -29,7 +30,15 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import launch_costs, numba_rival, numba_rows, rivals, roofline, solve_study
+from tools import (
+    benchmark_crystals,
+    launch_costs,
+    numba_rival,
+    numba_rows,
+    rivals,
+    roofline,
+    solve_study,
+)
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
@@ -393,7 +402,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["operator", "roofline", "launch", "solve"])
+    parser.add_argument("what", choices=["operator", "roofline", "launch", "solve", "crystals"])
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
     )
@@ -405,6 +414,8 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if given.what == "solve":
         solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
+    elif given.what == "crystals":
+        benchmark_crystals.crystals(quick=given.quick)
     elif given.what == "roofline":
         ceilings(quick=given.quick)
     elif given.what == "launch":

@@ -1,14 +1,16 @@
-"""A free ball of atoms under load, relaxed by LAMMPS, and what nodes see of it."""
+"""Bodies of atoms under load, relaxed by LAMMPS, and what nodes see of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import ase
 import numpy as np
 import scipy.fft
 from scipy.spatial import cKDTree
 
-from tools.crystals import EV_IN_TPA, session, smoothing, structure
+from tools.crystals import CONE, EV_IN_TPA, session, smoothing
+from tools.solid_session import SolidSession
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -17,61 +19,85 @@ RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
 """Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""
 TOLERANCE = 1e-6
 BONDED = {"Si": 0.5}
-"""Of the lattice parameter: atoms closer than that are bonded, where few bonds can be left."""
-PUSH = 1e-3
+"""Of the spacing: atoms closer than that are bonded, where few bonds can be left."""
+PUSH = 1e-5
 """Largest displacement of the differences that stand for a product with the Hessian [Å]."""
 LIMIT = 600
 
 
-def ball(name: str, constants: ForceConstants, *, loads: int = 5) -> Samples:
+def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Samples:
     """Displacement and load of a relaxed free ball on its nodes, interior 5.5 spacings, in TPa.
 
-    One node a cell, the first on an atom; smoothed with a cone of two spacings. The period's own
-    force constants precondition the answer, and are no part of it.
+    Nodes are around an atom; smoothed with a cone of two spacings. The period's own force constants
+    precondition the answer, and are no part of it.
     """
-    a = float(constants.cell[0, 0])
-    side = int(RADIUS) + 1
-    atoms = structure(name, a).repeat(2 * side).positions - side * a
-    kept = np.linalg.norm(atoms, axis=1) <= RADIUS * a
+    h = spacing
+    atoms, cells = cut(constants, RADIUS * h)
+    kept = np.linalg.norm(atoms.positions, axis=1) <= RADIUS * h
     for _ in range(4):  # atoms of the edge that hang by one bond
         inside = np.flatnonzero(kept)
-        near = cKDTree(atoms[inside]).query_ball_point(atoms[inside], BONDED.get(name, 1.0) * a)
+        x = atoms.positions[inside]
+        near = cKDTree(x).query_ball_point(x, BONDED.get(name, 1.0) * h)
         kept[inside[[len(others) - 1 < 2 for others in near]]] = False
     sites, atoms = np.flatnonzero(kept), atoms[kept]
-    filtered = _lattice_inverse(constants, 2 * side, sites)
-    with session(name, atoms, None) as lammps:
+    x = atoms.positions
+    filtered = lattice_inverse(constants, cells, sites)
+    with session(name, atoms, free=True) as lammps:
         rest = lammps.relax()
-        lammps.forces(rest)
-
-        def stiffness(v: np.ndarray) -> np.ndarray:
-            scale = PUSH / np.abs(v).max()
-            ahead, behind = (lammps.nearby_forces(rest + s * scale * v) for s in (1, -1))
-            return (behind - ahead) / (2 * scale)
-
-        pushes = _loads(atoms, RADIUS * a, INNER * a)[:loads]
         rigid = _rigid(rest)
-        answers = [_response(stiffness, filtered, _without(push, rigid), rigid) for push in pushes]
-    pushes = [_without(push, rigid) for push in pushes]
-    line = np.arange(-side - 2, side + 3) * a
-    nodes = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    far = np.linalg.norm(nodes, axis=1)
-    seen = far <= SEEN * a
-    smooth = smoothing(atoms, nodes, 2 * a, None)[seen]
+        pushes = [_without(push, rigid) for push in _loads(x, RADIUS * h, INNER * h)[:loads]]
+        pull = stiffness(lammps, rest)
+
+        def free(v: np.ndarray) -> np.ndarray:
+            return _without(v, rigid)
+
+        answers = [response(pull, filtered, push, free) for push in pushes]
+    points, smooth = seen(x, h, SEEN, INNER)
     density = np.asarray(smooth.sum(axis=1))
     u = np.array([(smooth @ answer) / density for answer in answers])
-    b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / a**3)
-    return Samples(Points(nodes[seen], far[seen] <= INNER * a, a), u, b)
+    b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / h**3)
+    return Samples(points, u, b)
 
 
-def _lattice_inverse(
-    constants: ForceConstants, cells: int, sites: np.ndarray
+def cut(constants: ForceConstants, radius: float) -> tuple[ase.Atoms, tuple[int, ...]]:
+    """Whole cells around an atom that hold a ball [Å], and how many each way."""
+    edges = np.diag(constants.cell)
+    side = np.ceil(radius / edges).astype(int) + 1
+    cell = ase.Atoms(constants.species, positions=constants.positions, cell=edges)
+    atoms = cell.repeat(tuple(2 * side))
+    atoms.positions -= constants.positions[0] + side * edges
+    return atoms, tuple((2 * side).tolist())
+
+
+def seen(x: np.ndarray, h: float, clean: float, inner: float) -> tuple[Points, np.ndarray]:
+    """Nodes around the middle whose cones atoms at x [Å] fill, and the cones, [nodes, atoms]."""
+    side = int(RADIUS) + 3
+    line = np.arange(-side, side + 1) * h
+    nodes = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    far = np.linalg.norm(nodes, axis=1)
+    kept = far <= clean * h
+    return Points(nodes[kept], far[kept] <= inner * h, h), smoothing(x, nodes, CONE * h, None)[kept]
+
+
+def stiffness(lammps: SolidSession, rest: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Products with the Hessian at rest [eV/Å²], by differences of forces."""
+    lammps.forces(rest)
+    still = lammps.nearby_forces(rest)
+
+    def product(v: np.ndarray) -> np.ndarray:
+        scale = PUSH / np.abs(v).max()
+        return (still - lammps.nearby_forces(rest + scale * v)) / scale
+
+    return product
+
+
+def lattice_inverse(
+    constants: ForceConstants, cells: tuple[int, ...], sites: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """What a period of so many cells answers to forces on some of its atoms, at these."""
-    count, a = len(constants.positions), float(constants.cell[0, 0])
-    line, half = np.fft.fftfreq(cells), np.fft.rfftfreq(cells)
-    k = np.stack(np.meshgrid(line, line, half, indexing="ij"), axis=-1).reshape(-1, 3) * (
-        2 * np.pi / a
-    )
+    """What a period of so many cells each way answers to forces on some of its atoms, at these."""
+    count, edges = len(constants.positions), np.diag(constants.cell)
+    lines = [np.fft.fftfreq(n) for n in cells[:2]] + [np.fft.rfftfreq(cells[2])]
+    k = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3) * (2 * np.pi / edges)
     phase = np.exp(1j * (k @ constants.positions.T)).repeat(3, axis=1)
     table = np.empty((len(k), 3 * count, 3 * count), np.complex64)
     for block in np.array_split(np.arange(len(k)), len(k) // 500 + 1):
@@ -81,10 +107,10 @@ def _lattice_inverse(
         # atoms of a cell in the phase of their cell, as the transform has them
         inner = np.linalg.inv(D) * phase[block][:, :, None] * phase[block].conj()[:, None, :]
         table[block] = inner
-    shape = (cells, cells, cells, 3 * count)
+    shape = (*cells, 3 * count)
 
     def apply(r: np.ndarray) -> np.ndarray:
-        field = np.zeros((cells**3 * count, 3), np.float32)
+        field = np.zeros((int(np.prod(cells)) * count, 3), np.float32)
         field[sites] = r
         wave = scipy.fft.rfftn(field.reshape(shape), axes=(0, 1, 2))
         wave = (table @ wave.reshape(len(k), -1, 1)).reshape(wave.shape)
@@ -132,25 +158,25 @@ def _loads(x: np.ndarray, R: float, inner: float) -> list[np.ndarray]:
     return [pull, squeeze, shear, random, inside * np.roll(axis, 1)]
 
 
-def _response(
+def response(
     stiffness: Callable[[np.ndarray], np.ndarray],
     filtered: Callable[[np.ndarray], np.ndarray],
     force: np.ndarray,
-    rigid: np.ndarray,
+    free: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """u with H u = force by conjugate gradients, without rigid motions."""
-    u, r = np.zeros_like(force), force.copy()
-    z = _without(filtered(r), rigid)
+    """u with H u = force among what is free, a projection, by conjugate gradients."""
+    u, r = np.zeros_like(force), free(force)
+    z = free(filtered(r))
     p, rz = z.copy(), float(np.vdot(r, z))
     goal = TOLERANCE * float(np.linalg.norm(r))
     for _ in range(LIMIT):
-        q = _without(stiffness(p), rigid)
+        q = free(stiffness(p))
         step = rz / float(np.vdot(p, q))
         u += step * p
         r -= step * q
         if np.linalg.norm(r) < goal:
-            return _without(u, rigid)
-        z = _without(filtered(r), rigid)
+            return free(u)
+        z = free(filtered(r))
         last, rz = rz, float(np.vdot(r, z))
         p = z + (rz / last) * p
-    raise RuntimeError(f"the ball did not settle in {LIMIT} iterations")
+    raise RuntimeError(f"the atoms did not settle in {LIMIT} iterations")

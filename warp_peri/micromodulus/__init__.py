@@ -1,20 +1,24 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory.md, T)."""
 
 from warp_peri.micromodulus.elastic import from_voigt
-from warp_peri.micromodulus.force_constants import from_calculator, read_force_constants
+from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.laws import CrystalFit, Micromodulus
 from warp_peri.micromodulus.learning import fit_symbol, from_phonons, transferred
+from warp_peri.micromodulus.planes import plane_strain, plane_stress
 from warp_peri.micromodulus.states import tensors_of
 
 __all__ = [
     "Crystal",
     "CrystalFit",
     "Micromodulus",
+    "Polar",
     "fit_symbol",
     "from_calculator",
     "from_phonons",
     "from_voigt",
+    "plane_strain",
+    "plane_stress",
     "read_force_constants",
     "tensors_of",
     "transferred",

@@ -38,6 +38,11 @@ def brackets_from_elastic(tensor: np.ndarray) -> np.ndarray:
     return brackets
 
 
+def stress_brackets(stress: np.ndarray) -> np.ndarray:
+    """δ_ij σ_kl, what a stress that a crystal is held under adds to [ij, kl] (T19)."""
+    return np.asarray(np.einsum("ij,kl->ijkl", np.eye(len(stress)), stress))
+
+
 def huang_rows(brackets: np.ndarray) -> np.ndarray:
     """[ij, kl] − [kl, ij] of each of P tensors, shape [E, P]: Huang's relations set them to 0."""
     d = brackets.shape[-1]
@@ -192,9 +197,24 @@ def named_symmetry(tensor: np.ndarray) -> str:
     return "hexagonal" if round_ else "tetragonal"
 
 
-def plane_strain(tensor: np.ndarray) -> np.ndarray:
-    """The plane tensor [2, 2, 2, 2] of a solid whose third strains are zero."""
-    return np.array(tensor[:2, :2, :2, :2])
+def named_moduli(tensor: np.ndarray) -> dict[str, float]:
+    """Elastic constants by name that are not zero, those that symmetry makes equal once.
+
+    In the plane C44 is the shear modulus, as for the other laws.
+    """
+    M, d = voigt(tensor), tensor.shape[0]
+    label = "123456" if d == 3 else "124"
+    name = named_symmetry(tensor)
+    kept: dict[str, tuple[int, ...]] = dict.fromkeys(
+        ("hexagonal", "tetragonal"), (11, 12, 13, 33, 44, 66)
+    )
+    kept |= dict.fromkeys(("cubic", "isotropic", "square"), (11, 12, 44))
+    if name in kept:
+        places = [(label.index(str(mn)[0]), label.index(str(mn)[1]), mn) for mn in kept[name]]
+        return {f"C{mn}": float(M[m, n]) for m, n, mn in places}
+    tiny = SAME * 1e-3 * np.abs(M).max()
+    found = [(m, n) for m in range(len(M)) for n in range(m, len(M)) if abs(M[m, n]) > tiny]
+    return {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in found}
 
 
 def plane_stress(tensor: np.ndarray) -> np.ndarray:

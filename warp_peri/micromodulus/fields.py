@@ -66,9 +66,7 @@ def _features(u: np.ndarray, nodes: Nodes, bonds: Family) -> np.ndarray:
     return F[:, order]
 
 
-def long_wave_moduli(
-    samples: Samples, allowed: np.ndarray, forces: np.ndarray | None = None
-) -> tuple[np.ndarray, float]:
+def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
     """The elastic tensor that the longest waves of fields have (theory.md, T10).
 
     Smooth test fields v that end before the nodes do see of a solid only its moduli:
@@ -78,26 +76,35 @@ def long_wave_moduli(
     Args:
         samples: fields and loads on a lattice, periodic or with a collar.
         allowed: elastic tensors along the nodes' axes that may be mixed, [m, d, d, d, d].
-        forces: at the interior nodes, along the nodes' axes, that are part of the load: the first m
-            beside each of those tensors, others with constants of their own, [S, I, d, m + …].
 
     Returns:
         the tensor [d, d, d, d], and the relative residual of the equations.
 
     Raises InputError for loads that do not tell the tensors apart.
     """
+    values, kept, R = long_wave_rows(samples, allowed, MODES)
+    axes = lattice_steps(samples.points)[1]
+    y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
+    c, misfit = moduli_of(R, y)
+    return np.tensordot(c, allowed, 1), misfit
+
+
+def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
+    """Test fields with up to so many half waves each way, and what they see of elastic tensors.
+
+    Returns v, shape [V, n], the numbers of the nodes it is on, and −Σ u·div(C : grad v) of each
+    tensor, [S, V, d, m].
+    """
     grid, axes = lattice_steps(samples.points)
-    values, slopes, kept = _test_fields(samples, grid)
+    values, slopes, kept = _test_fields(samples, grid, modes)
     u = (samples.u @ axes)[:, kept]
-    b = (samples.loads @ axes)[:, kept]
     moments = np.einsum("vnjl,sni->svijl", slopes, u, optimize=True)
-    R = -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
-    y = np.einsum("vn,snk->svk", values, b, optimize=True)
-    m = len(allowed)
-    if forces is not None:
-        place = np.cumsum(samples.interior) - 1
-        more = np.einsum("vn,snka->svka", values, forces[:, place[kept]], optimize=True)
-        R = np.concatenate([R + more[..., :m], more[..., m:]], axis=-1)
+    return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
+
+
+def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
+    """Least squares of rows [..., m], and its relative residual; InputError where rows tell less
+    than m constants apart."""
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
     size = np.linalg.norm(R, axis=0)
     R = R / np.where(size > 0, size, 1)
@@ -107,12 +114,10 @@ def long_wave_moduli(
             "give them, or more loads of long waves"
         )
     c = np.linalg.lstsq(R, y, rcond=None)[0]
-    return np.tensordot(c[:m] / size[:m], allowed, 1), float(
-        np.linalg.norm(R @ c - y) / np.linalg.norm(y)
-    )
+    return c / size, float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
 
 
-def _test_fields(samples: Samples, grid: np.ndarray) -> tuple[np.ndarray, ...]:
+def _test_fields(samples: Samples, grid: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
     """v, shape [V, n], ∂_j ∂_l v, shape [V, n, d, d], and the numbers of the nodes they are on.
 
     Plane waves of a period; else products of sin⁴(π t) cos(m π t) on a box of interior nodes.
@@ -132,10 +137,10 @@ def _test_fields(samples: Samples, grid: np.ndarray) -> tuple[np.ndarray, ...]:
                 f"{(high - low).min() - 1}; give them"
             )
         t = (grid[kept] - low) / (high - low)
-        lines = [_bumps(t[:, a], h * (high - low)[a]) for a in range(d)]
+        lines = [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)]
     values, slopes = [], []
-    for modes in itertools.product(range(len(lines[0])), repeat=d):
-        chosen = [lines[a][m] for a, m in enumerate(modes)]
+    for numbers in itertools.product(range(len(lines[0])), repeat=d):
+        chosen = [lines[a][m] for a, m in enumerate(numbers)]
         second = np.empty((len(kept), d, d))
         for j, k in itertools.product(range(d), repeat=2):
             order = [int(a == j) + int(a == k) for a in range(d)]
@@ -145,10 +150,10 @@ def _test_fields(samples: Samples, grid: np.ndarray) -> tuple[np.ndarray, ...]:
     return np.array(values), np.array(slopes), kept
 
 
-def _bumps(t: np.ndarray, length: float) -> list[tuple[np.ndarray, ...]]:
+def _bumps(t: np.ndarray, length: float, modes: int) -> list[tuple[np.ndarray, ...]]:
     """sin⁴(π t) cos(m π t) on 0 < t < 1, with its first and second derivative to length t."""
     found: list[tuple[np.ndarray, ...]] = []
-    for m in range(MODES + 1):
+    for m in range(modes + 1):
         # sin⁴ = (3 − 4 cos 2πt + cos 4πt)/8, a sum of cosines of whole numbers of half waves
         parts = [(3 / 8, m), (-1 / 4, m + 2), (-1 / 4, m - 2), (1 / 16, m + 4), (1 / 16, m - 4)]
         wave = [(size, np.pi * number) for size, number in parts]

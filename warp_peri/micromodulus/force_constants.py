@@ -8,12 +8,13 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.micromodulus.elastic import acoustic, stress_brackets
 from warp_peri.micromodulus.groups import group_of_structure, point_group
 from warp_peri.micromodulus.regression import directions
 from warp_peri.points.unit_names import STRESSES
@@ -29,6 +30,60 @@ LONG = 4e-3
 LARGEST_FILE = 2**31
 SOFT = 1e-7
 """Λmin of a dynamical matrix, relative to the largest, below which a wave has no stiffness."""
+FLAT = 1e-3
+"""Heights of a sheet's atoms within so much of one another [Å] are a plane's."""
+HELD = 1e3
+"""Of the largest Φ, that a sheet's mean height is held with."""
+NOT_ELASTIC = 3e-3
+"""Of long waves, that may be missed by all elastic tensors of the symmetry."""
+COULOMB = 14.399645
+"""e²/(4π ε₀) [eV Å]."""
+DECAYED, NEGLECTED = 3.5, 36.0
+"""x with erfc(x) ≈ 0 at half a supercell, and exponents of Gaussians that are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Polar:
+    """What waves of ions' displacement do through their electric field (theory.md, T18).
+
+    Attributes:
+        born: effective charges of the atoms of a cell [e], shape [n, 3, 3].
+        dielectric: of clamped ions, shape [3, 3].
+        decay: Λ [1/Å] of the Gaussians; from_supercell sets it.
+    """
+
+    born: np.ndarray
+    dielectric: np.ndarray
+    decay: float = 0.0
+
+    def matrix(self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3]."""
+        least = np.linalg.eigvalsh(self.dielectric)[0]
+        furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
+        most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
+        counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
+        G = 2 * np.pi * counts @ np.linalg.inv(cell).T
+        zero = self._sums(np.zeros((1, 3)), G, cell, positions)[0].sum(axis=2)
+        D = np.concatenate([self._sums(one[None], G, cell, positions) for one in k])
+        atoms = np.arange(len(positions))
+        D[:, atoms, :, atoms, :] -= zero[:, None]  # translations cost nothing
+        return D
+
+    def _sums(
+        self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray
+    ) -> np.ndarray:
+        K = k + G
+        square = np.einsum("gi,ij,gj->g", K, self.dielectric, K)
+        kept = (square > 1e-14) & (square < 4 * self.decay**2 * NEGLECTED)
+        K, square = K[kept], square[kept]
+        factor = np.exp(-square / (4 * self.decay**2)) / square
+        factor *= 4 * np.pi * COULOMB / abs(np.linalg.det(cell))
+        pull = (
+            np.einsum("gb,nba->gna", K, self.born) * np.exp(1j * G[kept] @ positions.T)[..., None]
+        )
+        return np.asarray(
+            np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)[None]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +98,8 @@ class ForceConstants:
         vectors: from i to an image of j [Å], shape [P, 3].
         values: Φ [eV/Å²], ∂²E/∂u_i ∂u_j, shape [P, 3, 3]; shared among images equally near.
         thickness: of a sheet in the plane of the first two axes [Å]; None for a solid.
+        polar: of ions; `values` then are what their dipoles leave.
+        stress: that the crystal is held under [TPa], shape [d, d]; None for one at rest.
     """
 
     cell: np.ndarray
@@ -52,6 +109,8 @@ class ForceConstants:
     vectors: np.ndarray
     values: np.ndarray
     thickness: float | None = None
+    polar: Polar | None = None
+    stress: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -65,51 +124,83 @@ class ForceConstants:
             return float(abs(np.linalg.det(self.cell)))
         return float(abs(np.linalg.det(self.cell[:2, :2]))) * self.thickness
 
-    def dynamical(self, k: np.ndarray) -> np.ndarray:
-        """D_at(k) [eV/Å²] with the phases of atoms' positions and no masses, [K, n d, n d].
+    @property
+    def moving(self) -> int:
+        """Coordinates in which atoms move: 2 for a sheet whose atoms lie in one plane, else 3."""
+        flat = self.dimension == 2 and np.ptp(self.positions[:, 2]) < FLAT
+        return 2 if flat else 3
 
-        A sheet's displacements are in its plane. k in 1/Å, shape [K, d].
+    def dynamical(self, k: np.ndarray) -> np.ndarray:
+        """D_at(k) [eV/Å²] with the phases of atoms' positions and no masses, [K, n m, n m].
+
+        m is `moving`; the mean height of a sheet's cell is held. k in 1/Å, shape [K, d].
         """
-        d, n = self.dimension, len(self.positions)
+        d, m, n = self.dimension, self.moving, len(self.positions)
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
-        D = np.zeros((len(k), n, d, n, d), complex)
+        D = np.zeros((len(k), n, m, n, m), complex)
         for i, j in itertools.product(range(n), repeat=2):
             some = (self.pairs == (i, j)).all(axis=1)
-            D[:, i, :, j, :] = np.tensordot(phase[:, some], self.values[some, :d, :d], 1)
-        flat = D.reshape(len(k), n * d, n * d)
+            D[:, i, :, j, :] = np.tensordot(phase[:, some], self.values[some, :m, :m], 1)
+        if self.polar is not None:
+            D += self.polar.matrix(k, self.cell, self.positions)
+        if m > d:
+            D[:, :, 2, :, 2] += HELD * np.abs(self.values).max()
+        flat = D.reshape(len(k), n * m, n * m)
         hermitian: np.ndarray = (flat + flat.conj().swapaxes(1, 2)) / 2
         return hermitian
 
-    def effective(self, k: np.ndarray) -> np.ndarray:
-        """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).
+    def answer(self, k: np.ndarray, f: np.ndarray) -> np.ndarray:
+        """Amplitudes [Å] of the atoms of a cell under waves of one force on each, [K, n, d].
 
-        What the mean displacement of a cell's atoms feels when all else has relaxed.
-        Raises InputError for a crystal that is not stable at one of the waves, or for k = 0.
+        k [1/Å] and the force's amplitudes f [eV/Å], both of shape [K, d]. Raises InputError for a
+        crystal that is not stable at one of the waves, or for k = 0.
         """
-        d, n = self.dimension, len(self.positions)
-        D = self.dynamical(np.asarray(k, dtype=float))
+        d, m, n = self.dimension, self.moving, len(self.positions)
+        k = np.asarray(k, dtype=float)
+        D = self.dynamical(k)
         least = np.linalg.eigvalsh(D)
-        bad = least[:, 0] <= SOFT * 1e-7 * least[:, -1]
+        bad = least[:, 0] <= SOFT * 1e-7 * np.abs(self.values).max()
         if bad.any():
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness "
                 f"{least[bad][0, 0]:.2e} eV/Å² at k = {np.round(k[bad][0], 4).tolist()} 1/Å"
             )
-        P = np.tile(np.eye(d), (n, 1))
-        flexible = np.einsum("ai,kab,bj->kij", P, np.linalg.inv(D), P, optimize=True)
-        stiff = np.linalg.inv(flexible.real * (self.volume / n**2)) * STRESSES["eV/angstrom^3"]
+        force = np.zeros((len(k), n, m, f.shape[-1] if f.ndim == 3 else 1), complex)
+        force[:, :, :d] = f.reshape(len(k), 1, d, -1)
+        moved = np.linalg.solve(D, force.reshape(len(k), n * m, -1)).reshape(force.shape)[:, :, :d]
+        return np.asarray(moved if f.ndim == 3 else moved[..., 0])
+
+    def effective(self, k: np.ndarray) -> np.ndarray:
+        """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).
+
+        What the mean displacement of a cell's atoms feels when all else has relaxed.
+        Raises InputError as `answer` does.
+        """
+        unit = np.broadcast_to(np.eye(self.dimension), (len(k), *[self.dimension] * 2))
+        flexible = self.answer(k, unit).mean(axis=1).real * (self.volume / len(self.positions))
+        stiff = np.linalg.inv(flexible) * STRESSES["eV/angstrom^3"]
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
     def elastic(self, allowed: np.ndarray) -> np.ndarray:
         """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
 
-        Internal relaxation is part of it.
+        Internal relaxation is part of it, the stress that the crystal is held under is not. Raises
+        InputError for long waves that no such tensor has, as those of piezoelectric crystals.
         """
-        d = self.dimension
-        e = directions(60, d)
+        e = directions(60, self.dimension)
         wanted = self.effective(LONG * e) / LONG**2
+        if self.stress is not None:
+            wanted = wanted - acoustic(stress_brackets(self.stress), e)
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
-        c = np.linalg.lstsq(from_each.reshape(-1, len(allowed)), wanted.ravel())[0]
+        rows = from_each.reshape(-1, len(allowed))
+        c = np.linalg.lstsq(rows, wanted.ravel())[0]
+        off = float(np.linalg.norm(rows @ c - wanted.ravel()) / np.linalg.norm(wanted))
+        if off > NOT_ELASTIC:
+            raise InputError(
+                f"force constants: long waves are {off:.1%} off those of every elastic solid of "
+                "this symmetry; a piezoelectric crystal's non-analytic term, a stress that it is "
+                "held under, or another symmetry may be why"
+            )
         return np.tensordot(c, allowed, 1)
 
     def group(self) -> np.ndarray:
@@ -132,6 +223,8 @@ def from_supercell(
     displaced: Sequence[int],
     *,
     thickness: float | None = None,
+    polar: Polar | None = None,
+    stress: np.ndarray | None = None,
 ) -> ForceConstants:
     """Force constants of a cell from those between its atoms and the atoms of a supercell.
 
@@ -141,8 +234,11 @@ def from_supercell(
         phi: Φ [eV/Å²] of the displaced atoms, shape [n, 3, N, 3].
         displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
         thickness: of a sheet.
+        polar: charges of ions; without them a polar crystal's waves are wrong between those of the
+            supercell.
+        stress: that the crystal is held under [TPa], shape [d, d].
 
-    Raises InputError for atoms that are not on sites, or shapes that do not fit.
+    Raises InputError for atoms that are not on sites, shapes that do not fit, or polar sheets.
     """
     cell, box = np.array(structure.cell), np.array(supercell.cell)
     x, X = np.array(structure.positions), np.array(supercell.positions)
@@ -155,6 +251,13 @@ def from_supercell(
     kind = off.argmin(axis=1)
     if off.min(axis=1).max() > 1e-3:
         raise InputError("supercell: expected atoms on the sites of the structure")
+    if polar is not None:
+        if thickness is not None:
+            raise InputError("polar: expected a solid; the field of a sheet's ions is another")
+        most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
+        decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
+        polar = replace(polar, decay=decay)
+        phi = phi - _dipoles(polar, cell, box, x, X[:, None] - X[list(displaced)], kind)
     shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
     pairs, vectors, values = [], [], []
     for i in range(n):
@@ -178,7 +281,38 @@ def from_supercell(
         np.concatenate(vectors),
         np.concatenate(values),
         thickness,
+        polar,
+        stress,
     )
+
+
+def _dipoles(
+    polar: Polar,
+    cell: np.ndarray,
+    box: np.ndarray,
+    x: np.ndarray,
+    apart: np.ndarray,
+    kind: np.ndarray,
+) -> np.ndarray:
+    """What dipoles add to Φ in a supercell, [n, 3, N, 3]: the mean of all waves that fit into it.
+
+    Args:
+        polar, cell, x: of the crystal.
+        box: edges of the supercell as rows.
+        apart: from the n displaced atoms to all, shape [N, n, 3].
+        kind: number in the cell of all atoms, shape [N].
+    """
+    repeats = np.rint(np.linalg.norm(box, axis=1) / np.linalg.norm(cell, axis=1)).astype(int)
+    counts = np.array(list(np.ndindex(*repeats.tolist())))
+    counts = np.where(counts > repeats / 2, counts - repeats, counts)
+    k = 2 * np.pi * counts @ np.linalg.inv(box).T
+    D = polar.matrix(k, cell, x)
+    phase = np.exp(-1j * np.einsum("kc,Nnc->kNn", k, apart)) / len(k)
+    phi = np.empty((len(x), 3, len(kind), 3))
+    for j in range(len(x)):
+        some = kind == j
+        phi[:, :, some] = np.einsum("kNi,kiab->iaNb", phase[:, some], D[:, :, :, j]).real
+    return phi
 
 
 def finite_differences(

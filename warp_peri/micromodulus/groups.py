@@ -120,16 +120,16 @@ def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
 
 
 def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
-    """A rotation from the crystal's axes to those of the nodes; an angle in degrees in the plane.
+    """A rotation from the crystal's axes to those of the nodes; or degrees about the third axis.
 
     Raises InputError for what is no rotation.
     """
     if orientation is None:
         return np.eye(dimension)
     given = np.asarray(orientation, dtype=float)
-    if given.shape == () and dimension == 2:
+    if given.shape == ():
         cos, sin = np.cos(np.radians(given)), np.sin(np.radians(given))
-        return np.array([[cos, -sin], [sin, cos]])
+        return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])[:dimension, :dimension]
     if given.shape != (dimension, dimension):
         raise InputError(
             f"orientation: expected a rotation of shape [{dimension}, {dimension}], got "

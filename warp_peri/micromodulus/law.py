@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -45,6 +46,8 @@ SAME_SPACING = 1e-6
 BROKEN = 1e-8
 """Relative, that tensors may break a symmetry they are said to have."""
 
+_said: list[str] = []
+
 
 @dataclass(frozen=True, eq=False)
 class Crystal:
@@ -62,6 +65,8 @@ class Crystal:
             the plane.
         certificate: what is proven of the symbol; None where nothing was asked.
         provenance: how it came to be; plain JSON values.
+        stress: that the crystal is held under, along the nodes' axes [stress], shape [d, d]; None
+            for one at rest.
 
     Raises InputError for shapes that do not fit, steps given twice, tensors that are not symmetric
     or do not have the symmetry they are said to have.
@@ -75,6 +80,7 @@ class Crystal:
     orientation: Any = None
     certificate: Certificate | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    stress: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not is_positive(self.spacing):
@@ -101,6 +107,11 @@ class Crystal:
         set_(self, "spacing", float(self.spacing))
         set_(self, "units", check_units(self.units))
         set_(self, "orientation", checked_orientation(self.orientation, d))
+        if self.stress is not None:
+            stress = checked("stress", self.stress, float)
+            if stress.shape != (d, d) or not np.array_equal(stress, stress.T):
+                raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
+            set_(self, "stress", stress)
         if isinstance(self.symmetry, str) and not self.symmetry:
             set_(self, "symmetry", {2: "1", 3: "-1"}[d])
         if self._asymmetry() > BROKEN:
@@ -147,6 +158,12 @@ class Crystal:
         xi = self.spacing * self.steps
         return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
 
+    @property
+    def _at_rest(self) -> np.ndarray:
+        """Brackets without what a stress adds (T19)."""
+        held = self.stress
+        return self.brackets if held is None else self.brackets - elastic.stress_brackets(held)
+
     def symbol(self, k: np.ndarray) -> np.ndarray:
         """D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2), at k of shape [..., d], shape [..., d, d]."""
         k = np.asarray(k, dtype=float)
@@ -157,12 +174,12 @@ class Crystal:
 
     def huang_defect(self) -> float:
         """Largest break of Huang's relations, relative to the largest bracket."""
-        rows = elastic.huang_rows(self.brackets[None])
+        rows = elastic.huang_rows(self._at_rest[None])
         return float(np.abs(rows).max() / np.abs(self.brackets).max())
 
     def tensor(self) -> np.ndarray:
         """C_ijkl of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
-        C = elastic.elastic_from_brackets(self.brackets)
+        C = elastic.elastic_from_brackets(self._at_rest)
         return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
 
     def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
@@ -178,14 +195,7 @@ class Crystal:
 
         In the plane C44 is the shear modulus, as for the other laws.
         """
-        C = self.elastic_tensor(unit)
-        if elastic.named_symmetry(self.tensor()) in ("cubic", "isotropic", "square"):
-            shear = 3 if self.dimension == 3 else 2
-            return dict(zip(("C11", "C12", "C44"), map(float, (C[0, 0], C[0, 1], C[shear, shear]))))
-        label = "123456" if self.dimension == 3 else "124"
-        tiny = elastic.SAME * 1e-3 * np.abs(C).max()
-        found = [(m, n) for m in range(len(C)) for n in range(m, len(C)) if abs(C[m, n]) > tiny]
-        return {f"C{label[m]}{label[n]}": float(C[m, n]) for m, n in found}
+        return elastic.named_moduli(self.tensor() * self._stress(unit))
 
     def describe(self, unit: str | None = None) -> dict[str, Any]:
         """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν."""
@@ -241,6 +251,7 @@ class Crystal:
             tensors=self.tensors * (stress / length**2),
             units=check_units(units),
             certificate=proof,
+            stress=None if self.stress is None else self.stress * stress,
         )
 
     def on(
@@ -286,14 +297,28 @@ class Crystal:
         )
 
     def _check_axis(self, nodes: Points) -> None:
-        """Raise InputError where points state another direction of the crystal than the law's."""
+        """Raise InputError where points state another direction of the crystal than the law's.
+
+        Where they state none, and lattice or crystal are turned, what is assumed is said once.
+        """
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
-        if nodes.axis is None or self.dimension != 2 or isotropic:
+        if isotropic or nodes.dimension != self.dimension:
             return
-        there = lattice_steps(nodes)[1].T @ checked_orientation(nodes.axis, 2)
-        same = np.asarray(self.orientation) @ point_group(self.symmetry, 2)
+        d, axes = self.dimension, lattice_steps(nodes)[1]
+        same = np.asarray(self.orientation) @ point_group(self.symmetry, d)
+        if nodes.axis is None:
+            straight = np.abs(same - np.eye(d)).max(axis=(1, 2)).min() < SAME_AXIS
+            if not (straight and np.abs(axes - np.eye(d)).max() < SAME_AXIS) and not _said:
+                _said.append("axis")
+                warnings.warn(
+                    "axis: lattice or crystal are turned, and the points do not state how the "
+                    "crystal lies: taken as on its nodes in the law; Points(…, axis=…) states it",
+                    stacklevel=3,
+                )
+            return
+        there = axes.T @ checked_orientation(nodes.axis, d)
         if np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS:
-            angle = np.degrees(np.arctan2(there[1, 0], there[0, 0]))
+            angle = np.degrees(np.arccos(np.clip((np.trace(there) - (d - 2)) / 2, -1, 1)))
             raise InputError(
                 f"axis: the crystal stands at {angle:.4g}° to these nodes, other than in the law; "
                 "transferred(law, spacing, rotation=…) turns it"
@@ -321,7 +346,7 @@ class Crystal:
             "orientation": np.asarray(self.orientation).tolist(),
             "certificate": None if self.certificate is None else self.certificate.content(),
             "provenance": self.provenance,
-        }
+        } | ({} if self.stress is None else {"stress": self.stress.tolist()})
 
     @classmethod
     def of_content(cls, content: Any) -> Crystal:
@@ -345,6 +370,7 @@ class Crystal:
                 content.get("orientation"),
                 None if proof is None else Certificate(**proof),
                 dict(content.get("provenance") or {}),
+                content.get("stress"),
             )
         except InputError:
             raise

@@ -16,6 +16,7 @@ from warp_peri.micromodulus.elastic import (
     brackets_from_elastic,
     from_voigt,
     huang_rows,
+    stress_brackets,
     turned,
 )
 from warp_peri.micromodulus.family import Family, family
@@ -144,6 +145,7 @@ def fit_symbol(
     symmetry: Symmetry,
     orientation: Any = None,
     tensor: np.ndarray | None = None,
+    stress: np.ndarray | None = None,
     units: Units = USUAL,
     largest_wave: float = LARGEST_WAVE,
     record: dict[str, Any] | None = None,
@@ -157,6 +159,7 @@ def fit_symbol(
         orientation: the crystal's axes in those of the nodes.
         tensor: elastic tensor along the nodes' axes that is held, [d, d, d, d]; without it Huang's
             relations alone are.
+        stress: that the crystal is held under, along the nodes' axes, [d, d].
         largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
         record: goes into the provenance.
     """
@@ -165,10 +168,10 @@ def fit_symbol(
     shared = shared_with_nodes(point_group(symmetry, d), turn)
     bonds = family(horizon / spacing, shared)
     R, y = wave_rows(target, spacing, bonds, shared, largest_wave)
-    learned = _solve(R, y, bonds, shared, tensor, spacing)
+    learned = _solve(R, y, bonds, shared, tensor, spacing, stress)
     found = {"loss": learned.loss, "cuts": learned.cuts, "numbers": len(bonds.basis)}
     found |= {"moduli_held": tensor is not None, "largest_wave": largest_wave / spacing}
-    return _law(learned, bonds, spacing, units, symmetry, turn, (record or {}) | found)
+    return _law(learned, bonds, spacing, units, symmetry, turn, (record or {}) | found, stress)
 
 
 def _dimension(target: Callable[[np.ndarray], np.ndarray]) -> int:
@@ -251,7 +254,9 @@ def from_phonons(
     if hold_moduli is None:
         moments = family(horizon / spacing, shared_with_nodes(group, turn)).moments()
         hold_moduli = len(moments) >= ENOUGH * np.linalg.matrix_rank(bracket_rows(moments))
-    tensor = turned(atoms.elastic(allowed), turn) / stress if hold_moduli else None
+    C = atoms.elastic(allowed)  # also where it is not held: refuses what is no elastic solid
+    tensor = turned(C, turn) / stress if hold_moduli else None
+    held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
     return fit_symbol(
         target,
         spacing,
@@ -259,6 +264,7 @@ def from_phonons(
         symmetry=name,
         orientation=turn,
         tensor=tensor,
+        stress=held,
         units=units,
         largest_wave=largest_wave,
         record={"from": "phonons"},
@@ -272,17 +278,19 @@ def _solve(
     shared: np.ndarray,
     tensor: np.ndarray | None,
     spacing: float,
+    stress: np.ndarray | None = None,
 ) -> Learned:
     """The numbers in units of stress, of tensors C h²: rows are in stress over length²."""
+    held = stress_brackets(np.zeros([bonds.dimension] * 2) if stress is None else stress)
     moments = bonds.moments()
     size = np.abs(moments).max()  # rows that vanish by symmetry are rounding beside it
     R = R / spacing**2
     if tensor is None:
         p = np.linalg.lstsq(R, y)[0]
         estimate = np.tensordot(p, moments, 1)
-        equal = huang_rows(moments) / size, np.zeros(len(huang_rows(moments)))
+        equal = huang_rows(moments) / size, huang_rows(held[None])[:, 0] / size
     else:
-        estimate = brackets_from_elastic(tensor)
+        estimate = brackets_from_elastic(tensor) + held
         equal = bracket_rows(moments) / size, bracket_rows(estimate[None])[:, 0] / size
     soft = np.linalg.eigvalsh(acoustic(estimate, directions(400, bonds.dimension)))[:, 0].min()
     if not soft > 0:
@@ -300,9 +308,12 @@ def _law(
     symmetry: Symmetry,
     turn: np.ndarray,
     record: dict[str, Any],
+    stress: np.ndarray | None = None,
 ) -> Crystal:
     tensors = np.tensordot(learned.p, bonds.basis, 1) / spacing**2
-    law = Crystal(spacing, bonds.steps, tensors, units, symmetry, turn, provenance={"fit": record})
+    law = Crystal(
+        spacing, bonds.steps, tensors, units, symmetry, turn, None, {"fit": record}, stress
+    )
     return law.certified()
 
 
@@ -333,13 +344,14 @@ def transferred(
     d = law.dimension
     turn = checked_orientation(rotation, d)
     orientation = turn @ law.orientation
+    held = None if law.stress is None else turn @ law.stress @ turn.T
     still = shared_with_nodes(turn[None], np.eye(d)).any()
     if still and abs(spacing / law.spacing - 1) < SAME and horizon is None:
         steps = np.rint(law.steps @ turn.T).astype(int)
         tensors = turn @ law.tensors @ turn.T
         same = Crystal(
-            law.spacing, steps, tensors, law.units, law.symmetry, orientation,
-            provenance=law.provenance,
+            law.spacing, steps, tensors, law.units, law.symmetry, orientation, None,
+            law.provenance, held,
         )  # fmt: skip
         return same.certified()
 
@@ -357,6 +369,7 @@ def transferred(
         symmetry=law.symmetry,
         orientation=orientation,
         tensor=turned(law.tensor(), turn),
+        stress=held,
         units=law.units,
         largest_wave=largest_wave * min(1.0, spacing / law.spacing),
         record={"from": "a law on other nodes", "spacing": law.spacing},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
@@ -107,6 +108,10 @@ class Operator:
             measured=record.residual,
         )
 
+    def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
+        """In equilibrium with b on a period, without its mean; as `rest`."""
+        return self.rest(b, np.zeros(np.shape(b)), solver)
+
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative of L u along v, shape [..., I, d]: L v, whatever u, for L is linear."""
         return self(v)
@@ -173,6 +178,22 @@ class Operator:
         A = self.nodes.axes
         C = np.einsum("ai,bj,ck,dl,ijkl->abcd", A, A, A, A, self.elastic, optimize=True)
         return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
+
+    def matrix(self) -> sp.csr_array:
+        """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
+        nodes, A, d = self.nodes, self.nodes.axes, self.nodes.dimension
+        number = np.full(int(np.prod(nodes.shape)), -1)
+        number[nodes.place] = nodes.near
+        at = np.stack(np.unravel_index(nodes.interior, nodes.shape), axis=1)
+        far = at[:, None] + np.concatenate([0 * self.steps[:1], self.steps, -self.steps])
+        far = far % nodes.shape if nodes.periodic else far
+        ends = number[np.ravel_multi_index(tuple(np.moveaxis(far, -1, 0)), nodes.shape)]
+        C = A @ self.tensors @ A.T
+        blocks = np.concatenate([2 * C.sum(axis=0)[None], -C, -C])
+        count = len(blocks) * np.arange(len(at) + 1)
+        parts = np.broadcast_to(blocks, (len(at), *blocks.shape)).reshape(-1, d, d)
+        shape = (d * len(at), d * len(self.points.x))
+        return sp.csr_array(sp.bsr_array((parts, ends.ravel(), count), shape=shape))
 
     def checked(self, u: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
         """Fields [S, N, d] and the shape of what stands before a field."""

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import root
 
 from warp_peri.errors import InputError
 from warp_peri.losses.nonlinear import CONSTANTS, NonlinearFeatures
@@ -20,13 +21,16 @@ from warp_peri.micromodulus.groups import (
 )
 from warp_peri.micromodulus.learning import _law, _solve
 from warp_peri.micromodulus.nodes import lay_out
-from warp_peri.micromodulus.regression import compressed
+from warp_peri.micromodulus.regression import Learned, compressed
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal, gradient_weights
 from warp_peri.micromodulus.third_order_operator import PlacedCrystal
 from warp_peri.micromodulus.third_order_proof import proven_crystal
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+
+SETTLED = 1e-9
+"""Relative, of moduli that are found."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def fit_third_order(
         smoothing: of the data.
         form: "filtered" or "energy".
         symmetry, orientation: of the tensors, as for learning.fit; long waves must be isotropic.
-        moduli: "long waves" holds those found with the nonlinear terms beside them (N29), a Voigt
+        moduli: "long waves" holds those with which no long wave is left of the loads (N29), a Voigt
             matrix holds its own.
 
     Raises InputError for samples that do not carry twice the horizon, do not determine the law, or
@@ -81,19 +85,16 @@ def fit_third_order(
     weights = gradient_weights(smoothing, form, bond_classes(samples.spacing, horizon))
     extra = NonlinearFeatures(samples, horizon, weights)(samples.u).transpose(0, 1, 3, 2)
     extra = np.einsum("siam,ak->sikm", extra, axes)
-    allowed, misfit = allowed_tensors(symmetry, group, turn), None
+    misfit = None
     if isinstance(moduli, str):
-        # λ and μ of the geometric terms are those of the tensors
-        beside = np.stack([_geometric(extra, C) for C in allowed], axis=-1)
-        beside = np.concatenate([beside, extra[..., :CONSTANTS]], axis=-1)
-        tensor, misfit = fields.long_wave_moduli(samples, allowed, beside)
+        allowed = allowed_tensors(symmetry, group, turn)
+        rows = _rows(samples, bonds, extra, *fields.long_wave_rows(samples, allowed, 0)[:2])
+        tensor, misfit = _found_moduli(samples, bonds, shared, rows, allowed)
     else:
+        rows = _rows(samples, bonds, extra, np.zeros((0, 0)), np.zeros(0, int))
         tensor = turned(from_voigt(np.asarray(moduli, float)), turn)
-    R, y = _rows(samples, bonds, extra[..., :CONSTANTS], _geometric(extra, tensor))
-    below, right = R[CONSTANTS:, CONSTANTS:], y[CONSTANTS:]
-    learned = _solve(below, right, bonds, shared, tensor, samples.spacing)
-    left = y[:CONSTANTS] - R[:CONSTANTS, CONSTANTS:] @ (learned.p / samples.spacing**2)
-    t3, tq2, q3 = np.linalg.solve(R[:CONSTANTS, :CONSTANTS], left)
+    learned, numbers = _at(rows, bonds, shared, tensor, samples.spacing)
+    t3, tq2, q3 = numbers[:CONSTANTS]
     record = {
         "from": "fields",
         "loss": learned.loss,
@@ -114,36 +115,89 @@ def fit_third_order(
     return ThirdOrderFit(law, error, largest, time.perf_counter() - begin)
 
 
-def _geometric(extra: np.ndarray, tensor: np.ndarray) -> np.ndarray:
-    """The force that λ and μ of a tensor have in Ψ, shape [S, I, 2]."""
-    force: np.ndarray = extra[..., 3:] @ [tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]]
-    return force
+@dataclass(frozen=True)
+class _Rows:
+    """Columns of the constants, of the basis tensors, of λ and of μ in Ψ, and their right side.
+
+    Attributes:
+        R, y: triangular, so that below the constants' own rows stands the loss at their best (N28).
+        long, load: the same against the longest test field, [S, V, d, …] (N29).
+        weight: 1/‖b‖ of each sample, [S, 1, 1, 1].
+    """
+
+    R: np.ndarray
+    y: np.ndarray
+    long: np.ndarray
+    load: np.ndarray
+    weight: np.ndarray
+
+
+def _lame(tensor: np.ndarray) -> np.ndarray:
+    return np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])
+
+
+def _at(
+    rows: _Rows, bonds: Family, shared: np.ndarray, tensor: np.ndarray, spacing: float
+) -> tuple[Learned, np.ndarray]:
+    """The fit with some moduli, and the numbers that belong to all columns."""
+    known = _lame(tensor)  # those of the geometric terms are those of the tensors
+    y = rows.y - rows.R[:, -2:] @ known
+    below = slice(CONSTANTS, -2)
+    learned = _solve(rows.R[CONSTANTS:, below], y[CONSTANTS:], bonds, shared, tensor, spacing)
+    p = learned.p / spacing**2
+    top = rows.R[:CONSTANTS]
+    best = np.linalg.solve(top[:, :CONSTANTS], y[:CONSTANTS] - top[:, below] @ p)
+    return learned, np.concatenate([best, p, known])
+
+
+def _found_moduli(
+    samples: Samples, bonds: Family, shared: np.ndarray, rows: _Rows, allowed: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The moduli with which what the law leaves of the loads has no long waves (N29)."""
+    moments = fields.long_wave_rows(samples, allowed, 0)[2] * rows.weight
+    own = rows.long[..., -2:] @ np.array([_lame(C) for C in allowed]).T
+    R = np.concatenate([moments + own, rows.long[..., :CONSTANTS]], axis=-1)
+
+    def left(c: np.ndarray) -> np.ndarray:
+        tensor = np.tensordot(c, allowed, 1)
+        numbers = _at(rows, bonds, shared, tensor, samples.spacing)[1]
+        return np.asarray(rows.load - rows.long @ numbers)
+
+    def change(c: np.ndarray) -> np.ndarray:
+        return fields.moduli_of(R, left(c))[0][: len(c)]
+
+    guess = fields.long_wave_moduli(samples, allowed)[0]
+    start = np.linalg.lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
+    c = root(change, start, tol=SETTLED).x
+    misfit = np.linalg.norm(left(c)) / np.linalg.norm(rows.load)
+    return np.tensordot(c, allowed, 1), float(misfit)
 
 
 def _rows(
-    samples: Samples, bonds: Family, constants: np.ndarray, known: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Triangular rows of the constants' columns, then the basis tensors', and the right-hand side.
-
-    Below the constants' own rows stands the loss at their best (N28).
-    """
+    samples: Samples, bonds: Family, extra: np.ndarray, values: np.ndarray, kept: np.ndarray
+) -> _Rows:
+    """Each sample over its load; test fields, shape [V, n], on nodes by number."""
     nodes = lay_out(samples.points, bonds.steps)
     b = samples.loads[:, samples.interior] @ nodes.axes
     size = np.linalg.norm(b.reshape(len(b), -1), axis=1)
     if not (size > 0).all():
         raise InputError(f"b: expected loads, got none on sample {int(np.argmin(size))}")
-    count = bonds.basis.shape[0] + constants.shape[-1]
+    count = bonds.basis.shape[0] + extra.shape[-1]
     step = max(1, fields.CHUNK // (count * b[0].size))
-    R, y = np.zeros((0, count)), np.zeros(0)
+    place = (np.cumsum(samples.interior) - 1)[kept]
+    R, y, long, load = np.zeros((0, count)), np.zeros(0), [], []
     for first in range(0, len(b), step):
         some = slice(first, first + step)
         tensors = fields._features(samples.u[some], nodes, bonds)
-        columns = np.concatenate([constants[some], tensors], axis=-1)
-        columns = columns / size[some, None, None, None]
-        right = (b[some] - known[some]) / size[some, None, None]
+        parts = [extra[some, ..., :CONSTANTS], tensors, extra[some, ..., CONSTANTS:]]
+        columns = np.concatenate(parts, axis=-1) / size[some, None, None, None]
+        right = b[some] / size[some, None, None]
+        long.append(np.einsum("vn,snka->svka", values, columns[:, place], optimize=True))
+        load.append(np.einsum("vn,snk->svk", values, right[:, place], optimize=True))
         R, y = compressed(
             np.concatenate([R, columns.reshape(-1, count)]), np.append(y, right.ravel())
         )
     if len(R) < count:
         raise InputError(f"data: expected enough to tell {count} numbers apart; give more loads")
-    return R, y
+    weight = (1 / size)[:, None, None, None]
+    return _Rows(R, y, np.concatenate(long), np.concatenate(load), weight)

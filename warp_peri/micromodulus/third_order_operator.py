@@ -193,23 +193,5 @@ class PlacedCrystal(PlacedThirdOrder):
 
     @cached_property
     def _linear_matrix(self) -> sp.csr_array:
-        """L of the tensors, shape [2 I, 2 N], from the neighbours that a wave of numbers finds."""
-        law, nodes = self.model.linear, self.straight.nodes
-        number = np.full(int(np.prod(nodes.shape)), -1)
-        number[nodes.place] = nodes.near
-        at = np.stack(np.unravel_index(nodes.interior, nodes.shape), axis=1)
-        own = number[nodes.interior]
-        A, count = nodes.axes, len(own)
-        matrix = sp.csr_array((2 * count, 2 * len(self.points.x)))
-        row = np.arange(count)
-        for step, C in zip(law.steps, A @ law.tensors @ A.T):
-            for far in (at + step, at - step):
-                place = far % nodes.shape if nodes.periodic else far
-                there = number[np.ravel_multi_index(tuple(place.T), nodes.shape)]
-                ends = np.concatenate([own, there])
-                value = np.concatenate([np.ones(count), -np.ones(count)])
-                bonds = sp.coo_array(
-                    (value, (np.tile(row, 2), ends)), shape=(count, len(self.points.x))
-                )
-                matrix = matrix + sp.csr_array(sp.kron(bonds, C))
-        return sp.csr_array(matrix)
+        """L of the tensors, shape [2 I, 2 N]."""
+        return self.straight.matrix()

@@ -237,9 +237,15 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
         box=None if box is None else _periods(box),
         outside=fields["outside"],
         units=units,
-        axis=_attribute(group.attrs, "axis") if "axis" in group.attrs else None,
+        axis=_axis(group.attrs) if "axis" in group.attrs else None,
     )
     return Samples(points, fields["u"], fields["b"], extra)
+
+
+def _axis(attributes: Mapping[str, Any]) -> Any:
+    """A rotation in space, else a number."""
+    turned = np.ndim(attributes["axis"]) == 2
+    return attributes["axis"] if turned else _attribute(attributes, "axis")
 
 
 def _periods(value: Any) -> tuple[float, ...]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units
+
+ROTATION = 1e-6
+"""That a rotation may be off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +31,8 @@ class Points:
             40–42).
         units: names of the units of length and stress that these nodes and their fields are in.
         axis: angle [degrees] from the x axis of the nodes to the axis of the material, a crystal's
-            zigzag direction; None where it is not stated. Only laws that depend on direction ask.
+            zigzag direction; in space that about the third axis, or the material's axes, columns of
+            a rotation [3, 3]; None where it is not stated. Only laws that depend on direction ask.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
     Periods are held against a horizon where there is one.
@@ -39,7 +44,7 @@ class Points:
     box: tuple[float, ...] | None = None
     outside: np.ndarray | None = None
     units: Units = USUAL
-    axis: float | None = None
+    axis: Any = None
 
     def __post_init__(self) -> None:
         for name, kind in (("x", float), ("interior", bool)):
@@ -56,7 +61,12 @@ class Points:
         if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
             raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
         object.__setattr__(self, "units", check_units(self.units))
-        if self.axis is not None:
+        if np.ndim(self.axis) == 2 and self.dimension == 3:
+            turn = checked("axis", self.axis, float)
+            if turn.shape != (3, 3) or np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
+                raise InputError(f"axis: expected a rotation [3, 3], got {self.axis!r:.60}")
+            object.__setattr__(self, "axis", tuple(map(tuple, turn.tolist())))
+        elif self.axis is not None:
             if not (is_number(self.axis) and np.isfinite(self.axis)):
                 raise InputError(f"axis: expected an angle [degrees], got {self.axis!r:.60}")
             object.__setattr__(self, "axis", float(self.axis))

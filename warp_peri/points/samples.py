@@ -81,8 +81,8 @@ class Samples:
         return self.points.outside
 
     @property
-    def axis(self) -> float | None:
-        """Angle [degrees] of the material's axis from the x axis of the points, or None."""
+    def axis(self) -> Any:
+        """Of the material against the points, as Points.axis, or None."""
         return self.points.axis
 
     @property
@@ -101,7 +101,8 @@ class Samples:
         if self.box is not None:
             rows.append(("periods", " × ".join(f"{side:g}" for side in self.box) + f" {length}"))
         if self.axis is not None:
-            rows.append(("axis", f"{self.axis:g}°"))
+            shown = f"{self.axis:g}°" if self.points.dimension == 2 else "a rotation"
+            rows.append(("axis", shown))
         rows.append(("u", f"up to {np.abs(self.u).max(initial=0.0):.3g} {length}"))
         known = "not known"
         if self.b is not None:
