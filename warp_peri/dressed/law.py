@@ -161,13 +161,13 @@ class DressedSolid:
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
         """
-        # on import: the operators stand above the numbers
-        from warp_peri.dressed.body import Body
-        from warp_peri.dressed.operator import placed
+        from warp_peri.dressed.body import Body  # which stands above the numbers
 
         if edges or maps or broken is not None:
             return Body(self, points, edges=edges, maps=maps or {}, broken=broken)
-        return placed(self, points)
+        operator = self.crystal.on(points)
+        operator.model = self
+        return operator
 
     def content(self) -> dict[str, Any]:
         """What a file holds, plain values."""
