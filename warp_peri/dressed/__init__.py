@@ -1,7 +1,8 @@
 """Solids of a positive base between two short convolutions: accurate, uneven, with edges (D)."""
 
+from warp_peri.dressed.body import torn
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.laws import Dressed, DressedFit
 from warp_peri.dressed.learning import from_phonons
 
-__all__ = ["Dressed", "DressedFit", "DressedSolid", "from_phonons"]
+__all__ = ["Dressed", "DressedFit", "DressedSolid", "from_phonons", "torn"]

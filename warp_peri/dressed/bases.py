@@ -1,4 +1,4 @@
-"""Positive bases: strains of a site of nodes, and what each part of them costs (theory.md, D1–D4)."""
+"""Positive bases: strains of a site of nodes, and what each part of them costs (D1–D4)."""
 
 from __future__ import annotations
 
@@ -143,9 +143,7 @@ def _bonds(tensor: np.ndarray) -> Base:
         strains[j, 0], strains[j, j + 1] = -direction, direction
     theta = np.outer(2 * w * length, 2 * w * length)
     parts = np.array([theta, 8 * np.diag(w) - 2 * theta])
-    return Base(
-        corner, strains, parts, np.array([bulk, shear]), ("bulk", "shear"), np.eye(9)[0]
-    )
+    return Base(corner, strains, parts, np.array([bulk, shear]), ("bulk", "shear"), np.eye(9)[0])
 
 
 def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:

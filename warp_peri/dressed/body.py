@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import SAME_SPACING
 from warp_peri.micromodulus.nodes import node_steps
@@ -24,8 +26,14 @@ from warp_peri.statics.solution import Solution
 if TYPE_CHECKING:
     from warp_peri.dressed.law import DressedSolid
 
-BALANCED = 1e-6
-"""Relative, of the part of a free body's load that no displacement can carry."""
+Edges = bool | Callable[[np.ndarray], np.ndarray]
+"""Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""
+FINE = {2: 20, 3: 8}
+"""Positions along an axis of an element that are asked whether they lie inside."""
+LEAST = 0.02
+"""Share of an element below which it is left out."""
+BALANCED, MET = 1e-4, 1e-6
+"""Relative, of the resultant of a free body's load, which is taken off, and of a residual."""
 
 
 class Body:
@@ -38,9 +46,7 @@ class Body:
         solid: the law.
         points: nodes on a lattice of its spacing, or periodic; those that are not interior are
             held.
-        edges: whether interior nodes may lack neighbours.
-        maps: as of DressedSolid.on.
-        broken: pairs of nodes, [n, 2].
+        edges, maps, broken: as of DressedSolid.on.
 
     Attributes:
         strains: B/h of all sites, those left out zero, [N S, d N].
@@ -54,7 +60,7 @@ class Body:
         solid: DressedSolid,
         points: Points | Samples,
         *,
-        edges: bool = True,
+        edges: Edges = True,
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
     ) -> None:
@@ -71,7 +77,8 @@ class Body:
         self._places = _Places(grid, self.points)
         base = solid.parts
         self._corner = self._places.at(base.corners)
-        self.factors = self._factors(maps or {})
+        self.share = self._inside(edges) if callable(edges) else np.ones(len(grid))
+        self.factors = self._factors(maps or {}) * self.share
         torn = self._places.pairs(broken)
         there, self._linked = self._sites(torn)
         if not edges:
@@ -79,6 +86,22 @@ class Body:
         self.strains = self._strains(there)
         self.dressings = [self._dressing(g) for g in solid.tensors]
         self.L = self._assembled()
+
+    def _inside(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Share of each element that lies inside the body, [N]."""
+        if self.model.base != "elements":
+            raise InputError("edges: expected True for a base of bonds; outlines cut elements")
+        d = len(self.axes)
+        line = (np.arange(FINE[d]) + 0.5) / FINE[d]
+        fine = np.array(list(itertools.product(line, repeat=d))) * self.model.spacing
+        share = np.zeros(len(self.points.x))
+        for part in np.array_split(np.arange(len(share)), len(share) // 1000 + 1):
+            at = self.points.x[part, None] + fine @ self.axes.T
+            said = np.asarray(inside(at.reshape(-1, d)), dtype=bool)
+            if said.shape != (at.size // d,):
+                raise InputError(f"edges: expected one bool a position, got {list(said.shape)}")
+            share[part] = said.reshape(len(part), -1).mean(axis=1)
+        return np.where(share < LEAST, 0.0, share)
 
     def _factors(self, maps: Mapping[str, ArrayLike]) -> np.ndarray:
         base, count = self.model.parts, len(self.points.x)
@@ -166,14 +189,15 @@ class Body:
         count, d = self.points.x.shape
         neighbour = self._places.at(self._steps)
         full = (neighbour >= 0).all(axis=1)
+        full[self._corner[self.share < 1].ravel()] = False  # which an outline cuts
         half = len(tensors)
         whole = np.array([full & self._whole(step) for step in self._steps])
         whole = np.tile(whole[:half] & whole[half:], (2, 1))
         bond, node = np.nonzero(whole)
-        row, column = (d * n[:, None, None] + np.zeros((d, d), int) for n in (node, neighbour.T[bond, node]))
-        row, column = row + np.arange(d)[:, None], column + np.arange(d)
+        i, j = np.indices((d, d))
+        row, own = (d * node[:, None, None] + axis for axis in (i, j))
+        column = d * neighbour[node, bond][:, None, None] + j
         value = np.tile(tensors, (2, 1, 1))[bond]
-        own = d * node[:, None, None] + np.arange(d) + np.zeros((d, 1), int)
         shift = sp.coo_array(
             (
                 np.concatenate([value.ravel(), -value.ravel()]),
@@ -182,6 +206,25 @@ class Body:
             shape=(d * count, d * count),
         )
         return sp.csr_array(sp.eye_array(d * count) + shift)
+
+    def base_displacement(self, u: ArrayLike) -> np.ndarray:
+        """v = G u, in which the energy is the base's own ½ vᵗ K v, shape [..., N, d]."""
+        return self._through(lambda flat: self._one_dressing() @ flat, u)
+
+    def displacement(self, v: ArrayLike) -> np.ndarray:
+        """u = G⁻¹ v of what the base alone answers, as of a crack that grew in it (D12).
+
+        Raises InputError for a split dressing, which has no single v.
+        """
+        return self._through(splu(sp.csc_array(self._one_dressing())).solve, v)
+
+    def _one_dressing(self) -> sp.csr_array:
+        if len(self.dressings) > 1:
+            raise InputError("displacement: expected one G, got one for each part (split)")
+        return self.dressings[0]
+
+    def _through(self, matrix: Callable[[np.ndarray], np.ndarray], u: ArrayLike) -> np.ndarray:
+        return np.asarray(matrix(self._flat(u).T).T.reshape(np.shape(u)) @ self.axes.T)
 
     def part(self, number: int, factor: np.ndarray) -> sp.csr_array:
         """K_a of one part with a factor at each site, [N]: symmetric, [d N, d N]."""
@@ -258,10 +301,12 @@ class Body:
                 f"{np.linalg.norm(along) / np.linalg.norm(right):.1e} of them"
             )
         right = right - rigid @ along
-        scale = float(np.abs(self.L.diagonal()).max())
-        # the rigid motions are held by rows of their own, of the stiffness of a node
+        stiffness = self.L.diagonal()
+        scale = float(stiffness.max())
+        # rigid motions are held by rows of their own, and so is what belongs to nothing
+        alone = sp.diags_array(np.where(stiffness > 0, 0.0, scale))
         edge = sp.csr_array(scale * rigid)
-        bordered = sp.block_array([[self.L, edge], [edge.T, None]], format="csc")
+        bordered = sp.block_array([[self.L + alone, edge], [edge.T, None]], format="csc")
         try:
             found = splu(bordered).solve(np.vstack([right, np.zeros((rigid.shape[1], len(loads)))]))
         except RuntimeError as error:
@@ -269,12 +314,15 @@ class Body:
         answer = found[: len(right)]
         size = np.maximum(np.linalg.norm(right, axis=0), 1e-300)
         left = float((np.linalg.norm(self.L @ answer - right, axis=0) / size).max())
-        if not left < BALANCED:
+        if not left < MET:
             raise InputError(f"the body falls apart: the residual of its solve is {left:.1e}")
         return answer.T.reshape(loads.shape), left
 
     def _rigid(self) -> np.ndarray:
-        """Orthonormal rigid motions, [d N, m]; on a period translations alone."""
+        """Orthonormal rigid motions of the nodes that carry something, [d N, m].
+
+        On a period translations alone.
+        """
         x = (self.points.x - self.points.x.mean(axis=0)) @ self.axes
         count, d = x.shape
         found = [np.tile(np.eye(d)[a], count) for a in range(d)]
@@ -284,7 +332,7 @@ class Body:
                     turn = np.zeros((count, d))
                     turn[:, a], turn[:, c] = x[:, c], -x[:, a]
                     found.append(turn.ravel())
-        return np.linalg.qr(np.array(found).T)[0]
+        return np.linalg.qr(np.array(found).T * (self.L.diagonal() > 0)[:, None])[0]
 
     def _fields(self, u: ArrayLike) -> np.ndarray:
         """Fields [S, N, d] of finite numbers."""
@@ -300,6 +348,20 @@ class Body:
         """Fields along the nodes' axes, one a row, [S, d N]."""
         fields = self._fields(u)
         return np.asarray((fields @ self.axes).reshape(len(fields), -1))
+
+
+def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
+    """Pairs of neighbouring nodes of a plane lattice that cracks part, [n, 2], for `broken`.
+
+    Args:
+        points: without a box.
+        cracks: polylines [length], shape [P, 2] each.
+    """
+    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
+    cut = (cracked(body, cracks) < 0) & (body.neighbour >= 0)
+    node, bond = np.nonzero(cut & (body.r < 1.5 * points.spacing))
+    other = body.neighbour[node, bond]
+    return np.stack([node, other], axis=1)[node < other]
 
 
 class _Places:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ from warp_peri.micromodulus.certificate import Certificate
 from warp_peri.micromodulus.elastic import from_voigt, voigt
 from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.models.lps import read_content
+from warp_peri.models.lps import Model, read_content
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -112,6 +112,17 @@ class DressedSolid:
             self.orientation, self.certificate, self.provenance,
         )  # fmt: skip
 
+    @property
+    def plain(self) -> Model:
+        """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (D12).
+
+        Raises InputError for elements.
+        """
+        if self.base != "bonds":
+            raise InputError("plain: expected a base of bonds, got elements")
+        C = self.elastic
+        return Model(C[0, 1], C[2, 2], 1.0, np.ones(1), 2 * self.spacing, units=self.units)
+
     def symbol(self, k: np.ndarray) -> np.ndarray:
         """D(k) = Σ G K G [stress/length²], at k of shape [..., d], shape [..., d, d]."""
         return self.crystal.symbol(k)
@@ -144,7 +155,7 @@ class DressedSolid:
         self,
         points: Points | Samples,
         *,
-        edges: bool = False,
+        edges: bool | Callable[[np.ndarray], np.ndarray] = False,
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
     ) -> Any:
@@ -153,7 +164,8 @@ class DressedSolid:
         Args:
             points: lattice nodes with a collar as wide as the horizon, or periodic.
             edges: nodes end where the body does: strains and rows of G that would reach beyond it
-                are left out (theory.md, D9). Without it nodes with cut bonds are refused.
+                are left out (theory.md, D9). A function of positions [n, d] says which of them lie
+                inside; elements count as far as they do. Without it cut bonds are refused.
             maps: modulus of each part over that of the even solid, by the part's name ("bulk",
                 "shear", …), at the nodes, shape [N], ≥ 0.
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].

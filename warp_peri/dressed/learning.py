@@ -28,6 +28,8 @@ from warp_peri.points.unit_names import USUAL, Units, factors
 REACH = {2: {4: 1.0, 8: 2**0.5, 12: 2.0, 20: 5**0.5}, 3: {6: 1.0, 18: 2**0.5, 26: 3**0.5}}
 """Of G in spacings, by dimension and number of neighbours."""
 CONVERGED = 1e-12
+FELT = 1e-6
+"""Least change of L u, over the load, by which a number of G is felt."""
 
 
 def fit(
@@ -183,7 +185,7 @@ class _Monomials:
             xtol=CONVERGED,
             ftol=CONVERGED,
         )
-        if np.linalg.matrix_rank(found.jac) < numbers:
+        if np.linalg.svd(found.jac, compute_uv=False).min() < FELT:
             raise InputError(
                 f"data: expected enough to tell {numbers} numbers of G apart; give more loads, "
                 "shorter waves or fewer neighbours"
