@@ -62,7 +62,7 @@ class Base:
         found = np.zeros((len(self.moduli), *[2 * reach + 1] * d, d, d))
         for p, q in itertools.product(range(len(self.corners)), repeat=2):
             found[(slice(None), *(step[p, q] + reach))] += self.matrices[:, p, :, q]
-        return found * self.moduli.reshape(-1, *[1] * (d + 2))
+        return np.asarray(found * self.moduli.reshape(-1, *[1] * (d + 2)))
 
 
 def base(kind: str, tensor: np.ndarray) -> Base:

@@ -167,8 +167,8 @@ class _Monomials:
         row = 1 + n + np.arange(len(self.first))
         for part, p in enumerate(q.reshape(len(self.bases), n)):
             J[part, 1 + np.arange(n), part, np.arange(n)] = 1.0
-            np.add.at(J, (part, row, part, self.first), p[self.second])
-            np.add.at(J, (part, row, part, self.second), p[self.first])
+            J[part, row, part, self.first] += p[self.second]  # rows differ: no entry meets twice
+            J[part, row, part, self.second] += p[self.first]
         return J.reshape(-1, q.size)
 
     def solve(self, R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
@@ -195,7 +195,12 @@ class _Monomials:
         return found.x, record | {"loss_of_base": float(np.linalg.norm(alone)), "steps": found.nfev}
 
     def law(
-        self, q: np.ndarray, units: Units, symmetry: Symmetry, turn: np.ndarray, record: dict
+        self,
+        q: np.ndarray,
+        units: Units,
+        symmetry: Symmetry,
+        turn: np.ndarray,
+        record: dict[str, Any],
     ) -> DressedSolid:
         """The solid of these numbers, with its certificate."""
         tensors = np.tensordot(q.reshape(len(self.bases), -1), self.dressing.basis, 1)
