@@ -6,7 +6,7 @@ import ase
 import numpy as np
 
 from tools.graphene import DISK_RADIUS, THICKNESS, area_per_atom, bond_length, disk, sheet
-from tools.lammps_session import LammpsSession
+from tools.lammps_session import POTENTIAL, LammpsSession, potential_file
 from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
 from tools.statics import Statics
 from warp_peri.micromodulus.force_constants import (
@@ -26,15 +26,24 @@ SEEN, FILLED = 85.0, 0.93
 """Radius up to which the disk is compared [Å], and how much of a node's cone atoms must fill."""
 
 
-def force_constants() -> ForceConstants:
-    """Of the rectangular cell of four atoms, by finite differences on a supercell."""
-    bond = bond_length()
+def force_constants(
+    potential: str = POTENTIAL, elements: tuple[str, ...] = ("C",)
+) -> ForceConstants:
+    """Of the rectangular cell of four atoms, by finite differences on a supercell.
+
+    Args:
+        potential: a Tersoff file of the wheel.
+        elements: of the atoms, in turn, on the sites of graphene.
+    """
+    file = potential_file(potential)
+    bond = bond_length(file)
     flat, box = sheet(bond, cells=CELLS)
     x = np.pad(flat, ((0, 0), (0, 1)))
+    names = [elements[n % len(elements)] for n in range(len(x))]
     cell = [box[0] / CELLS[0], box[1] / CELLS[1], 20.0]
-    one = ase.Atoms("C4", positions=x[:4], cell=cell, pbc=True)
-    many = ase.Atoms("C" * len(x), positions=x, cell=[*box, 20.0], pbc=True)
-    with LammpsSession(flat, box=box) as session:
+    one = ase.Atoms(names[:4], positions=x[:4], cell=cell, pbc=True)
+    many = ase.Atoms(names, positions=x, cell=[*box, 20.0], pbc=True)
+    with LammpsSession(flat, box=box, potential=file, elements=elements) as session:
 
         def forces(moved: np.ndarray) -> np.ndarray:
             return np.pad(session.forces(moved[:, :2]), ((0, 0), (0, 1)))

@@ -188,7 +188,7 @@ class Body:
         """G: a row is the identity where a neighbour is not there; torn pairs ±ξ are left out."""
         count, d = self.points.x.shape
         neighbour = self._places.at(self._steps)
-        full: np.ndarray = (neighbour >= 0).all(axis=1)
+        full = np.array((neighbour >= 0).all(axis=1), bool)
         full[self._corner[self.share < 1].ravel()] = False  # which an outline cuts
         half = len(tensors)
         whole = np.array([full & self._whole(step) for step in self._steps])
