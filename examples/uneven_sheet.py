@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(json.dumps(numbers, indent=None if given.json else 1))
         figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
         at = points.x - points.x.mean(axis=0)
-        shown = {"boron nitride, share of the atoms": sheet.inside,
+        shown = {"share of boron nitride": sheet.inside,
                  "κ over graphene's": found.maps["bulk"],
                  "μ over graphene's": found.maps["shear"]}  # fmt: skip
         for ax, (title, values) in zip(axes, shown.items()):

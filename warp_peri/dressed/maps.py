@@ -1,4 +1,4 @@
-"""Maps of moduli from fields: linear least squares under a dressing that is known (D13–D14)."""
+"""Maps of moduli from fields: linear least squares under a dressing that is known (D13)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def fit_maps(
         samples: displacement and load on a period of whole multiples of `coarse` spacings.
         parts: "each" has a map for each part, "one" the same for all.
         coarse: spacings between the values of a map, linear between.
-        smoothness: α of (D14); None takes what predicts left-out loads best.
+        smoothness: α of (D13); None takes what predicts left-out loads best.
 
     Raises InputError for samples that are not periodic or have no loads, and for other parts.
     """
