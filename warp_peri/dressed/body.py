@@ -13,12 +13,10 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.law import SAME_SPACING
 from warp_peri.micromodulus.nodes import node_steps
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples, nodes_of
-from warp_peri.points.unit_names import check_same
+from warp_peri.points.samples import Samples
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.settings import Direct, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -64,14 +62,7 @@ class Body:
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
     ) -> None:
-        self.points, self.model = nodes_of(points), solid
-        check_same(solid.units, self.points.units)
-        if not abs(self.points.spacing / solid.spacing - 1) <= SAME_SPACING:
-            raise InputError(
-                f"spacing: the law is for {solid.spacing:g}, the points have "
-                f"{self.points.spacing:g}"
-            )
-        solid.crystal._check_axis(self.points)
+        self.points, self.model = solid.crystal.fitting(points), solid
         grid, self.axes = node_steps(self.points)
         self._steps = np.concatenate([solid.steps, -solid.steps])
         self._places = _Places(grid, self.points)

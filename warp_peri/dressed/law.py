@@ -174,12 +174,18 @@ class DressedSolid:
         and pairs that do not fit.
         """
         from warp_peri.dressed.body import Body  # which stands above the numbers
+        from warp_peri.micromodulus.operator import Operator
 
         if edges or maps or broken is not None:
             return Body(self, points, edges=edges, maps=maps or {}, broken=broken)
-        operator = self.crystal.on(points)
-        operator.model = self
-        return operator
+        law = self.crystal
+        why = (
+            f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
+        )
+        return Operator(
+            law.fitting(points), law.spacing, law.steps, law.tensors, self.tensor(), why=why,
+            model=self,
+        )  # fmt: skip
 
     def content(self) -> dict[str, Any]:
         """What a file holds, plain values."""
