@@ -13,8 +13,8 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.nodes import node_steps
 from warp_peri.points.arrays import checked
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.statics.direct import MatrixProblem
@@ -63,7 +63,7 @@ class Body:
         broken: ArrayLike | None = None,
     ) -> None:
         self.points, self.model = solid.crystal.fitting(points), solid
-        grid, self.axes = node_steps(self.points)
+        grid, self.axes = lattice_steps(self.points)
         self._steps = np.concatenate([solid.steps, -solid.steps])
         self._places = _Places(grid, self.points)
         base = solid.parts

@@ -21,7 +21,7 @@ from warp_peri.micromodulus.groups import (
     shared_with_nodes,
 )
 from warp_peri.micromodulus.learning import LARGEST_WAVE, wave_rows
-from warp_peri.micromodulus.nodes import node_steps
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, factors
 
@@ -47,7 +47,7 @@ def fit(
     Returns a law with its certificate. Raises InputError for samples that do not carry the reach
     of L or do not determine the law.
     """
-    axes = node_steps(samples.points)[1]
+    axes = lattice_steps(samples.points)[1]
     d = len(axes)
     turn = np.eye(d)
     if orientation is not None and not _isotropic(symmetry):
