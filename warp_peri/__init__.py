@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from warp_peri import choice as choice
     from warp_peri import damage as damage
     from warp_peri import diffusion as diffusion
+    from warp_peri import dressed as dressed
     from warp_peri import export as export
     from warp_peri import flow as flow
     from warp_peri import methods as methods
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from warp_peri import transfers as transfers
     from warp_peri.choice import choose_model
     from warp_peri.damage.problems import Cracked
+    from warp_peri.dressed.laws import Dressed
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.launch import set_threads
@@ -59,6 +61,7 @@ __all__ = [
     "Dataset",
     "Direct",
     "Dirichlet",
+    "Dressed",
     "InputError",
     "Krylov",
     "LPS",
@@ -87,6 +90,7 @@ __all__ = [
 _NAMES = {
     "choice": ("choose_model",),
     "damage.problems": ("Cracked",),
+    "dressed.laws": ("Dressed",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "launch": ("set_threads",),
@@ -113,6 +117,7 @@ _MODULES = (
     "choice",
     "damage",
     "diffusion",
+    "dressed",
     "export",
     "flow",
     "methods",

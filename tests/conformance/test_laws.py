@@ -49,6 +49,7 @@ class Law:
         single: material, points and field to the force in float32, where the law offers it.
         stress_turns, force_turns: whether a finite rotation turns the stress of uniform strain and
             the force of any field.
+        horizon: in spacings.
         step: of differences of the force; short for one with kinks.
     """
 
@@ -60,6 +61,7 @@ class Law:
     single: Callable | None = None
     stress_turns: bool = False
     force_turns: bool = False
+    horizon: float = 3.0
     step: float = 1e-3
 
 
@@ -154,6 +156,14 @@ def tensors():
     return replace(Crystal(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
 
 
+def dressed():
+    """Square elements of a crystal with four axes, under a G that is no number times one."""
+    steps, C = [[0, 1], [1, 0], [1, 1], [1, -1]], [[0.6, 0.1, 0], [0.1, 0.6, 0], [0, 0, 0.2]]
+    along, across = np.diag([0.02, -0.05]), np.array([[0.01, -0.02], [-0.02, 0.01]])
+    g = [np.flip(along), along, across, across * [[1, -1], [-1, 1]]]
+    return wp.dressed.DressedSolid(1.0, "elements", C, steps, [g], symmetry="4mm").certified()
+
+
 def plain(side, angle=0.0):
     return replace(lattice(side, 3.0, angle=angle), axis=np.rad2deg(angle))
 
@@ -206,6 +216,7 @@ LAWS = {
     "third order, filtered": Law(third_order(Smoothing(2.0)), energy=False, **CUBIC),
     "third order, energy": Law(third_order(None), **CUBIC),
     "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),
+    "dressed": Law(dressed, plain, of_tensors, sheet=plain_cell, horizon=18**0.5),
     "neural operator": Law(
         network,
         plain,
@@ -263,7 +274,7 @@ def test_an_operator_offers_the_contract(law):
     op, points = placed(law)
     assert op.model.units == points.units
     assert op.model.dimension == points.x.shape[1]
-    assert op.model.horizon == pytest.approx(3 * points.spacing)
+    assert op.model.horizon == pytest.approx(law.horizon * points.spacing)
     assert op.points is points
     b = noise(points, 2)
     assert np.array_equal(op.load(b), b[:, points.interior])

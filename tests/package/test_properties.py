@@ -52,7 +52,7 @@ def test_weights_of_a_lattice_are_exact_and_symmetric(h, ratio):
     for p in range(2, DEGREE + 1):
         for b in range(p + 1):
             q = xi[:, 0] ** (p - b) * xi[:, 1] ** b / r**3
-            exact = _ball_integral(p - b, b) * classes.horizon**2
+            exact = _ball_integral((p - b, b)) * classes.horizon**2
             assert weight @ q == pytest.approx(exact, abs=1e-9 * np.abs(weight).sum())
     bonds = {tuple(step) for step in classes.steps.tolist()}
     assert bonds == {(-a, -b) for a, b in bonds} == {(b, a) for a, b in bonds}

@@ -270,14 +270,7 @@ class Crystal:
         Raises InputError for another spacing or other units, and for nodes whose bonds are cut:
         the law is not objective there, and the message says how far from it.
         """
-        nodes = nodes_of(points)
-        check_same(self.units, nodes.units)
-        if not abs(nodes.spacing / self.spacing - 1) <= SAME_SPACING:
-            raise InputError(
-                f"spacing: the law is for {self.spacing:g}, the points have {nodes.spacing:g}; "
-                "transferred(law, spacing) fits another"
-            )
-        self._check_axis(nodes)
+        nodes = self.fitting(points)
         traction = self.surface_traction()
         unit = symbols(self.units)[1]
         why = (
@@ -295,6 +288,18 @@ class Crystal:
             why=why,
             model=self,
         )
+
+    def fitting(self, points: Points | Samples) -> Points:
+        """Nodes of the law's own spacing, units and axis; InputError for others."""
+        nodes = nodes_of(points)
+        check_same(self.units, nodes.units)
+        if not abs(nodes.spacing / self.spacing - 1) <= SAME_SPACING:
+            raise InputError(
+                f"spacing: the law is for {self.spacing:g}, the points have {nodes.spacing:g}; "
+                "transferred(law, spacing) fits another"
+            )
+        self._check_axis(nodes)
+        return nodes
 
     def _check_axis(self, nodes: Points) -> None:
         """Raise InputError where points state another direction of the crystal than the law's.

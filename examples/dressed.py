@@ -1,0 +1,216 @@
+"""Dressed solids: graphene from fields and from phonons, bodies with edges and cracks, crystals.
+
+python examples/dressed.py           numbers, and a picture in runs/dressed
+python examples/dressed.py --json    one object on stdout
+python examples/dressed.py --all     every crystal, and a free ball of each
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri as wp
+from examples.crystals import CELLS, judged
+from examples.train_graphene import SMOOTHING_RADIUS, make_data
+from tools import crystals, graphene_phonons
+from tools.crystal_ball import ball
+from tools.graphene import DISK_RADIUS
+from warp_peri.dressed import DressedSolid, from_phonons, torn
+from warp_peri.errors import exit_status
+
+SETS = {"train": "train", "val": "val", "disks": "test"}
+LAWS = {"bonds 12": ("bonds", 12), "bonds 20": ("bonds", 20), "elements 8": ("elements", 8)}
+EDGE = 0.3
+"""How far the disk reaches beyond its outermost atoms [Å]."""
+CRACK = 30.0
+"""Half its length [Å]."""
+
+
+def errors(solid: DressedSolid, data: wp.Dataset) -> dict[str, dict[str, float]]:
+    """E_res and E_u [%] by set."""
+    found = {name: wp.evaluate(solid, data[key]) for name, key in SETS.items()}
+    return {kind: {n: 100 * e[kind] for n, e in found.items()} for kind in ("E_res", "E_u")}
+
+
+def row(solid: DressedSolid, data: wp.Dataset) -> dict[str, Any]:
+    """What is told of one law."""
+    proof = solid.certificate
+    return errors(solid, data) | {
+        "numbers": solid.provenance["fit"]["numbers"],
+        "moduli": solid.moduli(),
+        "certificate": {"proven": proof.proven, "sampled": proof.sampled} if proof else None,
+    }
+
+
+def without(solid: DressedSolid) -> DressedSolid:
+    """Its base alone, G = 1."""
+    return dataclasses.replace(solid, tensors=0 * solid.tensors)
+
+
+def sheets(data: wp.Dataset) -> tuple[dict[str, Any], dict[str, DressedSolid]]:
+    """Laws of graphene from fields, from phonons, and their bases; moduli of the atoms, held."""
+    atoms = graphene_phonons.force_constants()
+    table: dict[str, Any] = {"from fields": {}, "phonons": {}, "base alone": {}}
+    laws = {}
+    for name, (base, neighbours) in LAWS.items():
+        alone = from_phonons(atoms, 5.0, base, neighbours, symmetry="isotropic", split=False)
+        law = wp.Dressed(base, neighbours, moduli=alone.elastic)
+        laws[name] = wp.fit(data["train"], law).material
+        table["from fields"][name] = row(laws[name], data)
+        table["phonons"][name] = row(alone, data)
+        if name != "bonds 20":  # the base of bonds 12
+            table["base alone"][base] = errors(without(alone), data)
+    found = wp.fit(data["train"], wp.Dressed("bonds", 12)).material
+    table["from fields"]["bonds 12, moduli from long waves"] = row(found, data)
+    return table, laws
+
+
+def free(solid: DressedSolid) -> dict[str, float]:
+    """E_u [%] of a free disk of atoms under smooth loads, less its rigid motion."""
+    seen, known = graphene_phonons.free_disk(solid.spacing)
+
+    def inside(x: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(x, axis=1) < DISK_RADIUS + EDGE
+
+    x = seen.x[known]
+    turn = np.stack([-x[:, 1], x[:, 0]], axis=1).ravel()
+    rigid = np.stack([np.tile([1.0, 0], len(x)), np.tile([0, 1.0], len(x)), turn], axis=1)
+
+    def still(u: np.ndarray) -> np.ndarray:
+        flat = u[:, known].reshape(len(u), -1).T
+        return flat - rigid @ np.linalg.lstsq(rigid, flat)[0]
+
+    found = {}
+    for name, law in {"dressed": solid, "elements": without(solid)}.items():
+        body = law.on(seen.points, edges=inside)
+        u = wp.solve(body, wp.Dirichlet(seen.points, seen.b, seen.u)).u
+        wrong, whole = (np.linalg.norm(still(v), axis=0) for v in (u - seen.u, seen.u))
+        found[name] = float(100 * (wrong / whole).mean())
+    return found
+
+
+def breaking(solid: DressedSolid, bodies: int = 30) -> dict[str, float]:
+    """Least eigenvalue of free sheets broken at random, and what a turn costs, over the largest."""
+    line = solid.spacing * np.arange(14)
+    x = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    near = np.abs(x[:, None] - x).max(axis=2) < 1.1 * solid.spacing
+    pairs = np.argwhere(np.triu(near, 1))
+    least, turned = [], []
+    for seed in range(bodies):
+        rng = np.random.default_rng(seed)
+        kept = rng.random(len(pairs)) < rng.uniform(0, 0.7)
+        maps = {name: rng.random(len(x)) ** 4 for name in solid.parts.names}
+        points = wp.Points(x, np.ones(len(x), bool), solid.spacing)
+        body = solid.on(points, edges=True, maps=maps, broken=pairs[kept])
+        L = body.L.toarray()
+        turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
+        least.append(np.linalg.eigvalsh(L)[0] / np.abs(L).max())
+        turned.append(np.abs(body(turn)).max() / np.abs(L).max() / np.abs(x).max())
+    return {"bodies": bodies, "least": float(min(least)), "rotation": float(max(turned))}
+
+
+def crystal(name: str, with_ball: bool) -> dict[str, Any]:
+    """A split law of a crystal from phonons, on waves it never saw and in a ball of atoms [%]."""
+    a = crystals.lattice_parameter(name)
+    atoms = crystals.force_constants(name, a)
+    held_out = {
+        "waves": crystals.waves(atoms, CELLS, longest=CELLS, shortest=4.0, loads=10, seed=2),
+        "short": crystals.waves(atoms, CELLS, longest=4.0, shortest=2.7, loads=5, seed=3),
+    }
+    seen = ball(name, atoms) if with_ball else None
+    law = from_phonons(atoms, a, symmetry=atoms.group())
+    proof = law.certificate
+    table = judged(law.symbol, law.crystal, held_out, seen)
+    rest = judged(without(law).symbol, without(law).crystal, held_out, seen)
+    return {
+        "E_u": table["E_u"],
+        "E_res": table["E_res"],
+        "elements": rest["E_u"],
+        "numbers": law.provenance["fit"]["numbers"],
+        "moduli": law.moduli("GPa"),
+        "certificate": {"proven": 1e3 * proof.proven, "sampled": 1e3 * proof.sampled}
+        if proof
+        else None,
+    }
+
+
+def cost(solid: DressedSolid, side: int = 1000) -> float:
+    """Nanoseconds a node of L u by rows on one thread, the best of five."""
+    wp.set_threads(1)
+    operator = solid.on(wp.Points.sheet((side, side), solid.spacing))
+    planes = np.random.default_rng(0).normal(size=(1, 2, *operator.nodes.wide))
+    times = []
+    for _ in range(6):
+        begin = time.perf_counter()
+        operator.pull(planes)
+        times.append(time.perf_counter() - begin)
+    return min(times[1:]) / side**2 * 1e9
+
+
+def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
+    """Errors of base and dressed laws, and a cracked sheet that is soft in a patch."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained")
+    kinds = ("base alone", "phonons", "from fields")
+    names = {"base alone": "bonds", "phonons": "bonds 12", "from fields": "bonds 12"}
+    for n, kind in enumerate(kinds):
+        values = numbers[kind][names[kind]]["E_u"].values()
+        left.bar(np.arange(3) + 0.27 * (n - 1), values, 0.25, label=kind)
+    left.set(xticks=range(3), xticklabels=SETS, ylabel="error of displacement [%]", yscale="log")
+    left.set_title("graphene, 1/r on 8 bonds, G of 12 neighbours")
+    left.legend(frameon=False)
+    line = solid.spacing * np.arange(-14.5, 15)
+    x = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    held = np.abs(x[:, 1]) > line[-2]
+    points = wp.Points(x, ~held, solid.spacing)
+    soft = 1 - 0.8 * np.exp(-((x - [35, 35]) ** 2).sum(axis=1) / 400)
+    crack = torn(points, [[(-CRACK, 0), (CRACK, 0)]])
+    body = solid.on(points, edges=True, maps={"bulk": soft, "shear": soft}, broken=crack)
+    u = wp.solve(body, wp.Dirichlet(points, 0 * x, 0.02 * x * [0, 1])).u
+    shown = right.scatter(*(x + 3 * u).T, c=soft, s=12, cmap="viridis")
+    figure.colorbar(shown, label="κ, μ over those of the even sheet")
+    right.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]")
+    right.set_title("pulled by 2 %; displacement drawn three times")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--data", type=Path, help="made with LAMMPS where it is not there")
+    parser.add_argument("--all", action="store_true", help="every crystal, with free balls")
+    parser.add_argument("--json", action="store_true", help="one object on stdout")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "dressed")
+    given = parser.parse_args(arguments)
+
+    def work() -> None:
+        data = wp.load(given.data or make_data(-1, SMOOTHING_RADIUS))
+        numbers, laws = sheets(data)
+        best = numbers["from fields"]["bonds 12"]
+        numbers |= {key: best[key] for key in ("E_res", "E_u")}
+        numbers["breaking"] = breaking(laws["bonds 12"])
+        numbers["free"] = free(laws["elements 8"])
+        names = ("Cu", "Al", "W", "Si") if given.all else ("Cu",)
+        numbers["split"] = {name: crystal(name, given.all) for name in names}
+        numbers["nanoseconds"] = {name: cost(law) for name, law in laws.items()}
+        picture(numbers, laws["bonds 12"], given.out / "dressed.png")
+        wp.save(given.out / "graphene.json", laws["bonds 12"])
+        print(json.dumps(numbers, indent=None if given.json else 1))
+
+    return exit_status(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

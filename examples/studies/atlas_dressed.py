@@ -1,0 +1,101 @@
+"""Stability atlas: learned bonds that are cut where a body ends."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import scipy.sparse as sp
+
+import warp_peri
+from examples.studies.atlas_entry import Entry, words, written
+from warp_peri.dressed import DressedSolid
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.points import Points
+
+SIDES = (9, 13, 17, 25, 33)
+STYLES = {"learned bonds, cut": "C3o-", "elements, dressed": "C0o-", "bonds, dressed": "C1o-"}
+STRESS = 0.01
+"""At the outermost nodes of a bent sheet [TPa]."""
+
+
+def sheet(side: int, spacing: float) -> Points:
+    """A square of free nodes around the origin."""
+    line = spacing * (np.arange(side) - (side - 1) / 2)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    return Points(x, np.ones(len(x), bool), spacing)
+
+
+def bent(points: Points, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and load of a sheet under σ₁₁ proportional to x₂, on its two sides."""
+    x, y = points.x.T
+    end = x.max()
+    S = np.linalg.inv(elastic) * STRESS / end
+    u = np.stack([S[0, 0] * x * y, (S[0, 1] * y**2 - S[0, 0] * x**2) / 2], axis=1)
+    b = np.zeros_like(u)
+    corner = np.where(np.abs(y) == end, 0.5, 1.0)
+    b[:, 0] = STRESS * y / end * corner * (np.sign(x) * (np.abs(x) == end)) / points.spacing
+    return u, b
+
+
+def cut_bonds(law: DressedSolid, points: Points) -> sp.csr_array:
+    """The even law's own bonds, those that leave the sheet left out."""
+    steps, C = law.crystal.steps, law.crystal.tensors
+    side = round(len(points.x) ** 0.5)
+    number = np.pad(np.arange(side**2).reshape(side, side), np.abs(steps).max(), constant_values=-1)
+    reach = np.abs(steps).max()
+    parts = []
+    for step, tensor in zip(steps, C):
+        at = tuple(slice(reach + s, reach + s + side) for s in step)
+        other = number[at].ravel()
+        own = np.flatnonzero(other >= 0)
+        rows = sp.csr_array(
+            (
+                np.repeat([1.0, -1.0], len(own)),
+                (np.tile(np.arange(len(own)), 2), np.append(own, other[own])),
+            ),
+            shape=(len(own), side**2),
+        )
+        parts.append(sp.kron(rows.T @ rows, tensor))
+    return sp.csr_array(sum(parts[1:], parts[0]))
+
+
+def cut_at_edges(data: Dataset) -> Entry:
+    """Errors of bent free sheets against their size: bonds cut, and dressed."""
+    law = warp_peri.fit(data["train"], warp_peri.Dressed("elements", 8)).material
+    on_bonds = warp_peri.fit(data["train"], warp_peri.Dressed("bonds", 12)).material
+    curves: dict[str, list[float]] = {name: [] for name in STYLES}
+    for side in SIDES:
+        points = sheet(side, law.spacing)
+        u, b = bent(points, law.elastic)
+        answers = {}
+        for name, one in (("elements, dressed", law), ("bonds, dressed", on_bonds)):
+            body = one.on(points, edges=True)
+            answers[name] = warp_peri.solve(body, warp_peri.Dirichlet(points, b, 0 * b)).u
+        rigid = _rigid(points.x)
+        stiff = cut_bonds(law, points).toarray() + rigid @ rigid.T
+        answers["learned bonds, cut"] = np.linalg.solve(stiff, b.ravel()).reshape(-1, 2)
+        for name, answer in answers.items():
+            wrong, whole = (
+                np.linalg.norm(v - rigid @ (rigid.T @ v)) for v in ((answer - u).ravel(), u.ravel())
+            )
+            curves[name].append(float(100 * wrong / whole))
+    seen = words(lambda: law.on(points))
+    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for name, style in STYLES.items():
+        ax.loglog(SIDES, curves[name], style, label=name)
+    ax.set(xlabel="nodes a side", ylabel="error of displacement [%]")
+    ax.set_xticks(SIDES, labels=map(str, SIDES))
+    ax.minorticks_off()
+    ax.legend(frameon=False)
+    cut, on_elements, plain = (values[1] for values in curves.values())
+    numbers = {"side": SIDES[1], "cut": cut, "dressed": on_elements, "plain": plain}
+    return Entry(
+        *written("edges", bonds=law.crystal.bonds, **numbers), [seen], figure, dict(curves)
+    )
+
+
+def _rigid(x: np.ndarray) -> np.ndarray:
+    """Orthonormal rigid motions, [2 N, 3]."""
+    turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
+    shifts = [np.tile(e, len(x)) for e in np.eye(2)]
+    return np.linalg.qr(np.stack([*shifts, turn.ravel()], axis=1))[0]

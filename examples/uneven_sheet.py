@@ -1,0 +1,105 @@
+"""Maps of an uneven sheet's moduli from four loads: boron nitride in graphene.
+
+python examples/uneven_sheet.py           numbers, and a picture in runs/uneven_sheet
+python examples/uneven_sheet.py --json    one object on stdout
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri as wp
+from tools.graphene_phonons import force_constants
+from tools.uneven_sheets import Sheet, moduli, uneven_sheet
+from warp_peri.dressed import fit_maps, from_phonons
+from warp_peri.errors import exit_status
+
+RADIUS, SIDE = 45.0, 197.25
+"""Of the disc of boron nitride, and of the sheet [Å]."""
+POTENTIAL = "BNC.tersoff"
+INNER = 27.0
+"""Radius within which the disc's moduli are read [Å]: no smoothing reaches its edge from there."""
+
+
+def displacement_errors(body: Any, sheet: Sheet) -> dict[str, float]:
+    """E_u [%] by set."""
+    found = {}
+    for name, samples in sheet.sets.items():
+        u = wp.solve(body, wp.Dirichlet(samples.points, samples.b, samples.u)).u
+        wrong, whole = (
+            np.linalg.norm((v - v.mean(axis=1, keepdims=True)).reshape(len(v), -1), axis=1)
+            for v in (u - samples.u, samples.u)
+        )
+        found[name] = float(100 * (wrong / whole).mean())
+    return found
+
+
+def parts_of(V: np.ndarray) -> dict[str, float]:
+    """κ = λ + μ and μ of a Voigt matrix."""
+    return {"bulk": float(V[0, 0] + V[0, 1]) / 2, "shear": float(V[2, 2])}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--loads", type=int, default=4, help="to learn from")
+    parser.add_argument("--json", action="store_true", help="one object on stdout")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "uneven_sheet")
+    given = parser.parse_args(arguments)
+
+    def work() -> None:
+        sheet = uneven_sheet(
+            lambda at: np.linalg.norm(at, axis=1) * SIDE < RADIUS, train=given.loads
+        )
+        points = sheet.sets["train"].points
+        law = from_phonons(
+            force_constants(POTENTIAL), points.spacing, neighbours=8, symmetry="isotropic",
+            split=False,
+        )  # fmt: skip
+        carbon, nitride = (parts_of(moduli(names)) for names in (("C",), ("B", "N")))
+        even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
+        numbers: dict[str, Any] = {"uniform": displacement_errors(law.on(points, maps=even), sheet)}
+        middle = np.linalg.norm(points.x - points.x.mean(axis=0), axis=1) < INNER
+        fits = {name: fit_maps(law, sheet.sets["train"], parts=name) for name in ("each", "one")}
+        for name, fit in fits.items():
+            body = law.on(points, maps=fit.maps)
+            numbers["maps" if name == "each" else "one factor"] = {
+                **displacement_errors(body, sheet), "smoothness": fit.smoothness,
+            }  # fmt: skip
+        found = fits["each"]
+        numbers["moduli"] = {
+            part: {
+                "found": float(found.maps[part][middle].mean()),
+                "spread": float(found.spread[part][middle].mean()),
+                "true": nitride[part] / carbon[part],
+            }
+            for part in law.parts.names
+        }
+        print(json.dumps(numbers, indent=None if given.json else 1))
+        figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+        at = points.x - points.x.mean(axis=0)
+        shown = {"share of boron nitride": sheet.inside,
+                 "κ over graphene's": found.maps["bulk"],
+                 "μ over graphene's": found.maps["shear"]}  # fmt: skip
+        for ax, (title, values) in zip(axes, shown.items()):
+            drawn = ax.scatter(*at.T, c=values, s=14, marker="s", linewidths=0)
+            figure.colorbar(drawn)
+            ax.set(aspect="equal", title=title, xlabel="x [Å]", ylabel="y [Å]")
+        given.out.mkdir(parents=True, exist_ok=True)
+        figure.savefig(given.out / "maps.png", dpi=100)
+
+    return exit_status(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

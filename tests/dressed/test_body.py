@@ -1,0 +1,215 @@
+"""Bodies that are uneven, end at edges, or are broken."""
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.dressed.solids import SPACING, nodes, rigid, solid
+from warp_peri.dressed import torn
+from warp_peri.errors import InputError
+
+REACHES = {2: (1.0, 2**0.5, 2.0, 5**0.5), 3: (1.0, 2**0.5, 3**0.5)}
+
+
+def random_body(seed):
+    """Nodes, maps and broken pairs at random, of any base and any G."""
+    rng = np.random.default_rng(seed)
+    d = 2 + seed % 2
+    base = "bonds" if d == 2 and rng.random() < 0.5 else "elements"
+    reach = REACHES[d][rng.integers(len(REACHES[d]))]
+    law = solid(d, base, reach, 0.05, bool(rng.integers(2)), seed)
+    n = {2: 10, 3: 4}[d]
+    points = nodes(d, n, rng.random(n**d) < rng.uniform(0.9, 1))
+    x = points.x
+    there = rng.random(len(x)) < 0.8  # the rest has no stiffness at all
+    maps = {name: there * 100 ** -rng.random(len(x)) for name in law.parts.names}
+    near = np.abs(x[:, None] - x).max(axis=2) < 1.1 * SPACING
+    pairs = np.argwhere(np.triu(near, 1))
+    broken = pairs[
+        rng.random(len(pairs))
+        < rng.uniform(0, {"bonds": 0.5, "elements": {2: 0.1, 3: 0.02}[d]}[base])
+    ]
+    return law.on(points, edges=True, maps=maps, broken=broken)
+
+
+def check(body):
+    """No negative eigenvalue, and nothing for a rigid motion, in parts of the largest entry.
+
+    Returns whether there is anything left of the body.
+    """
+    L = body.L.toarray()
+    size = np.abs(L).max()
+    assert np.linalg.eigvalsh(L)[0] >= -1e-12 * size
+    assert np.abs(body(rigid(body.points))).max() <= 1e-12 * size * np.abs(body.points.x).max()
+    return bool(size > 0)
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
+def test_nothing_makes_a_body_unstable_or_resist_a_turn(count):
+    assert sum(check(random_body(seed)) for seed in range(count)) > 0.9 * count
+
+
+def test_the_check_sees_bonds_that_resist_a_turn():
+    """The even law's own bonds, cut at the edge, are not objective."""
+    law = solid()
+    body = law.on(nodes(2, 10), edges=True)
+    steps, tensors = law.crystal.steps, law.crystal.tensors
+    place = body._places.at(steps)
+    L = np.zeros((100, 2, 100, 2))
+    for near, C in zip(place.T, tensors):
+        own = np.flatnonzero(near >= 0)
+        for i, j in zip(own, near[own]):
+            L[i, :, i] += C
+            L[j, :, j] += C
+            L[i, :, j] -= C
+            L[j, :, i] -= C
+    turn = rigid(body.points)[2].ravel()
+    forces = [np.abs(K @ turn).max() for K in (L.reshape(200, 200), body.L)]
+    assert forces[0] > 1e6 * forces[1]
+
+
+@pytest.mark.parametrize(("d", "base"), [(2, "elements"), (2, "bonds"), (3, "elements")])
+def test_far_from_its_edges_a_body_is_the_even_law(d, base):
+    law = solid(d, base, split=True)
+    n = {2: 16, 3: 9}[d]
+    reach = 4 * SPACING
+    points = nodes(
+        d, n, interior=lambda x: ((x > reach - 0.1) & (x < x.max() - reach + 0.1)).all(axis=1)
+    )
+    u = np.random.default_rng(0).normal(size=points.x.shape)
+    even = law.on(points)
+    body = law.on(points, edges=True)
+    np.testing.assert_allclose(body(u), even(u), atol=1e-12 * np.abs(even(u)).max())
+    with pytest.raises(InputError, match="or edges=True where"):
+        law.on(nodes(d, n))
+    with pytest.raises(InputError, match="edges=True"):
+        law.on(nodes(d, n), maps={"bulk": np.ones(n**d)})
+
+
+def test_a_period_is_the_even_law_and_linear_in_its_maps():
+    law = solid(split=True)
+    points = wp.Points.sheet((9, 10), SPACING)
+    rng = np.random.default_rng(1)
+    u, first = rng.normal(size=points.x.shape), 1 + rng.random(len(points.x))
+    names = law.parts.names
+    assert names == ("tetragonal", "shear", "bulk")
+    ones = law.on(points, maps={"bulk": np.ones(len(points.x))})
+    np.testing.assert_allclose(ones(u), law.on(points)(u), atol=1e-12)
+    each = sum(
+        law.on(points, maps={m: first if m == n else 0 * first for m in names})(u) for n in names
+    )
+    whole = law.on(points, maps=dict.fromkeys(names, first))(u)
+    np.testing.assert_allclose(each, whole, atol=1e-12)
+    assert np.abs(whole - ones(u)).max() > 0.1
+
+
+def test_the_bound_of_a_map_is_its_smallest_value():
+    """L ≥ min(map) L of the even solid (theory.md, D11)."""
+    law = solid()
+    points = wp.Points.sheet((8, 8), SPACING)
+    rng = np.random.default_rng(2)
+    maps = {name: 0.3 + rng.random(64) for name in law.parts.names}
+    uneven, even = (
+        law.on(points, maps=m).L.toarray() for m in (maps, dict.fromkeys(maps, np.ones(64)))
+    )
+    gap = np.linalg.eigvalsh(uneven - min(m.min() for m in maps.values()) * even)
+    assert gap[0] >= -1e-12 * np.abs(even).max()
+
+
+@pytest.mark.parametrize("broken", [None, [[44, 45], [54, 55]]])
+def test_a_free_body_stretches_as_a_solid_does(broken):
+    """Forces on two sides; a body torn in two along its middle would not carry them."""
+    law = solid()
+    points = nodes(2, 10)
+    x = points.x
+    b = np.zeros_like(x)
+    width = np.where((x[:, 1] == x[:, 1].min()) | (x[:, 1] == x[:, 1].max()), 0.5, 1.0)
+    b[:, 0] = 0.01 * width * ((x[:, 0] == x[:, 0].max()) * 1.0 - (x[:, 0] == 0)) / SPACING
+    body = law.on(points, edges=True, broken=broken)
+    solution = wp.solve(body, wp.Dirichlet(points, b, np.zeros_like(x)))
+    assert solution.residual < 1e-9
+    np.testing.assert_allclose(body(solution.u), b, atol=1e-12)
+    u = solution.u
+    stretch = (u[-10:, 0].mean() - u[:10, 0].mean()) / np.ptp(x[:, 0])
+    compliance = np.linalg.inv(law.elastic)[0, 0] * 0.01
+    if broken is None:
+        assert stretch == pytest.approx(compliance, rel=1e-9)
+    else:
+        assert 1.02 * compliance < stretch < 1.5 * compliance
+    assert body.energy(u) == pytest.approx(0.5 * SPACING**2 * (b * u).sum())
+    with pytest.raises(InputError, match="balance"):
+        wp.solve(body, wp.Dirichlet(points, np.ones_like(x), np.zeros_like(x)))
+
+
+def test_an_outline_cuts_elements_by_their_share():
+    """A disk under uniform radial tension at its rim grows by what its moduli say."""
+    law = solid()
+    points = nodes(2, 24)
+    middle, R = points.x.mean(axis=0), 10 * SPACING
+
+    def inside(x):
+        return np.linalg.norm(x - middle, axis=1) < R
+
+    body = law.on(points, edges=inside)
+    assert body.share.sum() * SPACING**2 == pytest.approx(np.pi * R**2, rel=2e-3)
+    assert ((0 < body.share) & (body.share < 1)).any()
+    assert check(body)
+    strain = (points.x - middle) * 0.01
+    energy = 0.5 * 1e-4 * law.elastic[:2, :2].sum() * body.share.sum() * SPACING**2
+    assert body.energy(strain) == pytest.approx(energy)
+    with pytest.raises(InputError, match="bonds"):
+        solid(base="bonds").on(points, edges=inside)
+
+
+def test_a_crack_parts_its_faces():
+    """Two halves torn apart do not feel one another, through G neither."""
+    law = solid(base="bonds", reach=2.0, size=0.05)
+    points = nodes(2, 10)
+    middle = 4.5 * SPACING
+    above = points.x[:, 1] > middle
+    broken = torn(points, [[(-1, middle), (20, middle)]])
+    assert len(broken) == 10 + 2 * 9
+    body = law.on(points, edges=True, broken=broken)
+    u = above[:, None] * np.array([0.3, 1.0])
+    assert np.abs(body(u)).max() < 1e-14
+    assert np.abs(law.on(points, edges=True)(u)).max() > 0.1
+
+
+def test_a_crack_costs_what_it_costs_the_base():
+    """G changes no energy and so no critical load; what the base answers is u = G⁻¹ v (D12)."""
+    law = solid(base="bonds", reach=2.0, size=0.05)
+    points = nodes(2, 15, interior=lambda x: (np.abs(x - 7 * SPACING) < 6.5 * SPACING).all(axis=1))
+    crack = [[(-1, 7.4 * SPACING), (6.6 * SPACING, 7.4 * SPACING)]]
+    held = np.where(points.interior[:, None], 0.0, points.x * [0.0, 0.01])
+    # a node is held by its row of G, which is not whole within one spacing of the edge
+    body = law.on(points, edges=True, broken=torn(points, crack))
+    rim = np.abs(body.dressings[0].toarray() - np.eye(450)).max(axis=1).reshape(-1, 2).max(axis=1)
+    assert (rim[~points.interior] == 0).all()
+    u = wp.solve(body, wp.Dirichlet(points, np.zeros_like(held), held)).u
+    base = wp.solve(law.plain, wp.damage.Cracked(points, u=held, cracks=crack))
+    assert body.energy(u) == pytest.approx(base.energy(), rel=1e-10)
+    np.testing.assert_allclose(body.displacement(base.u), u, atol=1e-10)
+    np.testing.assert_allclose(body.base_displacement(u), base.u, atol=1e-10)
+    assert np.abs(u - base.u).max() > 1e-3 * np.abs(u).max()
+    with pytest.raises(InputError, match="got elements"):
+        _ = solid().plain
+    with pytest.raises(InputError, match="split"):
+        solid(split=True).on(points, edges=True).displacement(u)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"maps": {"hardness": np.ones(100)}}, "maps: expected some of"),
+        ({"maps": {"bulk": np.ones(99)}}, "expected 100 numbers ≥ 0"),
+        ({"maps": {"bulk": -np.ones(100)}}, "the smallest -1"),
+        ({"broken": [[0, 100]]}, "numbers of nodes below 100"),
+        ({"broken": [0, 1]}, "pairs of nodes"),
+        ({"edges": lambda x: x[:, 0]}, "one bool a position"),
+    ],
+)
+def test_what_does_not_fit_is_refused(options, message):
+    if callable(options.get("edges")):
+        options = {"edges": lambda x: np.ones(3, bool)}
+    with pytest.raises(InputError, match=message):
+        solid().on(nodes(2, 10), **({"edges": True} | options))

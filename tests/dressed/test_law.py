@@ -1,0 +1,140 @@
+"""The law itself: parts, learning, proof, files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ase.build import bulk
+from ase.calculators.emt import EMT
+
+import warp_peri as wp
+from tests.dressed.solids import SPACING, solid
+from tests.micromodulus.crystals import cubic_tensor, lattice
+from tests.micromodulus.test_learning import waves
+from warp_peri.dressed.bases import base, half
+from warp_peri.dressed.law import DressedSolid
+from warp_peri.dressed.learning import from_phonons
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.elements import q1_tensors
+from warp_peri.micromodulus.force_constants import from_calculator
+from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
+from warp_peri.micromodulus.states import tensors_of
+
+SHEET = dict(C11=1.25, C12=-0.2, C44=0.725)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_elements_are_those_of_one_stencil(d):
+    C = cubic_tensor(d)
+    parts = base("elements", C)
+    assert parts.names == ("tetragonal", "shear", "bulk")
+    for M in parts.parts:
+        assert np.linalg.eigvalsh(M)[0] > -1e-15
+    steps, tensors = half(parts.stencils.sum(axis=0))
+    order = {tuple(s): t for s, t in zip(*q1_tensors(C))}
+    order |= {tuple(-s for s in key): t for key, t in list(order.items())}
+    for step, tensor in zip(steps.tolist(), tensors):
+        np.testing.assert_allclose(tensor, order[tuple(step)], atol=1e-14)
+
+
+def test_bonds_are_the_peridynamic_solid_of_two_spacings():
+    C = cubic_tensor(2, **SHEET)
+    model = wp.Model(lam=-0.2, mu=0.725, alpha=1.0, D=np.ones(1), horizon=2.0)
+    expected = tensors_of(model, 1.0)
+    steps, tensors = half(base("bonds", C).stencils.sum(axis=0))
+    k = np.random.default_rng(0).normal(size=(20, 2))
+    own = 2 * np.tensordot(1 - np.cos(k @ steps.T), tensors, 1)
+    np.testing.assert_allclose(own, expected.symbol(k), atol=1e-13)
+    with pytest.raises(InputError, match="square in 2 dimensions; take elements"):
+        base("bonds", cubic_tensor(2))
+
+
+@pytest.mark.parametrize(
+    ("d", "kind", "neighbours", "split"),
+    [(2, "elements", 8, False), (2, "bonds", 12, False), (3, "elements", 6, True)],
+)
+def test_a_law_is_found_again_from_its_forces(d, kind, neighbours, split):
+    reach = {8: 2**0.5, 12: 2.0, 6: 1.0}[neighbours]
+    law = solid(d, kind, reach, 0.02, split)
+    samples = waves(law, lattice(d, {2: 10, 3: 3}[d], {2: 6, 3: 3}[d], SPACING), 6)
+    asked = wp.Dressed(kind, neighbours, law.symmetry, moduli=law.elastic, split=split)
+    fit = wp.fit(samples, asked)
+    np.testing.assert_allclose(fit.material.tensors, law.tensors, atol=1e-9)
+    assert fit.history["loss"] < 1e-9 < fit.history["loss_of_base"]
+    assert fit.certificate.proven > 0.9 * fit.certificate.sampled
+    with pytest.raises(InputError, match="numbers of G apart"):
+        wp.fit(wp.Samples(samples.points, 0 * samples.u + samples.points.x, samples.b), asked)
+
+
+def test_moduli_are_those_of_long_waves_and_stay():
+    law = solid(2, "bonds")
+    samples = waves(law, lattice(2, 24, 4, SPACING), 12)
+    found = wp.fit(samples, wp.Dressed("bonds", 8)).material
+    for name, value in law.moduli().items():
+        assert found.moduli()[name] == pytest.approx(value, abs=0.05)
+    np.testing.assert_allclose(found.crystal.elastic_tensor(), found.elastic, atol=1e-12)
+
+
+def test_a_crystal_is_learned_from_phonons():
+    """Split dressing beats elements by far, with the elastic constants of the atoms."""
+    atoms = from_calculator(bulk("Cu", "fcc", a=3.59, cubic=True), EMT(), (2, 2, 2))
+    law = from_phonons(atoms, 3.59, neighbours=18, symmetry="m-3m")
+    tensors = tensors_from_phonons(atoms, 3.59, 3.59 * 2, symmetry="m-3m")
+    for name, value in tensors.moduli().items():
+        assert law.moduli()[name] == pytest.approx(value, rel=1e-8)
+    record = law.provenance["fit"]
+    assert record["numbers"] == 15
+    assert record["loss"] < 0.25 * record["loss_of_base"]
+    assert law.certificate.proven > 0.9 * law.certificate.sampled
+    k = np.array([[0.3, 0.1, 0.2]])
+    true = atoms.effective(k)
+    bare = replace(law, tensors=0 * law.tensors)
+    off, alone = (np.abs(one.symbol(k) - true).max() / np.abs(true).max() for one in (law, bare))
+    assert off < 0.02 < 0.2 * alone
+
+
+def test_nodes_that_state_another_axis_are_refused():
+    law = solid()
+    points = lattice(2, 4, 3, SPACING)
+    turned = wp.Points(points.x, points.interior, SPACING, axis=20.0)
+    with pytest.raises(InputError, match="axis: the crystal stands at 20°"):
+        law.on(turned)
+    with pytest.raises(InputError, match="axis: the crystal stands at 20°"):
+        law.on(turned, edges=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"base": "springs"}, "base: expected one of elements, bonds"),
+        ({"elastic": np.diag([1.0, 1.0, -1.0])}, "expected a stable crystal"),
+        ({"tensors": np.zeros((1, 3, 2, 2))}, "tensors: expected shape"),
+        ({"tensors": np.zeros((2, 4, 2, 2))}, "one for each of tetragonal, shear, bulk, got 2"),
+        ({"steps": [[0.5, 1]]}, "steps: expected whole numbers"),
+        ({"spacing": -1.0}, "spacing: expected a number > 0"),
+    ],
+)
+def test_numbers_that_are_no_law_are_refused(change, message):
+    law = solid()
+    fields = {"spacing": SPACING, "base": "elements", "elastic": law.elastic, "steps": law.steps}
+    with pytest.raises(InputError, match=message):
+        DressedSolid(**(fields | {"tensors": law.tensors} | change))
+
+
+def test_a_file_with_a_fault_is_named(tmp_path):
+    path = tmp_path / "m.json"
+    wp.save(path, solid())
+    content = json.loads(path.read_text())
+    for change, message in (
+        ({"version": 2}, "version: expected 1"),
+        ({"elastic": None}, "m.json: elastic"),
+        ({"dressing": [[1.0]]}, "m.json: tensors: expected shape"),
+        ({"hue": 1}, "unknown keys: hue"),
+    ):
+        path.write_text(json.dumps(content | change))
+        with pytest.raises(InputError, match=message):
+            wp.load(path)
+    samples = waves(solid(), lattice(2, 8, 4, SPACING), 2)
+    with pytest.raises(InputError, match="neighbours: expected one of 4, 8, 12, 20"):
+        wp.fit(samples, wp.Dressed("elements", 9, moduli=solid().elastic))

@@ -1,0 +1,32 @@
+"""Dressed solids of graphene, as the example learns them."""
+
+import json
+
+import pytest
+
+import warp_peri as wp
+from examples import dressed, uneven_sheet
+from tools.graphene_phonons import force_constants
+from warp_peri.dressed import from_phonons
+
+
+def test_six_numbers_from_fields_and_from_phonons(graphene):
+    data = wp.load(graphene)
+    known = from_phonons(force_constants(), 5.0, "bonds", 12, symmetry="isotropic", split=False)
+    law = wp.fit(data["train"], wp.Dressed("bonds", 12, moduli=known.elastic)).material
+    assert law.provenance["fit"]["numbers"] == 6
+    for solid, val, disks in ((law, 0.45, 0.9), (known, 0.5, 0.95)):
+        found = dressed.errors(solid, data)["E_u"]
+        assert found["val"] <= val
+        assert found["disks"] <= disks
+    assert law.certificate.proven > 0.9 * law.moduli()["C44"]
+
+
+@pytest.mark.slow
+def test_boron_nitride_is_found_in_graphene(capsys, tmp_path):
+    assert uneven_sheet.main(["--json", "--out", str(tmp_path)]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["maps"]["val"] <= 6 < numbers["one factor"]["val"]
+    for part in numbers["moduli"].values():
+        assert part["found"] == pytest.approx(part["true"], rel=0.01)
+    assert (tmp_path / "maps.png").stat().st_size > 10_000

@@ -1,0 +1,17 @@
+"""Solids of a positive base between two short convolutions: accurate, uneven, with edges (D)."""
+
+from warp_peri.dressed.body import torn
+from warp_peri.dressed.law import DressedSolid
+from warp_peri.dressed.laws import Dressed, DressedFit
+from warp_peri.dressed.learning import from_phonons
+from warp_peri.dressed.maps import MapFit, fit_maps
+
+__all__ = [
+    "Dressed",
+    "DressedFit",
+    "DressedSolid",
+    "MapFit",
+    "fit_maps",
+    "from_phonons",
+    "torn",
+]

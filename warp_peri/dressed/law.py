@@ -1,0 +1,249 @@
+"""A dressed solid: L = Σ Gᵗ K G, a positive base between two short convolutions (theory.md, D5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.dressed.bases import Base, base, composed, half, spread
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.certificate import Certificate
+from warp_peri.micromodulus.elastic import from_voigt, voigt
+from warp_peri.micromodulus.groups import Symmetry
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.models.lps import Model, read_content
+from warp_peri.points.arrays import checked
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import USUAL, Units, check_units, factors
+
+FORMAT, VERSION = "warp_peri.dressed", 1
+
+
+@dataclass(frozen=True, eq=False)
+class DressedSolid:
+    """The law of a solid on one square or cubic lattice of nodes.
+
+    Attributes:
+        spacing: of the nodes, h, in the unit of length.
+        base: "elements" or "bonds".
+        elastic: Voigt matrix [stress] of the even solid along the nodes' axes.
+        steps: ξ/h of one half of the neighbours of G, shape [H, d].
+        tensors: g(ξ), of one G for the whole base or of one for each of its parts: shape
+            [1 or A, H, d, d]. (G u)(x) = u(x) − Σ g(ξ)(u(x) − u(x + ξ)).
+        units: names of the units of length and stress.
+        symmetry: name of the crystal's point group, or rotations, shape [G, d, d].
+        orientation: the crystal's axes in those of the nodes, as columns, or degrees in the plane.
+        certificate: what is proven of the symbol of the even solid; None where nothing was asked.
+        provenance: how it came to be; plain JSON values.
+
+    Raises InputError for a base that is not known or that the moduli do not fit, and for steps and
+    tensors that are none.
+    """
+
+    spacing: float
+    base: str
+    elastic: np.ndarray
+    steps: np.ndarray
+    tensors: np.ndarray
+    units: Units = USUAL
+    symmetry: Symmetry = ""
+    orientation: Any = None
+    certificate: Certificate | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        tensors = checked("tensors", self.tensors, float)
+        elastic = checked("elastic", self.elastic, float)
+        steps = checked("steps", self.steps, float)
+        if steps.ndim != 2 or (np.rint(steps) != steps).any():
+            raise InputError(f"steps: expected whole numbers of shape [H, d], got {steps!r:.60}")
+        set_(self, "elastic", elastic)
+        set_(self, "steps", steps.astype(int))
+        set_(self, "tensors", tensors)
+        set_(self, "units", check_units(self.units))
+        shape = (len(steps), self.dimension, self.dimension)
+        if steps.shape[1:] != (self.dimension,) or tensors.shape[1:] != shape:
+            raise InputError(
+                f"tensors: expected shape [1 or A, {len(steps)}, {self.dimension}, "
+                f"{self.dimension}], got {list(tensors.shape)}"
+            )
+        if len(tensors) not in (1, len(self.parts.moduli)):
+            raise InputError(
+                f"tensors: expected one G, or one for each of {', '.join(self.parts.names)}, got "
+                f"{len(tensors)}"
+            )
+        set_(self, "orientation", self.crystal.orientation)
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return 2 if len(self.elastic) == 3 else 3
+
+    @property
+    def horizon(self) -> float:
+        """Length of the longest bond of L, which a collar must hold."""
+        return self.crystal.horizon
+
+    @cached_property
+    def parts(self) -> Base:
+        """The base with its parts."""
+        return base(self.base, from_voigt(self.elastic))
+
+    @cached_property
+    def crystal(self) -> Crystal:
+        """The same law of the even solid as micromodulus tensors of larger range (theory.md, T)."""
+        K = self.parts.stencils
+        if len(self.tensors) == 1:
+            K = K.sum(axis=0, keepdims=True)
+        each = [
+            composed(G, composed(one, G))
+            for one, G in zip(K, (spread(self.steps, g) for g in self.tensors))
+        ]
+        steps, tensors = half(np.sum(each, axis=0))
+        return Crystal(
+            self.spacing, steps, tensors / self.spacing**2, self.units, self.symmetry,
+            self.orientation, self.certificate, self.provenance,
+        )  # fmt: skip
+
+    @property
+    def plain(self) -> Model:
+        """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (D12).
+
+        Raises InputError for elements.
+        """
+        if self.base != "bonds":
+            raise InputError("plain: expected a base of bonds, got elements")
+        C = self.elastic
+        return Model(C[0, 1], C[2, 2], 1.0, np.ones(1), 2 * self.spacing, units=self.units)
+
+    def symbol(self, k: np.ndarray) -> np.ndarray:
+        """D(k) = Σ G K G [stress/length²], at k of shape [..., d], shape [..., d, d]."""
+        return self.crystal.symbol(k)
+
+    def tensor(self) -> np.ndarray:
+        """C_ijkl of long waves along the nodes' axes [stress]: the base's own."""
+        return from_voigt(self.elastic)
+
+    def moduli(self, unit: str | None = None) -> dict[str, float]:
+        """Elastic constants by name, as of a Crystal; InputError for a unit not known."""
+        return self.crystal.moduli(unit)
+
+    def certified(self) -> DressedSolid:
+        """The law with its certificate; `certificate.holds` says whether one was found."""
+        return replace(self, certificate=self.crystal.certified().certificate)
+
+    def in_units(self, units: Units) -> DressedSolid:
+        """The same law in other units. Raises InputError where no factor leads to them."""
+        length, stress = factors(self.units, units)
+        proof = self.crystal.in_units(units).certificate
+        return replace(
+            self,
+            spacing=self.spacing * length,
+            elastic=self.elastic * stress,
+            units=check_units(units),
+            certificate=proof,
+        )
+
+    def on(
+        self,
+        points: Points | Samples,
+        *,
+        edges: bool | Callable[[np.ndarray], np.ndarray] = False,
+        maps: Mapping[str, ArrayLike] | None = None,
+        broken: ArrayLike | None = None,
+    ) -> Any:
+        """The operator on nodes of the law's own spacing, its steps along their axes.
+
+        Args:
+            points: lattice nodes with a collar as wide as the horizon, or periodic.
+            edges: nodes end where the body does: strains and rows of G that would reach beyond it
+                are left out (theory.md, D9). A function of positions [n, d] says which of them lie
+                inside; elements count as far as they do. Without it cut bonds are refused.
+            maps: modulus of each part over that of the even solid, by the part's name ("bulk",
+                "shear", …), at the nodes, shape [N], ≥ 0.
+            broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
+
+        Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
+        and pairs that do not fit.
+        """
+        from warp_peri.dressed.body import Body  # which stands above the numbers
+        from warp_peri.micromodulus.operator import Operator
+
+        if edges or maps or broken is not None:
+            return Body(self, points, edges=edges, maps=maps or {}, broken=broken)
+        law = self.crystal
+        why = (
+            f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
+        )
+        return Operator(
+            law.fitting(points), law.spacing, law.steps, law.tensors, self.tensor(), why=why,
+            model=self,
+        )  # fmt: skip
+
+    def content(self) -> dict[str, Any]:
+        """What a file holds, plain values."""
+        own = self.crystal.content()
+        del own["steps"], own["tensors"]
+        return own | {
+            "format": FORMAT,
+            "version": VERSION,
+            "base": self.base,
+            "elastic": self.elastic.tolist(),
+            "neighbours": self.steps.tolist(),
+            "dressing": self.tensors.tolist(),
+        }
+
+    @classmethod
+    def of_content(cls, content: Any) -> DressedSolid:
+        """The law that a file holds. Raises InputError naming what is wrong."""
+        needed = {"spacing", "base", "elastic", "neighbours", "dressing", "symmetry"}
+        known = needed | {"format", "version", "length_unit", "stress_unit", "orientation",
+                          "certificate", "provenance"}  # fmt: skip
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise InputError(f"format: expected {FORMAT!r}")
+        if content.get("version") != VERSION:
+            raise InputError(f"version: expected {VERSION}, got {content.get('version')!r:.50}")
+        if missing := sorted(needed - set(content)):
+            raise InputError(f"missing: {', '.join(missing)}")
+        if unknown := sorted(set(content) - known):
+            raise InputError(f"unknown keys: {', '.join(unknown)}")
+        symmetry, proof = content["symmetry"], content.get("certificate")
+        try:
+            return cls(
+                content["spacing"],
+                content["base"],
+                np.asarray(content["elastic"], dtype=float),
+                np.asarray(content["neighbours"]),
+                np.asarray(content["dressing"], dtype=float),
+                (content.get("length_unit", USUAL[0]), content.get("stress_unit", USUAL[1])),
+                symmetry if isinstance(symmetry, str) else np.asarray(symmetry, dtype=float),
+                content.get("orientation"),
+                None if proof is None else Certificate(**proof),
+                dict(content.get("provenance") or {}),
+            )
+        except InputError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(f"expected numbers in rows ({error})") from None
+
+
+def load_dressed(path: Any) -> DressedSolid:
+    """Read a file that `save` wrote. Raises InputError naming the file and what is wrong."""
+    content = read_content(path)
+    try:
+        return DressedSolid.of_content(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def held(tensor: np.ndarray) -> np.ndarray:
+    """The Voigt matrix of a tensor without what rounding adds to its zeros."""
+    C = voigt(tensor)
+    return np.where(np.abs(C) > 1e-9 * np.abs(C).max(), (C + C.T) / 2, 0.0)

@@ -1,0 +1,64 @@
+"""A dressed solid as what may be learned from fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from warp_peri.dressed.law import DressedSolid
+from warp_peri.dressed.learning import fit
+from warp_peri.micromodulus.groups import Symmetry
+from warp_peri.micromodulus.laws import one_set
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.samples import Samples
+
+
+@dataclass(frozen=True)
+class DressedFit:
+    """A learned dressed solid.
+
+    Attributes:
+        material: with its certificate.
+        history: losses ‖L u − b‖/‖b‖ with G and of the base alone, numbers, steps.
+    """
+
+    material: DressedSolid
+    history: dict[str, Any]
+
+    @property
+    def certificate(self) -> Any:
+        """What is proven of the symbol."""
+        return self.material.certificate
+
+
+@dataclass(frozen=True)
+class Dressed:
+    """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory.md, D).
+
+    Attributes:
+        base: "elements" (multilinear, any elastic tensor), or "bonds" (isotropic sheets, 1/r on
+            eight bonds, which may break).
+        neighbours: of G: 4, 8, 12 or 20 in the plane, 6, 18 or 26 in space.
+        symmetry: name of the crystal's point group, or rotations.
+        orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
+            the points' own axis by default.
+        moduli: "long waves" holds those that the longest waves of the fields have, a Voigt matrix
+            (crystal's axes) [stress] its own. They are never learned with G: left free they drift.
+        split: a G for each part of the base (bulk, shear, …) in place of one.
+    """
+
+    base: str = "elements"
+    neighbours: int = 8
+    symmetry: Symmetry = "isotropic"
+    orientation: Any = None
+    moduli: Any = "long waves"
+    split: bool = False
+
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> DressedFit:
+        """The fit; errors as of learning.fit. It takes a few steps, with no progress to show."""
+        sets = one_set(samples)
+        options = vars(self) | {
+            "orientation": sets.axis if self.orientation is None else self.orientation
+        }
+        material = fit(sets, options.pop("base"), options.pop("neighbours"), **options)
+        return DressedFit(material, dict(material.provenance["fit"]))

@@ -1,0 +1,211 @@
+"""Dressed solids learned from fields or phonons: G by Gauss–Newton, the moduli held (D6–D8)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from warp_peri.dressed.bases import base, composed, half, spread
+from warp_peri.dressed.law import DressedSolid, held
+from warp_peri.errors import InputError
+from warp_peri.micromodulus import fields
+from warp_peri.micromodulus.elastic import allowed_tensors, from_voigt, turned
+from warp_peri.micromodulus.family import Family, family
+from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.groups import (
+    Symmetry,
+    checked_orientation,
+    point_group,
+    shared_with_nodes,
+)
+from warp_peri.micromodulus.learning import LARGEST_WAVE, wave_rows
+from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import USUAL, Units, factors
+
+REACH = {2: {4: 1.0, 8: 2**0.5, 12: 2.0, 20: 5**0.5}, 3: {6: 1.0, 18: 2**0.5, 26: 3**0.5}}
+"""Of G in spacings, by dimension and number of neighbours."""
+CONVERGED = 1e-12
+FELT = 1e-6
+"""Least change of L u, over the load, by which a number of G is felt."""
+
+
+def fit(
+    samples: Samples,
+    kind: str,
+    neighbours: int,
+    *,
+    symmetry: Symmetry,
+    orientation: Any = None,
+    moduli: Any = "long waves",
+    split: bool = False,
+) -> DressedSolid:
+    """The G that fits L u = b on the interior nodes best; arguments as of laws.Dressed.
+
+    Returns a law with its certificate. Raises InputError for samples that do not carry the reach
+    of L or do not determine the law.
+    """
+    axes = lattice_steps(samples.points)[1]
+    d = len(axes)
+    turn = np.eye(d)
+    if orientation is not None and not _isotropic(symmetry):
+        turn = axes.T @ checked_orientation(orientation, d)
+    group = point_group(symmetry, d)
+    if isinstance(moduli, str):
+        C = fields.long_wave_moduli(samples, allowed_tensors(symmetry, group, turn))[0]
+    else:
+        C = turned(from_voigt(moduli), turn)
+    dressing = _dressing(neighbours, shared_with_nodes(group, turn))
+    found = _Monomials(kind, C, dressing, split, samples.spacing)
+    q, record = found.solve(*fields.rows(samples, found.family))
+    record |= {"from": "fields", "samples": len(samples.u)}
+    return found.law(q, samples.points.units, symmetry, turn, record)
+
+
+def from_phonons(
+    atoms: ForceConstants,
+    spacing: float,
+    kind: str = "elements",
+    neighbours: int | None = None,
+    *,
+    symmetry: Symmetry = "auto",
+    orientation: Any = None,
+    split: bool = True,
+    largest_wave: float = LARGEST_WAVE,
+    units: Units = USUAL,
+) -> DressedSolid:
+    """The law that answers plane waves as atoms do, from their force constants alone (T9, T14).
+
+    Args:
+        atoms: force constants; the crystal's axes are those of their coordinates.
+        spacing: of the nodes, in the unit of length.
+        kind, neighbours, split: base and dressing, as of laws.Dressed; 12 neighbours in the plane
+            and 26 in space by default.
+        symmetry: "auto" asks spglib.
+        orientation: the crystal's axes in those of the nodes.
+        largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
+        units: of the law.
+
+    Returns a law with its certificate, and the elastic constants of the atoms, held. Raises
+    InputError for a crystal that is not stable.
+    """
+    d = atoms.dimension
+    length, stress = factors(units, USUAL)
+    turn = checked_orientation(orientation, d)
+    auto = isinstance(symmetry, str) and symmetry == "auto"
+    name: Symmetry = atoms.group() if auto else symmetry
+    group = point_group(name, d)
+    C = turned(atoms.elastic(allowed_tensors(name, group, np.eye(d))), turn) / stress
+
+    def target(k: np.ndarray) -> np.ndarray:
+        D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
+        return np.asarray(turn @ D @ turn.T) * (length**2 / stress)
+
+    shared = shared_with_nodes(group, turn)
+    dressing = _dressing(neighbours or {2: 12, 3: 26}[d], shared)
+    found = _Monomials(kind, C, dressing, split, spacing)
+    rows = wave_rows(target, spacing, found.family, shared, largest_wave)
+    q, record = found.solve(*rows)
+    record |= {"from": "phonons", "largest_wave": largest_wave / spacing}
+    return found.law(q, units, name, turn, record)
+
+
+def _isotropic(symmetry: Symmetry) -> bool:
+    return isinstance(symmetry, str) and symmetry == "isotropic"
+
+
+def _dressing(neighbours: int, group: np.ndarray) -> Family:
+    known = REACH[group.shape[1]]
+    if neighbours not in known:
+        raise InputError(
+            f"neighbours: expected one of {', '.join(map(str, known))}, got {neighbours!r:.50}"
+        )
+    return family(known[neighbours], group)
+
+
+class _Monomials:
+    """L of a base and a dressing as Σ c_n(q) L_n with c = 1, q_a and q_a q_b of each G (D7)."""
+
+    def __init__(
+        self, kind: str, tensor: np.ndarray, dressing: Family, split: bool, spacing: float
+    ) -> None:
+        self.kind, self.elastic, self.spacing, self.dressing = kind, held(tensor), spacing, dressing
+        K = base(kind, from_voigt(self.elastic)).stencils
+        self.bases = K if split else K.sum(axis=0, keepdims=True)
+        self.count = len(dressing.basis)
+        d = dressing.dimension
+        reach = int(np.abs(dressing.steps).max())
+        one = np.zeros((*[2 * reach + 1] * d, d, d))
+        one[(reach,) * d] = np.eye(d)
+        S = [spread(dressing.steps, basis) - one for basis in dressing.basis]
+        self.first, self.second = np.triu_indices(self.count)
+        found = []
+        for K in self.bases:
+            left = [composed(K, G) for G in (one, *S)]
+            found.append(composed(one, left[0]))
+            found += [composed(one, left[a + 1]) + composed(G, left[0]) for a, G in enumerate(S)]
+            for a, b in zip(self.first, self.second):
+                both = composed(S[a], left[b + 1])
+                found.append(both if a == b else both + composed(S[b], left[a + 1]))
+        stacked = np.array(found)
+        steps = half(np.abs(stacked).sum(axis=0))[0]
+        middle = stacked.shape[1] // 2
+        basis = -stacked[(slice(None), *(steps + middle).T)] / spacing**2
+        self.family = Family(steps, (basis + basis.swapaxes(2, 3)) / 2, np.zeros(len(steps), int))
+
+    def coefficients(self, q: np.ndarray) -> np.ndarray:
+        """c_n(q)."""
+        parts = q.reshape(len(self.bases), self.count)
+        return np.concatenate([[1.0, *p, *(p[self.first] * p[self.second])] for p in parts])
+
+    def slopes(self, q: np.ndarray) -> np.ndarray:
+        """∂c_n/∂q_a, shape [n, a]."""
+        n, size = self.count, 1 + self.count + len(self.first)
+        J = np.zeros((len(self.bases), size, len(self.bases), n))
+        row = 1 + n + np.arange(len(self.first))
+        for part, p in enumerate(q.reshape(len(self.bases), n)):
+            J[part, 1 + np.arange(n), part, np.arange(n)] = 1.0
+            J[part, row, part, self.first] += p[self.second]  # rows differ: no entry meets twice
+            J[part, row, part, self.second] += p[self.first]
+        return J.reshape(-1, q.size)
+
+    def solve(self, R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
+        """min ‖R c(q) − y‖ from G = 1, and what came out."""
+        size = float(np.linalg.norm(y))
+        if not size > 0:
+            raise InputError("data: expected loads, got none")
+        R, y = R / size, y / size
+        numbers = len(self.bases) * self.count
+        found = least_squares(
+            lambda q: R @ self.coefficients(q) - y,
+            np.zeros(numbers),
+            jac=lambda q: R @ self.slopes(q),
+            xtol=CONVERGED,
+            ftol=CONVERGED,
+        )
+        if np.linalg.svd(found.jac, compute_uv=False).min() < FELT:
+            raise InputError(
+                f"data: expected enough to tell {numbers} numbers of G apart; give more loads, "
+                "shorter waves or fewer neighbours"
+            )
+        record = {"loss": float(np.sqrt(2 * found.cost)), "numbers": numbers}
+        alone = R @ self.coefficients(np.zeros(numbers)) - y
+        return found.x, record | {"loss_of_base": float(np.linalg.norm(alone)), "steps": found.nfev}
+
+    def law(
+        self,
+        q: np.ndarray,
+        units: Units,
+        symmetry: Symmetry,
+        turn: np.ndarray,
+        record: dict[str, Any],
+    ) -> DressedSolid:
+        """The solid of these numbers, with its certificate."""
+        tensors = np.tensordot(q.reshape(len(self.bases), -1), self.dressing.basis, 1)
+        solid = DressedSolid(
+            self.spacing, self.kind, self.elastic, self.dressing.steps, tensors, units, symmetry,
+            turn, provenance={"fit": record},
+        )  # fmt: skip
+        return solid.certified()

@@ -1,0 +1,179 @@
+"""Maps of moduli from fields: linear least squares under a dressing that is known (D13)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from warp_peri.dressed.body import Body
+from warp_peri.dressed.law import DressedSolid
+from warp_peri.errors import InputError
+from warp_peri.points.samples import Samples
+
+SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
+"""Tried by cross-validation, in parts of the mean stiffness of a value of the map."""
+SINGLE = 0.1
+"""With one load, which leaves none to judge by."""
+FOLDS = 4
+EXPONENT = 0.5
+"""Of D in the weight D^(−1/2) of a residual: D^(−1) fits u better and blurs the map."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapFit:
+    """Moduli learned on one sheet.
+
+    Attributes:
+        maps: of each part over that of the even solid, at the nodes, [N] each; as DressedSolid.on
+            takes them.
+        spread: standard deviation of the same values, as if what the fit leaves were noise.
+        smoothness: that was taken.
+        history: mean squared residual left out, by smoothness; the share of values that fell below
+            zero and were set there.
+    """
+
+    maps: dict[str, np.ndarray]
+    spread: dict[str, np.ndarray]
+    smoothness: float
+    history: dict[str, Any]
+
+
+def fit_maps(
+    solid: DressedSolid,
+    samples: Samples,
+    *,
+    parts: str = "each",
+    coarse: int = 2,
+    smoothness: float | None = None,
+) -> MapFit:
+    """The moduli of an uneven periodic sheet, G and the even solid held.
+
+    Args:
+        solid: learned on the even sheet, of elements.
+        samples: displacement and load on a period of whole multiples of `coarse` spacings.
+        parts: "each" has a map for each part, "one" the same for all.
+        coarse: spacings between the values of a map, linear between.
+        smoothness: α of (D13); None takes what predicts left-out loads best.
+
+    Raises InputError for samples that are not periodic or have no loads, and for other parts.
+    """
+    nodes = samples.points
+    if nodes.box is None:
+        raise InputError("samples: expected a periodic sheet for a map")
+    if parts not in ("each", "one"):
+        raise InputError(f"parts: expected 'each' or 'one', got {parts!r:.50}")
+    body = Body(solid, nodes)
+    basis, bend = _hats(body, coarse)
+    names = solid.parts.names
+    kinds = [[a] for a in range(len(names))] if parts == "each" else [list(range(len(names)))]
+    weight = _Weight(body)
+    right = weight(samples.loads.reshape(len(samples.u), -1).T)
+    size = np.linalg.norm(right, axis=0)
+    if not (size > 0).all():
+        raise InputError("samples: expected loads, got some that are zero")
+    grams, sides = [], []
+    for u, b, norm in zip(samples.u, right.T, size):
+        A = weight(_design(body, u, basis, kinds)) / norm
+        grams.append(A.T @ A)
+        sides.append(A.T @ (b / norm))
+    penalty = np.kron(np.eye(len(kinds)), bend) * np.trace(sum(grams)) / len(grams[0])
+    tried = SMOOTHNESS if smoothness is None and len(size) > 1 else (smoothness or SINGLE,)
+    left = {alpha: _left_out(grams, sides, alpha * penalty) for alpha in tried}
+    alpha = min(left, key=lambda one: left[one])
+    H = sum(grams) + alpha * penalty
+    x = np.linalg.solve(H, sum(sides))
+    residual = max(len(size) - 2 * x @ sum(sides) + x @ sum(grams) @ x, 0.0)
+    cover = residual / right.size * np.diag(np.linalg.inv(H))
+    below = float((x < 0).mean())
+    values, spread = (
+        (basis @ v.reshape(len(kinds), -1).T).T for v in (np.maximum(x, 0), np.sqrt(cover))
+    )
+    place = {a: n for n, kind in enumerate(kinds) for a in kind}
+    return MapFit(
+        {name: values[place[a]] for a, name in enumerate(names)},
+        {name: spread[place[a]] for a, name in enumerate(names)},
+        float(alpha),
+        {"left_out": {str(a): v for a, v in left.items()}, "below_zero": below},
+    )
+
+
+def _left_out(grams: list[np.ndarray], sides: list[np.ndarray], penalty: np.ndarray) -> float:
+    """Mean squared residual of loads that a fit has not seen, in FOLDS parts."""
+    folds = min(FOLDS, len(grams))
+    total = 0.0
+    for fold in range(folds):
+        out = [n for n in range(len(grams)) if folds > 1 and n % folds == fold]
+        kept = [n for n in range(len(grams)) if n not in out]
+        x = np.linalg.solve(sum(grams[n] for n in kept) + penalty, sum(sides[n] for n in kept))
+        total += sum(1 - 2 * x @ sides[n] + x @ grams[n] @ x for n in out or kept)
+    return float(total / len(grams))
+
+
+def _design(body: Body, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int]]) -> np.ndarray:
+    """L u of each value of each map alone, [d N, kinds · values]."""
+    base, count = body.model.parts, len(body.points.x)
+    to_sites = sp.csr_array(
+        (
+            np.tile(base.middle, count),
+            (np.repeat(np.arange(count), len(base.middle)), body._corner.ravel()),
+        ),
+        shape=(count, count),
+    )
+    shares = sp.csr_array(sp.kron(to_sites @ basis, np.ones((len(base.strains), 1))))
+    flat = (u @ body.axes).ravel()
+    columns = []
+    for kind in kinds:
+        total: Any = 0.0
+        for a in kind:
+            G = body.dressings[min(a, len(body.dressings) - 1)]
+            strain = (body.strains @ (G @ flat)).reshape(count, -1)
+            stress = (strain @ (base.moduli[a] * base.parts[a])).ravel()
+            total = total + G.T @ (body.strains.T @ (sp.diags_array(stress) @ shares))
+        columns.append(total.toarray())
+    return np.concatenate(columns, axis=1)
+
+
+def _hats(body: Body, coarse: int) -> tuple[sp.csr_array, np.ndarray]:
+    """Values every so many nodes to all nodes, linear between; and the sum of squared steps."""
+    sides = body._places.shape
+    if any(n % coarse for n in sides):
+        raise InputError(f"coarse: expected a divisor of {', '.join(map(str, sides))} nodes")
+    lines, steps = [], []
+    for n in sides:
+        t = np.arange(n) / coarse
+        low, part = np.floor(t).astype(int), t % 1
+        row = np.tile(np.arange(n), 2)
+        column = np.append(low, low + 1) % (n // coarse)
+        lines.append(sp.csr_array((np.append(1 - part, part), (row, column)), (n, n // coarse)))
+        one = np.eye(n // coarse)
+        steps.append(2 * one - np.roll(one, 1, axis=0) - np.roll(one, -1, axis=0))
+    whole, bend = lines[0], steps[0]
+    for line, step in zip(lines[1:], steps[1:]):
+        whole = sp.kron(whole, line)
+        bend = np.kron(bend, np.eye(len(step))) + np.kron(np.eye(len(bend)), step)
+    order = np.ravel_multi_index(tuple(body._places.grid.T), tuple(sides))
+    return sp.csr_array(whole)[order], bend
+
+
+class _Weight:
+    """D^(−1/2) of the even solid on a period, on columns [d N, n]."""
+
+    def __init__(self, body: Body) -> None:
+        self.sides, h = tuple(body._places.shape), body.points.spacing
+        self.place = np.ravel_multi_index(tuple(body._places.grid.T), self.sides)
+        waves = np.meshgrid(*[2 * np.pi * np.fft.fftfreq(n, h) for n in self.sides], indexing="ij")
+        D = body.model.symbol(np.stack(waves, axis=-1))
+        value, vector = np.linalg.eigh(D)
+        value[(0,) * len(self.sides)] = np.inf
+        self.root = (vector * value[..., None, :] ** -EXPONENT) @ vector.swapaxes(-1, -2)
+
+    def __call__(self, columns: np.ndarray) -> np.ndarray:
+        d = len(self.sides)
+        field = np.zeros_like(columns).reshape(-1, d, columns.shape[1])
+        field[self.place] = columns.reshape(field.shape)
+        wave = np.fft.fftn(field.reshape(*self.sides, *field.shape[1:]), axes=range(d))
+        back = np.fft.ifftn(self.root @ wave, axes=range(d)).real
+        return np.asarray(back.reshape(field.shape)[self.place].reshape(columns.shape))
