@@ -150,11 +150,10 @@ class Shell:
         self.basis = skfem.Basis(curved, skfem.ElementVector(element), intorder=4)
         self.scalar = skfem.Basis(cubes, element, intorder=4)
 
-        @skfem.BilinearForm
         def energy(u: Any, v: Any, w: Any) -> Any:
             return np.einsum("ijkl,kl...,ij...->...", elastic, u.grad, v.grad)
 
-        K = sp.csc_array(energy.assemble(self.basis))
+        K = sp.csc_array(skfem.BilinearForm(energy).assemble(self.basis))
         x = self.basis.doflocs
         self.edge = np.flatnonzero(np.linalg.norm(x, axis=0) > outer * (1 - 1e-6))
         self.free = np.setdiff1d(np.arange(x.shape[1]), self.edge)
