@@ -3,6 +3,7 @@
     python tools/benchmark.py operator [--quick] [--threads 1]
     python tools/benchmark.py roofline [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
+    python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
 first. Rounds are interleaved, each timing follows an untimed call, and the best round counts (a
@@ -28,7 +29,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import numba_rival, numba_rows, rivals, roofline, solve_study
+from tools import numba_rival, numba_rows, rivals, roofline, solve_study, solver_choice
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
@@ -366,16 +367,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["operator", "roofline", "solve"])
+    parser.add_argument("what", choices=["operator", "roofline", "solve", "choice"])
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
     )
     parser.add_argument("--threads", type=int, default=2, help="operator: of every candidate")
-    parser.add_argument("--model", type=Path, help="solve: model file (default: learned graphene)")
-    parser.add_argument("--out", type=Path, help="solve: write the table as JSON")
+    parser.add_argument("--model", type=Path, help="solve, choice: model file (default: learned graphene)")
+    parser.add_argument("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
     if given.what == "solve":
         solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
+    elif given.what == "choice":
+        solver_choice.solver_choice(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "roofline":
         ceilings(quick=given.quick)
     else:
