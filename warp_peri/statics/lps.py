@@ -37,12 +37,10 @@ from warp_peri.transfer.operator import LPSOperator
 T = TypeVar("T")
 DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
-FLAT = 30_000
+FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
 LOADS, NODES_A_LOAD = 2, 45
 """A factorisation pays from 2 + n/45 loads on n nodes; the two were measured together."""
-SMALL_TOLERANCE = 1e-10
-"""Of iterative solves that nobody asked for, where a factorisation would have been possible."""
 STIFF = 30.0
 """λ/μ from which the strip at the edge costs less than the iterations that it saves."""
 SINGULAR = 1e-13
@@ -210,9 +208,10 @@ class PlacedLPS(LPSOperator):
         return answer.cpu().numpy()
 
     def _unasked(self) -> Krylov:
-        """Settings of an iteration that nobody asked for."""
+        """Settings of an iteration that nobody asked for: to what a factorisation is held to, where
+        one would have been possible."""
         few = np.count_nonzero(self.points.interior) <= DIRECT
-        return Krylov(tolerance=SMALL_TOLERANCE if few else TOLERANCE, device=self.device)
+        return Krylov(tolerance=RESIDUAL if few else TOLERANCE, device=self.device)
 
     def _through_lattice(self, load: np.ndarray, u: np.ndarray, solver: Solver) -> Solution:
         """The solution on scattered points by the operator of a certified lattice."""
