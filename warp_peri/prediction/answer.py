@@ -103,7 +103,7 @@ class Answer:
             left,
             change(fields.waves),
             (change(fields.data[0]), change(fields.data[1])),
-            change(fields.strain),
+            fields.strain and (change(fields.strain[0]), change(fields.strain[1])),
             change(fields.axis),
         )
         squares = combined(changes, factors, np.abs)
@@ -173,8 +173,8 @@ def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) 
     data = np.sqrt(sum(np.square(size(half)) for half in parts.data) / 2)
     found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}
     found["data"] = share * data
-    for name, factor in (("strain", factors.floor), ("axis", 1.0)):
-        part = getattr(parts, name)
-        if part is not None:
-            found[name] = factor * size(part)
+    if parts.strain is not None:
+        found["strain"] = factors.floor * np.hypot(*map(size, parts.strain))
+    if parts.axis is not None:
+        found["axis"] = size(parts.axis)
     return found

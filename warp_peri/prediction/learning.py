@@ -16,8 +16,8 @@ from warp_peri.prediction.placed import PlacedMembers
 from warp_peri.prediction.predict import MOST
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
-COVERED = 0.9
-"""Share of the samples that the factors are set to cover."""
+COVERED, SCREENED = 0.9, 0.95
+"""Shares of the samples that the factors are set to cover, and that of the screen."""
 SHORT = 5.0
 """Wavelengths below so many spacings are left to the record by wavelength, not to the factors."""
 SHRUNK, POORER = 0.8, 2 / 3
@@ -56,8 +56,8 @@ class Family:
         if not isinstance(samples, Samples) or len(samples) < 4:
             raise InputError("samples: expected one set of at least four samples for a family")
         learn = offered(self.rich, "learn", "fit", "a law as the rich member")
-        second = self.second or poorer(self.rich)
         fits = {"rich": learn(samples, progress=progress)}
+        second = self.second or poorer(self.rich)
         fits["second"] = second.learn(samples, progress=progress)
         halves = [learn(part(samples, slice(n, None, 2)), progress=progress) for n in (0, 1)]
         strain = largest_strain(samples.points, samples.u)
@@ -130,25 +130,26 @@ def calibrated(family: Members, samples: Samples, held_out: Samples | None) -> M
     record = None
     if wavelength[0] > 0:
         record = recorded(
-            samples.spacing,
+            SHORT * samples.spacing,
+            wavelength,
             np.concatenate([row["shares"] for row in rows]),
             np.concatenate([row["true"] for row in rows]),
         )
     long = rows[0]["length"] >= SHORT * samples.spacing
     chosen = [long if long.any() else ~long, *(np.ones(len(row["true"]), bool) for row in rows[1:])]
 
-    def quantile(above: str, below: str) -> float:
+    def quantile(above: str, below: str, share: float = COVERED) -> float:
         ratio = [
             row[above][kept] / np.maximum(row[below][kept], ROUNDING)
             for row, kept in zip(rows, chosen)
         ]
-        return float(np.quantile(np.concatenate(ratio), COVERED))
+        return float(np.quantile(np.concatenate(ratio), share))
 
     nonlinear = bool(np.any(rows[0]["gradient"] > 0))
     factors = Factors(
         left=max(quantile("gone", "left"), 1.0) if nonlinear else 1.0,
         floor=quantile("true", "floor"),
-        screen=quantile("first", "gradient") if nonlinear else 0.0,
+        screen=quantile("first", "gradient", SCREENED) if nonlinear else 0.0,
         typical=quantile("data", "one"),
     )
     return replace(family, factors=factors, record=record)
@@ -172,7 +173,7 @@ def _measured(family: Members, samples: Samples, wavelength: np.ndarray) -> dict
         fields = placed.doubts(u, left)
         norm = lambda field, size=size: float(np.linalg.norm(field)) / size  # noqa: E731
         data = np.sqrt(sum(norm(half) ** 2 for half in fields.data) / 2)
-        strain = 0.0 if fields.strain is None else norm(fields.strain)
+        strain = np.hypot(*map(norm, fields.strain)) if fields.strain else 0.0
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
         row |= {"true": norm((u - truth)[inside]), "first": norm((first - truth)[inside])}
         row["floor"] = np.sqrt((norm(fields.waves) ** 2 + data**2) / 2 + strain**2)

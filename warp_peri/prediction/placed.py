@@ -31,14 +31,15 @@ class Parts:
         left: the correction that is left.
         waves: by the second member.
         data: by each of the halves.
-        strain: what the force has beyond the square of the strain, tenfold.
+        strain: what the force has beyond the square of the strain, tenfold; and what its orders
+            would go on to as a geometric series, the nonlinear part times its own size.
         axis: by the crystal at its other extreme, where its axis is not stated.
     """
 
     left: np.ndarray
     waves: np.ndarray
     data: tuple[np.ndarray, np.ndarray]
-    strain: np.ndarray | None = None
+    strain: tuple[np.ndarray, np.ndarray] | None = None
     axis: np.ndarray | None = None
 
 
@@ -130,7 +131,9 @@ class PlacedMembers:
         if self.nonlinear:
             t = 1 + STRETCHED
             more = (self.rich(t * u) - t * lin) / t**2 - (non - lin)
-            strain = self.inverse(more / STRETCHED, 2 * ROUGH)
+            bent = self.inverse(non - lin, 2 * ROUGH)
+            ratio = float(np.linalg.norm(bent) / (np.linalg.norm(u[self.points.interior]) or 1.0))
+            strain = self.inverse(more / STRETCHED, 2 * ROUGH), ratio * bent
         if self.turned is not None:
             axis = self.inverse(non - self.turned(u), 2 * ROUGH)
         return Parts(left, waves, data, strain, axis)  # type: ignore[arg-type]

@@ -122,7 +122,7 @@ def _screened(placed: PlacedMembers, u: np.ndarray, noise: float) -> dict[str, f
     factors = placed.family.factors
     left = factors.screen * placed.gradient(u) if placed.nonlinear else np.inf
     stated = placed.turned is None
-    parts = {"left": left, "waves": factors.floor * placed.waves(u), "data": factors.typical}
+    parts = {"left": left, "waves": placed.waves(u), "data": factors.typical}
     return parts | {"strain": 0.0, "noise": noise} | ({} if stated else {"axis": np.inf})
 
 
@@ -160,7 +160,7 @@ def _parts(
     """Likely errors over u by origin."""
     factors = placed.family.factors
     found = combined(fields, factors, lambda part: float(np.linalg.norm(part)) / size)
-    found["waves"] = max(found["waves"], factors.floor * placed.waves(u))
+    found["waves"] = np.hypot(found["waves"], placed.waves(u))
     parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
     parts["noise"] = noise
     return parts | ({"axis": float(found["axis"])} if "axis" in found else {})

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
-from scipy.optimize import nnls
 
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
@@ -64,13 +63,16 @@ def shares(points: PointsLike, u: np.ndarray, wavelength: np.ndarray) -> np.ndar
     return np.asarray(found / whole if whole > 0 else found)
 
 
-def recorded(spacing: float, rows: np.ndarray, errors: np.ndarray) -> Record:
-    """The record whose errors are nearest to those of some samples, relative to each.
+def recorded(
+    longest: float, wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray
+) -> Record:
+    """The root mean square of the errors of samples, by what they have of a wavelength.
 
     Args:
-        spacing: of their lattice [length].
-        rows: `shares` of the samples at spacing · KNOTS, shape [S, K].
+        longest: wavelengths from there on have no error here [length].
+        wavelength: [length], shape [K].
+        rows: `shares` of the samples there, shape [S, K].
         errors: of their answers, fractions, shape [S].
     """
-    square = nnls(rows / errors[:, None] ** 2, np.ones(len(errors)))[0]
-    return Record(spacing * KNOTS, np.sqrt(square))
+    square = (rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(rows.sum(axis=0), 1e-300)
+    return Record(wavelength, np.sqrt(np.where(wavelength < longest, square, 0.0)))
