@@ -49,7 +49,7 @@ class Answer:
     Attributes:
         u: displacement [length] on all nodes, shape [N, d].
         error: likely error of u on the interior over u, a fraction: with the factors as they were
-            calibrated nine of ten answers are closer (theory.md, Q5).
+            calibrated nine of ten answers are closer (theory.md, Q4).
         parts: the same by origin: left, waves, data, strain, noise, and axis where the direction of
             a crystal is not stated; error is the root of the sum of their squares.
         kept: whether the error is within the tolerance and nothing is uncovered.
@@ -85,7 +85,7 @@ class Answer:
         return self._plus(self.fields.left)
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> Quantity:
-        """A quantity with its error (Q7).
+        """A quantity with its error (Q4).
 
         Args:
             quantity: of a displacement on all nodes, [N, d] → numbers; prediction.quantities has
@@ -118,7 +118,7 @@ class Answer:
 
     @cached_property
     def guarantee(self) -> Guarantee | None:
-        """How far the rich member's own solution is at most, proven; None where nothing is (Q8).
+        """How far the rich member's own solution is at most, proven; None where nothing is (Q9).
 
         It speaks of the model, not of the atoms.
         """
@@ -168,7 +168,7 @@ class Answer:
 
 
 def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) -> dict[str, Any]:
-    """Likely errors by origin, of fields of errors or what was made of them (Q5)."""
+    """Likely errors by origin, of fields of errors or what was made of them (Q4)."""
     share = factors.floor / np.sqrt(2)
     data = np.sqrt(sum(np.square(size(half)) for half in parts.data) / 2)
     found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}

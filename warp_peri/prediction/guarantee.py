@@ -1,4 +1,4 @@
-"""A bound of the distance to the rich member's own solution, proven (theory.md, Q8)."""
+"""A bound of the distance to the rich member's own solution, proven (theory.md, Q7–Q9)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Learning a family: its members from one data set, and how large their doubts are (Q5, Q6)."""
+"""Learning a family: its members from one data set, and how large their doubts are (Q4–Q6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loads to learn from: one that holds all waves tells what seventy single ones do (Q9)."""
+"""Loads to learn from: one that holds all waves tells what seventy single ones do (Q10)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from warp_peri.points.samples import PointsLike
 def mixed_waves(
     x: np.ndarray, box: tuple[float, float] | np.ndarray, shortest: float, *, seed: int = 0
 ) -> np.ndarray:
-    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory.md, Q9).
+    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory.md, Q10).
 
     Args:
         x: positions [length], shape [N, 2].

@@ -30,7 +30,7 @@ READERS = {
 
 @dataclass(frozen=True)
 class Factors:
-    """Calibration: by how much what can be computed is multiplied, so that it is an error (Q5).
+    """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
 
     Attributes:
         left: of the correction that is left.

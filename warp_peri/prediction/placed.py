@@ -25,7 +25,7 @@ HALF_PERIOD = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Fields of errors on the interior nodes [length], each of shape [I, d] (Q3, Q4).
+    """Fields of errors on the interior nodes [length], each of shape [I, d] (Q1–Q3).
 
     Attributes:
         left: the correction that is left.
@@ -118,7 +118,7 @@ class PlacedMembers:
         return self.family.rich.on(replace(self.points, axis=HALF_PERIOD), **self.options)
 
     def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q2)."""
+        """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""
         return self.inverse(load - self.rich(u), ROUGH)
 
     def doubts(self, u: np.ndarray, left: np.ndarray) -> Parts:
