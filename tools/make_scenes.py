@@ -33,8 +33,8 @@ from warp_peri.points.samples import Samples
 OUT = Path("data/graphene_0K_scenes.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-SHEET = (MixedLoad(31, 30.0), MixedLoad(32, 45.0), MixedLoad(33, 70.0))
-DISK = (RandomRim(201), RandomRim(202), RandomRim(203))
+SHEET = (MixedLoad(41, 30.0), MixedLoad(42, 45.0), MixedLoad(43, 70.0))
+DISK = (RandomRim(301), RandomRim(302), RandomRim(303))
 TURN = 17.0
 """Angle of the crystal to the nodes of the turned sets [degrees]."""
 

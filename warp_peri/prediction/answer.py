@@ -70,6 +70,7 @@ class Answer:
     operator: PlacedMembers | None = field(default=None, repr=False)
     load: np.ndarray | None = field(default=None, repr=False)
     known: Parts | None = field(default=None, repr=False)
+    linear: np.ndarray | None = field(default=None, repr=False)
 
     @cached_property
     def fields(self) -> Parts:
@@ -77,7 +78,8 @@ class Answer:
         if self.known is not None:
             return self.known
         placed, load = self._placed()
-        return placed.doubts(self.u, placed.correction(load, self.u))
+        first = self.u if self.linear is None else self.linear
+        return placed.doubts(self.u, placed.correction(load, self.u), first)
 
     @property
     def corrected(self) -> np.ndarray:
@@ -102,7 +104,7 @@ class Answer:
         changes = Parts(
             left,
             change(fields.waves),
-            (change(fields.data[0]), change(fields.data[1])),
+            change(fields.data),
             fields.strain and (change(fields.strain[0]), change(fields.strain[1])),
             change(fields.axis),
         )
@@ -170,9 +172,8 @@ class Answer:
 def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) -> dict[str, Any]:
     """Likely errors by origin, of fields of errors or what was made of them (Q4)."""
     share = factors.floor / np.sqrt(2)
-    data = np.sqrt(sum(np.square(size(half)) for half in parts.data) / 2)
     found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}
-    found["data"] = share * data
+    found["data"] = share * size(parts.data)
     if parts.strain is not None:
         found["strain"] = factors.floor * np.hypot(*map(size, parts.strain))
     if parts.axis is not None:

@@ -94,9 +94,11 @@ def contraction(
     """
     model = operator.model
     figures = model.proven
-    figures = figures.get(f"{model.linear.nominal_spacing(spacing):g}", {}) if hasattr(
-        model.linear, "nominal_spacing"
-    ) else figures
+    figures = (
+        figures.get(f"{model.linear.nominal_spacing(spacing):g}", {})
+        if hasattr(model.linear, "nominal_spacing")
+        else figures
+    )
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
     if not all(name in figures for name in names):
         return None

@@ -146,11 +146,17 @@ def calibrated(family: Members, samples: Samples, held_out: Samples | None) -> M
         return float(np.quantile(np.concatenate(ratio), share))
 
     nonlinear = bool(np.any(rows[0]["gradient"] > 0))
+    screen = quantile("first", "gradient", SCREENED) if nonlinear else 0.0
+    for row in rows:
+        row["floor"] = np.sqrt(
+            row["members"] ** 2 + row["cubic"] ** 2 + (screen * row["series"]) ** 2
+        )
+    floor = quantile("true", "floor")
     factors = Factors(
         left=max(quantile("gone", "left"), 1.0) if nonlinear else 1.0,
-        floor=quantile("true", "floor"),
-        screen=quantile("first", "gradient", SCREENED) if nonlinear else 0.0,
-        typical=quantile("data", "one"),
+        floor=floor,
+        screen=screen,
+        typical=floor * quantile("members", "one"),
     )
     return replace(family, factors=factors, record=record)
 
@@ -170,14 +176,13 @@ def _measured(family: Members, samples: Samples, wavelength: np.ndarray) -> dict
             u[inside] += left
             left = placed.correction(load, u)
         size = float(np.linalg.norm(truth[inside]))
-        fields = placed.doubts(u, left)
+        fields = placed.doubts(u, left, first)
         norm = lambda field, size=size: float(np.linalg.norm(field)) / size  # noqa: E731
-        data = np.sqrt(sum(norm(half) ** 2 for half in fields.data) / 2)
-        strain = np.hypot(*map(norm, fields.strain)) if fields.strain else 0.0
+        cubic, series = map(norm, fields.strain) if fields.strain else (0.0, 0.0)
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
         row |= {"true": norm((u - truth)[inside]), "first": norm((first - truth)[inside])}
-        row["floor"] = np.sqrt((norm(fields.waves) ** 2 + data**2) / 2 + strain**2)
-        row |= {"data": data / np.sqrt(2), "one": 1.0}
+        row["members"] = np.hypot(norm(fields.waves), norm(fields.data)) / np.sqrt(2)
+        row |= {"cubic": cubic, "series": series, "one": 1.0}
         row["gradient"] = placed.gradient(u) if placed.nonlinear else 0.0
         if spacing > 0:
             row["shares"] = shares = placed.spectrum(u, wavelength)

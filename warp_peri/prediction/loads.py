@@ -34,7 +34,7 @@ def mixed_waves(
         n = np.array(number) - (0, most)
         k = 2 * np.pi * n / box
         size = float(np.linalg.norm(k))
-        if n[0] == 0 and n[1] <= 0 or size > 2 * np.pi / shortest:  # −k is the same wave
+        if (n[0] == 0 and n[1] <= 0) or size > 2 * np.pi / shortest:  # −k is the same wave
             continue
         angle, phase = random.uniform(0, 2 * np.pi, 2)
         along = np.array([np.cos(angle), np.sin(angle)])

@@ -24,7 +24,9 @@ FORMAT, VERSION = "warp_peri.family", 1
 READERS = {
     "warp_peri.third_order_crystal": ThirdOrderCrystal.of_content,
     "warp_peri.micromodulus": Crystal.of_content,
-    "warp_peri.model": lambda content: (nonlinear_from if "kind" in content else model_from)(content),
+    "warp_peri.model": lambda content: (nonlinear_from if "kind" in content else model_from)(
+        content
+    ),
 }
 
 
@@ -36,7 +38,7 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
-        typical: the part of the data on the training samples, a fraction.
+        typical: what waves and data miss together on nine of ten samples, a fraction.
     """
 
     left: float = 1.2
@@ -71,7 +73,7 @@ class Members:
     second: Any
     halves: tuple[Any, Any]
     record: Record | None = None
-    factors: Factors = Factors()  # noqa: RUF009 (frozen values)
+    factors: Factors = Factors()
     strain: float = 0.0
     temperature: float | None = None
     provenance: dict[str, Any] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""A family on points: residuals of its members, and the linear solve that turns them into errors."""
+"""A family on points: residuals of its members, and the solve that makes errors of them."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class Parts:
     Attributes:
         left: the correction that is left.
         waves: by the second member.
-        data: by each of the halves.
+        data: by the halves.
         strain: what the force has beyond the square of the strain, tenfold; and what its orders
-            would go on to as a geometric series, the nonlinear part times its own size.
+            would go on to as a series, the nonlinear part times the gradient.
         axis: by the crystal at its other extreme, where its axis is not stated.
     """
 
     left: np.ndarray
     waves: np.ndarray
-    data: tuple[np.ndarray, np.ndarray]
+    data: np.ndarray
     strain: tuple[np.ndarray, np.ndarray] | None = None
     axis: np.ndarray | None = None
 
@@ -121,22 +121,32 @@ class PlacedMembers:
         """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""
         return self.inverse(load - self.rich(u), ROUGH)
 
-    def doubts(self, u: np.ndarray, left: np.ndarray) -> Parts:
-        """Fields of what the members do not know of u."""
+    def series(self, u: np.ndarray, bent: np.ndarray) -> np.ndarray:
+        """What orders go on to, of S N(u), shape [I, d] (Q3)."""
+        gradient = self.gradient(u)
+        size = float(np.linalg.norm(u[self.points.interior]))
+        own = float(np.linalg.norm(bent)) / size if size > 0 else 0.0
+        ratio = self.family.factors.screen * gradient
+        return ratio * max(1.0, gradient / own if own > 0 else 0.0) * bent
+
+    def doubts(self, u: np.ndarray, left: np.ndarray, first: np.ndarray) -> Parts:
+        """Fields of what the members do not know of u, [N, d], that began as the linear answer
+        `first`; `left` is its correction."""
         second, *halves = self.others
-        lin, non = self.straight(u), self.rich(u)
-        waves = self.inverse(lin - second(u), 2 * ROUGH)
-        data = tuple(self.inverse(non - half(u), 2 * ROUGH) for half in halves)
+        lin, rough = self.straight(u), 2 * ROUGH
+        waves = self.inverse(lin - second(u), rough)
+        data = self.inverse(halves[0](u) - halves[1](u), rough) / np.sqrt(2)
         strain = axis = None
+        if self.nonlinear or self.turned is not None:
+            non = self.rich(u)
         if self.nonlinear:
             t = 1 + STRETCHED
             more = (self.rich(t * u) - t * lin) / t**2 - (non - lin)
-            bent = self.inverse(non - lin, 2 * ROUGH)
-            ratio = float(np.linalg.norm(bent) / (np.linalg.norm(u[self.points.interior]) or 1.0))
-            strain = self.inverse(more / STRETCHED, 2 * ROUGH), ratio * bent
+            bent = (first - u)[self.points.interior] - left
+            strain = self.inverse(more / STRETCHED, rough), self.series(u, bent)
         if self.turned is not None:
-            axis = self.inverse(non - self.turned(u), 2 * ROUGH)
-        return Parts(left, waves, data, strain, axis)  # type: ignore[arg-type]
+            axis = self.inverse(non - self.turned(u), rough)
+        return Parts(left, waves, data, strain, axis)
 
 
 def placed_members(family: Any, points: Points, **options: Any) -> PlacedMembers:

@@ -28,6 +28,8 @@ SETTLED = 0.1
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
+SURE = 2.0
+"""Times that the series is taken where the cubic part beside it was not computed."""
 FREE_EDGE = "free edges: the family was learned inside a body, and atoms at an edge are other ones"
 BROKEN = "broken bonds: the family knows none"
 AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
@@ -38,7 +40,6 @@ class _Stage:
     """One displacement and what is known of it."""
 
     u: np.ndarray
-    left: np.ndarray
     parts: dict[str, float]
     fields: Parts | None
     corrections: int
@@ -101,9 +102,9 @@ def _predict(
     u = np.where(inside[:, None], 0.0, given)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     u[inside] = placed.inverse(load - placed.straight(u), share)
-    screened = _screened(placed, u, noise)
+    screened = _screened(placed, u, placed.family.factors.screen, 0.0, noise)
     if tolerance is not None and _size(screened) <= tolerance:
-        stage = _Stage(u, np.empty(0), screened, None, 0)
+        stage = _Stage(u, screened, None, 0)
     else:
         stage = _corrected(placed, load, u, tolerance, noise)
     error = stage.error
@@ -113,34 +114,45 @@ def _predict(
     known = stage.fields
     return Answer(
         stage.u, error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
-        tolerance, placed, load, known,
+        tolerance, placed, load, known, u,
     )  # fmt: skip
 
 
-def _screened(placed: PlacedMembers, u: np.ndarray, noise: float) -> dict[str, float]:
-    """Parts of the linear answer before anything else is computed of it: nothing is solved."""
+def _screened(
+    placed: PlacedMembers, u: np.ndarray, slope: float, left: float, noise: float
+) -> dict[str, float]:
+    """Parts of an answer that nothing is solved for (Q5).
+
+    `slope` is what is left of the gradient, beside what is `left` as it is.
+    """
     factors = placed.family.factors
-    left = factors.screen * placed.gradient(u) if placed.nonlinear else np.inf
-    stated = placed.turned is None
-    parts = {"left": left, "waves": placed.waves(u), "data": factors.typical}
-    return parts | {"strain": 0.0, "noise": noise} | ({} if stated else {"axis": np.inf})
+    if not placed.nonlinear or placed.turned is not None:
+        return {"left": np.inf}
+    gradient = placed.gradient(u)
+    parts = {"left": slope * gradient + left, "waves": placed.waves(u), "data": factors.typical}
+    series = factors.screen * gradient * max(left / factors.left, gradient)
+    return parts | {"strain": 0.0 if slope else SURE * factors.floor * series, "noise": noise}
 
 
 def _corrected(
     placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
 ) -> _Stage:
     """Correct until the tolerance is kept, or cannot be."""
-    goal, factors = tolerance, placed.family.factors
+    goal, factors, first = tolerance, placed.family.factors, u
     fields: Parts | None = None
     before, done = np.inf, 0
     while True:
         size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
         left = placed.correction(load, u)
         moved = float(np.linalg.norm(left)) / size
+        if goal is not None and done == 0 and factors.left * moved <= goal:
+            parts = _screened(placed, u, 0.0, factors.left * moved, noise)
+            if _size(parts) <= goal:
+                return _Stage(u, parts, None, 0)
         last = done >= MOST or moved > STALLED * before
         if goal is None or factors.left * moved <= goal or last:
             if fields is None or done < 2:
-                fields = placed.doubts(u, left)
+                fields = placed.doubts(u, left, first)
             fields = Parts(left, fields.waves, fields.data, fields.strain, fields.axis)
             parts = _parts(placed, u, fields, size, noise)
             floor = _size({name: part for name, part in parts.items() if name != "left"})
@@ -148,7 +160,7 @@ def _corrected(
             enough = parts["left"] <= reached if goal is None else _size(parts) <= goal
             hopeless = goal is not None and floor > goal and done > 0
             if enough or hopeless or last or not placed.nonlinear:
-                return _Stage(u, left, parts, fields, done)
+                return _Stage(u, parts, fields, done)
         u = u.copy()
         u[placed.points.interior] += left
         before, done = moved, done + 1
@@ -166,9 +178,7 @@ def _parts(
     return parts | ({"axis": float(found["axis"])} if "axis" in found else {})
 
 
-def _reason(
-    stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]
-) -> str:
+def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]) -> str:
     """One sentence."""
     n = stage.corrections
     way = "linear" + (f" and {n or 'no'} nonlinear correction{'s' * (n != 1)}" if n else "")
@@ -239,7 +249,7 @@ def _of_body(
         "noise": 0.0,
     }
     error = _size(parts)
-    stage = _Stage(u, np.empty(0), parts, None, 0)
+    stage = _Stage(u, parts, None, 0)
     within = tolerance is None or error <= tolerance
     why = _reason(stage, tolerance, within, (FREE_EDGE,))
     return Answer(u, error, parts, False, why, (FREE_EDGE,), 0, tolerance)

@@ -270,9 +270,7 @@ def checked_fields(
     return load, u
 
 
-def choose_method(
-    points: PointsLike, *, plain: bool, stiff: bool = False, loads: int = 1
-) -> str:
+def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads: int = 1) -> str:
     """The cheapest method for a point set.
 
     Args:

@@ -28,9 +28,9 @@ from warp_peri.operator.stencil import stencil
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.statics.direct import factorised
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
-from warp_peri.statics.direct import factorised
 from warp_peri.statics.lps import checked_fields, choose_method, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
