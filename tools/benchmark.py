@@ -372,9 +372,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
     )
     parser.add_argument("--threads", type=int, default=2, help="operator: of every candidate")
-    parser.add_argument(
-        "--model", type=Path, help="of solve and choice (default: learned)"
-    )
+    parser.add_argument("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add_argument("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
     if given.what == "solve":

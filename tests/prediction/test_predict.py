@@ -227,19 +227,20 @@ def test_wrong_input_is_refused(family):
         wp.fit(wp.Samples(points, u[None], b[None]), Family(wp.LPS(3.0)))
 
 
-def test_a_family_is_learned_and_calibrated_by_one_call():
-    """Data of one law that the rich member can have, and the second cannot."""
+def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     points = lattice(8, HORIZON)
     samples = manufactured(kernel("positive", HORIZON), points, 8, wave_number=1.0)
-    law = wp.LPS(HORIZON, wp.Bernstein(3))
-    fit = wp.fit(samples, Family(law), progress=False)
-    family = fit.material
+    fit = wp.fit(samples, Family(wp.Micromodulus(HORIZON, "4mm")), progress=False)
     assert fit.certificate.holds
-    assert family.second.horizon == pytest.approx(0.8 * HORIZON)
+    assert fit.material.second.horizon < fit.material.horizon
+    assert 0 < fit.material.strain < 10
+    wp.save(tmp_path / "family.json", fit.material)
+    family = wp.load(tmp_path / "family.json")
     held = manufactured(kernel("positive", HORIZON), points, 4, seed=9, wave_number=0.5)
     answers = wp.predict(family, wp.Dirichlet(held, held.b, held.u), None)
-    assert all(a.error >= far(a.u, u, points) for a, u in zip(answers, held.u))
-    assert family.strain > 0
+    ratios = [answer.error / far(answer.u, u, points) for answer, u in zip(answers, held.u)]
+    assert 0.5 < np.median(ratios) < 3
+    assert answers[0].guarantee.contraction == 0
 
 
 def test_shares_find_the_wavelength():
