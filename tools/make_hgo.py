@@ -35,8 +35,10 @@ from tools.random_field import RandomField
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import locked, whole_file
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.storage import save
 
 NODES = 21
 """Nodes a side of the square."""
@@ -282,8 +284,15 @@ def main() -> None:
         seed=given.seed,
         jobs=given.jobs,
     )
+    file = given.out.with_suffix(".h5")
+    save(
+        file,
+        Dataset(
+            sets, thickness=1.0, density=1000.0, provenance=vars(given) | {"out": given.out.name}
+        ),
+    )
     for name, samples in sets.items():
-        print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes")
+        print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes, in {file}")
 
 
 if __name__ == "__main__":

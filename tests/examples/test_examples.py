@@ -21,18 +21,16 @@ RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png
 
 
 @pytest.fixture(scope="module")
-def small_run(graphene, tmp_path_factory):
-    """The main job at a small horizon and degree."""
-    out = tmp_path_factory.mktemp("runs") / "small"
-    arguments = ["--horizon", "12.5", "--degree", "4", "--data", str(graphene), "--out", str(out)]
-    assert train_graphene.main(arguments) == 0
+def main_run(graphene, tmp_path_factory):
+    """The main job, as it stands in the README."""
+    out = tmp_path_factory.mktemp("runs") / "graphene_0K"
+    assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
     return out
 
 
-def test_main_job_on_a_small_setting(small_run):
-    assert all((small_run / name).stat().st_size > 500 for name in RESULTS)
-    numbers = json.loads((small_run / "metrics.json").read_text())
-    assert numbers["E_u"]["test"] <= 0.03
+def test_main_job_leaves_its_results(main_run):
+    assert all((main_run / name).stat().st_size > 500 for name in RESULTS)
+    numbers = json.loads((main_run / "metrics.json").read_text())
     assert set(numbers["E_res"]) == set(numbers["E_u"]) == {"train", "val", "test"}
     assert set(numbers["moduli"]) == {"C11", "C12", "C44"}
     assert set(numbers["truth"]) == {"lambda", "mu", "E", "nu"}
@@ -45,18 +43,17 @@ def test_main_job_on_a_small_setting(small_run):
     assert errors[2] < errors[0]
     assert np.ptp(list(numbers["starts"].values())) < 1e-6
     assert {"data", "learning", "all"} <= set(numbers["seconds"])
-    beside = json.loads((small_run / "nonlinear.json").read_text())["errors"]
+    beside = json.loads((main_run / "nonlinear.json").read_text())["errors"]
     assert beside == {key: numbers["nonlinear"][key] for key in ("E_res", "E_u")}
     assert numbers["nonlinear"]["E_u"]["test"] < 0.9 * numbers["E_u"]["test"]
     assert numbers["micromodulus"]["bonds"] == 20
     assert numbers["micromodulus"]["E_u"]["val"] < numbers["E_u"]["val"]
-    assert (small_run / "micromodulus.json").exists()
-    assert "three more numbers" in (small_run / "report.md").read_text()
+    assert (main_run / "micromodulus.json").exists()
+    assert "three more numbers" in (main_run / "report.md").read_text()
 
 
-def test_defaults_reach_the_figures_of_the_readme(graphene, tmp_path):
-    assert train_graphene.main(["--data", str(graphene), "--out", str(tmp_path)]) == 0
-    numbers = json.loads((tmp_path / "metrics.json").read_text())
+def test_defaults_reach_the_figures_of_the_readme(main_run):
+    numbers = json.loads((main_run / "metrics.json").read_text())
     percent = {key: {role: 100 * e for role, e in numbers[key].items()} for key in ("E_res", "E_u")}
     assert percent["E_res"]["train"] <= 2.9
     assert percent["E_res"]["val"] <= 2.0
@@ -87,6 +84,7 @@ def test_defaults_reach_the_figures_of_the_readme(graphene, tmp_path):
     assert [float(cell) for cell in row.split("|")] == pytest.approx(measured, abs=0.02)
 
 
+@pytest.mark.slow
 def test_two_stage_method_stops_before_the_optimum(graphene, tmp_path):
     arguments = ["--horizon", "12.5", "--degree", "3", "--method", "two-stage", "--linear"]
     assert train_graphene.main([*arguments, "--data", str(graphene), "--out", str(tmp_path)]) == 0
@@ -96,16 +94,16 @@ def test_two_stage_method_stops_before_the_optimum(graphene, tmp_path):
     assert not {"nonlinear", "micromodulus"} & set(numbers)
 
 
-def test_validate_disks(small_run, graphene, tmp_path, capsys):
-    arguments = [str(small_run / "model.json"), "--data", str(graphene), "--out", str(tmp_path)]
+def test_validate_disks(main_run, graphene, tmp_path, capsys):
+    arguments = [str(main_run / "model.json"), "--data", str(graphene), "--out", str(tmp_path)]
     assert validate_disks.main(arguments) == 0
     assert "table2-4" in capsys.readouterr().out
-    expected = json.loads((small_run / "metrics.json").read_text())["E_u"]["test"]
+    expected = json.loads((main_run / "metrics.json").read_text())["E_u"]["test"]
     assert json.loads((tmp_path / "test.json").read_text())["E_u"] == pytest.approx(expected)
 
 
-def test_evaluate_prints_one_object_with_every_set(small_run, graphene, capsys):
-    model = str(small_run / "model.json")
+def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
+    model = str(main_run / "model.json")
     assert command(["evaluate", model, str(graphene), "--json"]) == 0
     tables = json.loads(capsys.readouterr().out)
     assert set(tables) == set(load_dataset(graphene))
@@ -119,8 +117,8 @@ def test_evaluate_prints_one_object_with_every_set(small_run, graphene, capsys):
     assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
 
 
-def test_evaluate_exits_2_for_an_uncertified_set_by_name(small_run, graphene, capsys):
-    arguments = ["evaluate", str(small_run / "model.json"), str(graphene), "--set", "test_fine"]
+def test_evaluate_exits_2_for_an_uncertified_set_by_name(main_run, graphene, capsys):
+    arguments = ["evaluate", str(main_run / "model.json"), str(graphene), "--set", "test_fine"]
     assert command([*arguments, "--json", "--no-transfer"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -132,8 +130,8 @@ def test_evaluate_exits_2_for_an_uncertified_set_by_name(small_run, graphene, ca
     assert "the operator on these 1245 nodes is indefinite" in err
 
 
-def test_evaluate_names_a_set_that_is_not_there(small_run, graphene, capsys):
-    assert command(["evaluate", str(small_run / "model.json"), str(graphene), "--set", "no"]) == 2
+def test_evaluate_names_a_set_that_is_not_there(main_run, graphene, capsys):
+    assert command(["evaluate", str(main_run / "model.json"), str(graphene), "--set", "no"]) == 2
     assert "no set 'no'" in capsys.readouterr().err
 
 

@@ -61,6 +61,7 @@ def test_steps_without_sense_are_refused(tmp_path, capsys):
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 @pytest.mark.filterwarnings("ignore:strain", "ignore:noise. it makes the curvature")
+@pytest.mark.slow
 def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
     few = functools.partial(sweep, horizons=(10.0,), degrees=(0, 1))
     monkeypatch.setattr(noise_study, "sweep", few)

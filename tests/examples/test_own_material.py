@@ -12,6 +12,7 @@ from tools.statics import find_bonds
 from warp_peri.models.lps import load_model
 
 
+@pytest.mark.slow
 def test_boron_nitride_has_its_own_constants(tmp_path, capsys):
     assert own_material.main(["--out", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "constants.json").read_text())

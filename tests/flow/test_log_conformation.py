@@ -41,6 +41,7 @@ def test_log_c_stays_positive_where_c_does_not():
     assert np.linalg.norm(fine - exact) < 0.02 * np.linalg.norm(exact)
 
 
+@pytest.mark.slow
 def test_it_is_of_second_order():
     K, exact = stretched_and_turned()
     errors, parts = [], [16, 32, 64]

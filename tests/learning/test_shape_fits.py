@@ -131,6 +131,7 @@ def test_a_start_beside_zero_is_no_trap(start):
     assert learned.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
 
 
+@pytest.mark.slow
 def test_a_function_is_never_asked_beyond_its_bounds():
     def root(r, a):
         if a < 0:

@@ -48,7 +48,11 @@ RECOVERED = {
 
 
 @pytest.mark.parametrize(
-    ("name", "horizon", "degree", "precision", "astray"), RECOVERED.values(), ids=RECOVERED
+    ("name", "horizon", "degree", "precision", "astray"),
+    [
+        pytest.param(*case, id=key, marks=[pytest.mark.slow] * key.startswith("free exponent"))
+        for key, case in RECOVERED.items()
+    ],
 )
 def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, precision, astray):
     points, true = data(name, horizon)

@@ -72,6 +72,7 @@ def test_symbol_margins_are_the_smallest_of_the_zone():
     assert (margins >= smallest - 1e-12).all()
 
 
+@pytest.mark.slow
 def test_stage_two_moves_a_violating_start_towards_the_conditions():
     """On data of a kernel that violates them, the conditions are kept to a small remainder."""
     method = TwoStage(epochs=500, inner_epochs=200, outer_iterations=10)

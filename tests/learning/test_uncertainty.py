@@ -220,6 +220,7 @@ def coverage(size, replicates, quantities=constants, horizon=HORIZON, name="posi
     return (off <= 1.6449 * np.array(deviations)).mean(axis=0), width
 
 
+@pytest.mark.slow
 def test_bands_of_the_corrected_loss_hold_the_truth_as_often_as_they_say():
     held, width = coverage(2e-4, 60, cells=4, highest=3)
     assert held.min() >= 0.80, held

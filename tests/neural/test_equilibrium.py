@@ -54,6 +54,17 @@ def test_a_load_is_balanced():
     np.testing.assert_allclose(found.u, wanted, atol=1e-9)
 
 
+def test_rounding_of_single_precision_is_an_equilibrium():
+    """Its residual stays above the default tolerance, and is that of the numbers themselves."""
+    _, exact, u = problem()
+    b = np.zeros_like(u)
+    expected = Equilibrium(exact).solve(b, u).u
+    _, placed, _ = problem(torch.float32)
+    found = Equilibrium(placed).solve(b, u)
+    assert found.converged
+    np.testing.assert_allclose(found.u, expected, atol=1e-5 * abs(expected).max())
+
+
 def gradient(material, loss):
     material.zero_grad()
     loss()

@@ -79,7 +79,13 @@ def difference(measure, step, mesh):
 @pytest.mark.parametrize(
     ("mesh", "direct", "groups"),
     [
-        pytest.param(MESH, 4000, [("lam",), ("mu",), ("hold", "pull", "push")], id="factorised"),
+        pytest.param(
+            MESH,
+            4000,
+            [("lam",), ("mu",), ("hold", "pull", "push")],
+            id="factorised",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(MESH, 10, [("lam", "hold", "push")], id="iterated"),
         pytest.param(plate(4.0, 10.0, 5, 24), 4000, list(EACH), id="alone"),
     ],

@@ -33,6 +33,7 @@ def test_the_statics_of_the_sheet_are_those_of_its_pair_forces():
         assert weak.moduli()[name] == pytest.approx(value / 2)
 
 
+@pytest.mark.slow
 def test_constants_from_dumps_are_those_of_the_statics(tmp_path, capsys):
     """Loads times 0.01 are those of a sheet a hundred times as soft."""
     sheet, force = lennard_jones((52, 30)), 0.01

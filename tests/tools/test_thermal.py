@@ -73,6 +73,7 @@ def test_a_seed_decides_every_bit_and_noise_is_shared(sheet):
     assert together.max() < 0.2 * apart.max()
 
 
+@pytest.mark.slow
 def test_data_sets_of_every_reduction(plans, tmp_path, monkeypatch):
     paths = make(tmp_path, plans)
     assert {key[0] for key in paths} == set(REDUCTIONS)

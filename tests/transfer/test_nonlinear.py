@@ -61,6 +61,7 @@ def test_the_energy_form_keeps_the_gradient_of_long_waves_and_takes_little_of_sh
     assert transferred.proven_strain(0.7) > 2 * uniqueness(plain, spacing=0.7).strain
 
 
+@pytest.mark.slow
 def test_a_third_lattice_takes_the_gradient_of_the_second_one():
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="transferred")

@@ -7,7 +7,7 @@ by two. A few hundred points and tens of inputs are what it is for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -44,9 +44,9 @@ class GaussianProcess:
     """
 
     kernel: str
-    X: np.ndarray
-    y: np.ndarray
-    noise: np.ndarray
+    X: np.ndarray = field(repr=False)
+    y: np.ndarray = field(repr=False)
+    noise: np.ndarray = field(repr=False)
     log_amplitude: float
     log_lengths: np.ndarray
     log_pairs: float

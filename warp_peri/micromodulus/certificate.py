@@ -54,6 +54,18 @@ class Certificate:
         """Whether every problem with displacement given around the unknowns has one answer."""
         return self.proven > 0
 
+    @property
+    def statement(self) -> str:
+        """What is proven, in one sentence."""
+        if not self.holds:
+            return "Nothing is proven."
+        return (
+            "Every static problem on any finite set of nodes of the law's lattice, with "
+            "displacement given on all nodes that their bonds reach, has exactly one solution: "
+            f"D(k) ≥ {self.proven:.6g} s(k) for every wave, in the law's unit of stress, "
+            f"{self.proven / self.sampled:.0%} of the smallest ratio that was sampled."
+        )
+
     def content(self) -> dict[str, Any]:
         """Plain values for a file."""
         return asdict(self)

@@ -1,4 +1,4 @@
-"""The peridynamic neural operator: influence function and force state as networks (NO1–NO12)."""
+"""The peridynamic neural operator: influence function and force state as networks (NO1–NO13)."""
 
 from warp_peri.neural.equilibrium import Equilibrium
 from warp_peri.neural.evaluation import evaluate

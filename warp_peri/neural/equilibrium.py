@@ -15,6 +15,8 @@ from warp_peri.neural.placed import Placed, Tangent
 
 TOLERANCE = 1e-8
 """‖force − b‖ over that of the field that the search begins with."""
+ROUNDING = 16
+"""In units of the networks' precision: a residual that steps of Newton no longer lower."""
 MOST_STEPS, MOST_HALVINGS = 40, 12
 MOST_PRODUCTS = 40
 """Of a linear solve, before the tangent is factorised anew."""
@@ -30,7 +32,8 @@ class Found:
         u: displacement of all nodes [length], shape [N, 2].
         residual: ‖force − b‖ over that of the start.
         steps: of Newton.
-        converged: whether the residual is within the tolerance.
+        converged: whether the residual is within the tolerance, or within rounding: networks in
+            single precision leave some 1e-7 of it.
     """
 
     u: np.ndarray
@@ -92,7 +95,8 @@ class Equilibrium:
                 break
             field, left, size = best
             steps += 1
-        return Found(field, size, steps, size <= tolerance)
+        rounding = ROUNDING * torch.finfo(self.placed.dtype).eps
+        return Found(field, size, steps, size <= max(tolerance, rounding))
 
     def gradient(self, u: torch.Tensor, by_u: torch.Tensor) -> None:
         """Add to the gradients of the material's numbers those of a loss of an equilibrium, (NO10).

@@ -46,28 +46,49 @@ class Placed:
             return self(self._taken(u)).double().numpy()
 
     def product(self, u: Any, v: Any) -> Any:
-        """Derivative of the force at u [N, 2] along v [N, 2] or [S, N, 2]."""
+        """Derivative of the force at u along v, both [N, 2] or [S, N, 2], or u [N, 2] alone."""
         if isinstance(u, torch.Tensor):
             return self.tangent(u)(v)
+        if np.ndim(u) == 3:
+            return np.stack([self.product(*pair) for pair in zip(u, v, strict=True)])
         with torch.no_grad():
             return self.tangent(self._taken(u))(self._taken(v)).double().numpy()
 
     def energy(self, u: Any) -> None:
         """None: the forces of a network need not have an energy."""
 
-    def stress(self, u: Any) -> None:
-        """None: not computed for this law."""
+    def stress(self, u: Any) -> np.ndarray:
+        """First Piola–Kirchhoff stress [stress] at the interior nodes, shape [..., I, 2, 2].
+
+        Half of Σ tension M ⊗ ξ over a node's bonds, (NO13); exact for uniform strain.
+        """
+        bonds, field = self.bonds, np.reshape(u, (-1, *self.points.x.shape))
+        with torch.no_grad():
+            tension = self.tension(self._taken(field)).double().numpy()
+        near, far = bonds.near[: bonds.acting], bonds.far[: bonds.acting]
+        xi = bonds.xi[bonds.place[: bonds.acting]]
+        y = xi + field[:, far] - field[:, near]
+        pull = (tension / np.linalg.norm(y, axis=2))[..., None] * y
+        part = 0.5 * bonds.area * pull[..., :, None] * xi[:, None, :]
+        whole = np.zeros((len(self.points.x), len(field), 2, 2))
+        for ends in (near, far):
+            np.add.at(whole, ends, part.swapaxes(0, 1))
+        rows = whole[bonds.rows].swapaxes(0, 1)
+        stress: np.ndarray = rows.reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
+        return stress
 
     def force(self, u: torch.Tensor) -> torch.Tensor:
         """Forces [S, I, 2] of u [S, N, 2]."""
-        bonds = self.bonds
+        force: torch.Tensor = Scatter.apply(u, self.tension(u), self.bonds)  # type: ignore[no-untyped-call]
+        return force
+
+    def tension(self, u: torch.Tensor) -> torch.Tensor:
+        """Force states of both ends of the acting bonds [stress/length³], [S, A] of [S, N, 2]."""
         omega, share, r = self.shares(u.dtype)
-        e, theta = Gather.apply(u, share, bonds)  # type: ignore[no-untyped-call]
+        e, theta = Gather.apply(u, share, self.bonds)  # type: ignore[no-untyped-call]
         own, other = self.inputs(omega, theta, e, r)
         state = self.material.force_state
-        tension = (state(*own) + state(*other)).reshape(len(u), -1)
-        force: torch.Tensor = Scatter.apply(u, tension, bonds)  # type: ignore[no-untyped-call]
-        return force
+        return (state(*own) + state(*other)).reshape(len(u), -1)
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""

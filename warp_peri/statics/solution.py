@@ -85,7 +85,7 @@ class Solution:
         return np.asarray(self.details.displacement(np.asarray(x, dtype=float)))
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
-        """The size of the displacement over the body, as coloured nodes; a slice in space.
+        """The size of the displacement over the body, or φ, as coloured nodes; a slice in space.
 
         Args:
             sample: which, of several.
@@ -99,7 +99,7 @@ class Solution:
             kept = np.abs(x[:, 2] - np.median(x[:, 2])) <= near
             x, u = x[kept], u[kept]
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
-        size = np.abs(u) if u.ndim == 1 else np.linalg.norm(u, axis=1)
+        size = u if u.ndim == 1 else np.linalg.norm(u, axis=1)
         unit = symbols(self._units)[0]
         shown = ax.scatter(x[:, 0], x[:, 1], c=size, s=9, linewidths=0)
         ax.figure.colorbar(shown, ax=ax, label="φ" if u.ndim == 1 else f"|u| [{unit}]")

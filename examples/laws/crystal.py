@@ -1,0 +1,15 @@
+"""Graphene as a crystal of any symmetry: a tensor for each bond, and one least squares."""
+
+import matplotlib.pyplot as plt
+
+import warp_peri as wp
+
+data = wp.load("data/graphene_0K.h5")  # of `make graphene`
+fit = wp.fit(data["train"], wp.Micromodulus(horizon=12.5))
+disk = data["test"]
+solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
+error = wp.evaluate(fit.material, disk)["E_u"]
+
+print(fit.material, fit.certificate.statement, sep="\n")
+solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
+plt.savefig("crystal.png")

@@ -1,0 +1,24 @@
+"""Heat through a plate with a round grain that conducts ten times better."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri as wp
+
+h = 1 / 32
+steps = np.argwhere(np.ones((77, 77))) - 38
+points = wp.Points(h * steps, interior=np.abs(steps).max(axis=1) <= 32, spacing=h)
+phi = points.x[:, 0]  # temperature on the collar: from −1 on the left to 1 on the right
+
+
+def kappa(place):
+    """Conductivity at positions, and at the middle of bonds."""
+    return np.where(np.hypot(place[..., 0], place[..., 1]) < 0.5, 10.0, 1.0)
+
+
+material = wp.diffusion.Conductor(horizon=3 * h)
+solution = wp.solve(material, wp.Dirichlet(points, np.zeros_like(phi), phi), kappa=kappa)
+
+print(material, solution, sep="\n")
+solution.plot().set_title("Temperature")
+plt.savefig("diffusion.png")

@@ -1,0 +1,16 @@
+"""A sheet with fibres, from displacement and load: an energy at nodes and on corners of cells."""
+
+import matplotlib.pyplot as plt
+
+import warp_peri as wp
+
+data = wp.load("data/hgo.h5")  # of `python tools/make_hgo.py`
+read = wp.tissue.read_material(data["train"], stiffness=0.35)
+fit = wp.fit(data["train"], wp.tissue.with_corners(read.dictionary), positive=True)
+disk = data["disks"]
+solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
+error = wp.evaluate(fit.material, disk)["E_u"]
+
+print(*wp.tissue.in_words(fit.material), sep="\n")
+solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
+plt.savefig("tissue.png")
