@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.errors import InputError
+from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.guarantee import Guarantee, guarantee
 from warp_peri.prediction.members import Factors
 from warp_peri.prediction.placed import Parts, PlacedMembers
@@ -98,7 +100,7 @@ class Answer:
         def change(part: np.ndarray | None) -> np.ndarray:
             if part is None:
                 return np.zeros_like(at)
-            return np.asarray(quantity(self._plus(part)), float) - at
+            return np.asarray(np.asarray(quantity(self._plus(part)), float) - at)
 
         left = change(fields.left)
         changes = Parts(
@@ -134,8 +136,8 @@ class Answer:
         placed, _ = self._placed()
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
         x, inside = placed.points.x, placed.points.interior
-        shown = ax.scatter(*x[inside].T[:2], c=self.map()[inside], s=12, linewidths=0)
-        ax.figure.colorbar(shown, ax=ax, label=f"likely error [{placed.points.units[0]}]")
+        shown = ax.scatter(x[inside, 0], x[inside, 1], c=self.map()[inside], s=12, linewidths=0)
+        ax.figure.colorbar(shown, ax=ax, label=f"likely error [{symbols(placed.points.units)[0]}]")
         ax.set(aspect="equal", xlabel="x", ylabel="y")
         return ax
 
@@ -144,8 +146,6 @@ class Answer:
         return self._placed()[0].family.factors
 
     def _placed(self) -> tuple[PlacedMembers, np.ndarray]:
-        from warp_peri.errors import InputError
-
         if self.operator is None or self.load is None:
             raise InputError("answer: of a body only u, error and parts are known")
         return self.operator, self.load

@@ -177,7 +177,10 @@ def _measured(family: Members, samples: Samples, wavelength: np.ndarray) -> dict
             left = placed.correction(load, u)
         size = float(np.linalg.norm(truth[inside]))
         fields = placed.doubts(u, left, first)
-        norm = lambda field, size=size: float(np.linalg.norm(field)) / size  # noqa: E731
+
+        def norm(field: np.ndarray, size: float = size) -> float:
+            return float(np.linalg.norm(field)) / size
+
         cubic, series = map(norm, fields.strain) if fields.strain else (0.0, 0.0)
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
         row |= {"true": norm((u - truth)[inside]), "first": norm((first - truth)[inside])}

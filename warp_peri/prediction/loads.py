@@ -10,7 +10,7 @@ from warp_peri.points.samples import PointsLike
 
 
 def mixed_waves(
-    x: np.ndarray, box: tuple[float, float] | np.ndarray, shortest: float, *, seed: int = 0
+    x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: float, *, seed: int = 0
 ) -> np.ndarray:
     """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory.md, Q10).
 
@@ -39,7 +39,7 @@ def mixed_waves(
         angle, phase = random.uniform(0, 2 * np.pi, 2)
         along = np.array([np.cos(angle), np.sin(angle)])
         field += size * np.cos(x @ k + phase)[:, None] * along
-    return field - field.mean(axis=0)
+    return np.asarray(field - field.mean(axis=0))
 
 
 def design_loads(points: PointsLike, shortest_wave: float, *, number: int = 2) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +22,10 @@ if TYPE_CHECKING:
     from warp_peri.points.samples import PointsLike
 
 FORMAT, VERSION = "warp_peri.family", 1
-READERS = {
+READERS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "warp_peri.third_order_crystal": ThirdOrderCrystal.of_content,
     "warp_peri.micromodulus": Crystal.of_content,
-    "warp_peri.model": lambda content: (nonlinear_from if "kind" in content else model_from)(
-        content
-    ),
+    "warp_peri.model": lambda of: nonlinear_from(of) if "kind" in of else model_from(of),
 }
 
 
@@ -157,7 +156,7 @@ def load_members(path: Any) -> Members:
         )
         own = {name: content[name] for name in ("strain", "temperature", "provenance")}
         factors = Factors(**content["factors"])
-        return Members(rich, second, tuple(halves), record, factors, **own)  # type: ignore[arg-type]
+        return Members(rich, second, (halves[0], halves[1]), record, factors, **own)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:

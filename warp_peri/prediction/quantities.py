@@ -33,7 +33,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Quantity:
 
     def of(u: np.ndarray) -> np.ndarray:
         slope = (u[near[0]] - u[near[1]]) / (2 * nodes.spacing)
-        return (slope + slope.swapaxes(-1, -2)) / 2
+        return np.asarray((slope + slope.swapaxes(-1, -2)) / 2)
 
     return of
 
