@@ -12,6 +12,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def family(given: argparse.Namespace) -> Members:
     """The family, learned once and kept in the folder of results."""
     path = given.out / "family.json"
     if path.exists() and not given.refit:
-        return wp.load(path)  # type: ignore[no-any-return]
+        return wp.load(path)
     data = wp.load(given.data or make_data(-1, 10.0))
     material = wp.fit(data["train"], Family(rich_law()), held_out=data["val"]).material
     wp.save(path, material)
@@ -88,11 +89,12 @@ def one_scene(
     found: dict[str, Any] = {"rms_gradient": placed.gradient(truth)}
     found["ways"] = ways(placed, problem, truth)
     for tolerance in (*TOLERANCES, None):
-        seconds, answer = timed(lambda t=tolerance: wp.predict(placed, problem, t))
+        seconds, answer = timed(partial(wp.predict, placed, problem, tolerance))
         row = {"error": answer.error, "true": relative(answer.u, truth, inside)}
         row |= {"kept": answer.kept, "seconds": seconds, "why": answer.why, "parts": answer.parts}
         found["best" if tolerance is None else f"{tolerance:g}"] = row
-    found["strain"] = strains(wp.predict(placed, problem, 1.0), truth)
+    first: Any = wp.predict(placed, problem, 1.0)
+    found["strain"] = strains(first, truth)
     return found
 
 
@@ -130,7 +132,8 @@ def costs(material: Members) -> dict[str, float]:
     pad = 10
     x = 5.0 * np.argwhere(np.ones((LARGE + 2 * pad,) * 2)).astype(float)
     grid = np.rint(x / 5).astype(int) - pad
-    points = wp.Points(x, ((grid >= 0) & (grid < LARGE)).all(axis=1), 5.0, axis=0.0)
+    inside = np.asarray(((grid >= 0) & (grid < LARGE)).all(axis=1))
+    points = wp.Points(x, inside, 5.0, axis=0.0)
     k = np.array([[0.02, 0.01], [-0.008, 0.024]])
     problem = wp.Dirichlet(points, 1e-4 * np.cos(x @ k), 0.5 * np.sin(x @ k))
     placed = PlacedMembers(material, points)
@@ -177,12 +180,12 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     numbers["best"] = {"coverage": float(np.mean(np.array(best) >= 1)), **spread(best)}
     numbers["coverage"] = float(np.mean(np.array(ratios) >= 1))
     numbers["bar_over_true"] = spread(ratios)
-    wrong, told = (np.concatenate([row["strain"][n] for row in rows]) for n in (0, 1))
+    wrong, corrected = (np.concatenate([row["strain"][n] for row in rows]) for n in (0, 1))
     seen = np.abs(wrong) > 0.01
-    share = told[seen] / wrong[seen]
+    share = corrected[seen] / wrong[seen]
     numbers["strain"] = {
         "within": float(np.mean((share > 0.8) & (share < 1.2))),
-        "corrected_over_first": float(np.linalg.norm(wrong - told) / np.linalg.norm(wrong)),
+        "corrected_over_first": float(np.linalg.norm(wrong - corrected) / np.linalg.norm(wrong)),
     }
     return numbers
 

@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ MOST_LU = 61
 """Side from which a factorisation is too slow to be waited for."""
 MANY = 32
 """Loads of the second column, up to 34² nodes; 4 beyond."""
-CONSTANTS = {"t3": -0.36, "tq2": -5.6, "q3": 0.84}
+CONSTANTS: dict[str, Any] = {"t3": -0.36, "tq2": -5.6, "q3": 0.84}
 """Third-order constants [TPa] as an energy form finds them in graphene."""
 
 
@@ -61,14 +62,19 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
         for side in SIDES:
             points = problem(mask_of(kind, side), model.horizon, model.certified_on[0])
             iterative = "sine" if shape == "rectangle" else "multigrid"
-            ways = {None: None, iterative: Krylov(iterative), "fft": Krylov("fft")}
-            ways |= {"lu": Direct()} if side <= MOST_LU else {}
+            ways: dict[str | None, Any] = {
+                None: None,
+                iterative: Krylov(iterative),
+                "fft": Krylov("fft"),
+            }
+            if side <= MOST_LU:
+                ways["lu"] = Direct()
             for count in (1, MANY if side <= 34 else 4):
                 given = Dirichlet(points, *fields(points, count))
                 solved = solve(model, given)
                 seconds = {
                     name or solved.method + ", chosen": least(
-                        lambda way=way, given=given: solve(model, given, solver=way), rounds
+                        partial(solve, model, given, solver=way), rounds
                     )
                     for name, way in ways.items()
                 }
@@ -78,13 +84,13 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
 @contextmanager
 def only(method: str | None) -> Iterator[None]:
     """Linear solves inside a nonlinear one by one method."""
-    chosen = nonlinear.choose_method
+    chosen = vars(nonlinear)["choose_method"]
     if method:
-        nonlinear.choose_method = lambda *points, **options: method
+        vars(nonlinear)["choose_method"] = lambda *points, **options: method
     try:
         yield
     finally:
-        nonlinear.choose_method = chosen
+        vars(nonlinear)["choose_method"] = chosen
 
 
 def nonlinear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
@@ -98,7 +104,7 @@ def nonlinear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
             seconds = {}
             for name in (None, iterative, "fft", *(["lu"] if side <= MOST_LU else [])):
                 with only(name), warnings.catch_warnings(action="ignore"):
-                    seconds[name or "chosen"] = least(lambda g=given: solve(solid, g), rounds)
+                    seconds[name or "chosen"] = least(partial(solve, solid, given), rounds)
             yield row("nonlinear", shape, points, 1, seconds)
 
 

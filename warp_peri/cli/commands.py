@@ -291,7 +291,7 @@ def run_predict(given: argparse.Namespace) -> Result:
     asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
     options = {name: value for name, value in asked.items() if value != (name == "transfer")}
     problem = warp_peri.Dirichlet(points, points.loads, points.u)
-    answers = warp_peri.predict(model, problem, given.tolerance or None, **options)
+    answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options)
     samples = []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}

@@ -208,10 +208,10 @@ class PlacedLPS(LPSOperator):
         return answer.cpu().numpy()
 
     def _unasked(self) -> Krylov:
-        """Settings of an iteration that nobody asked for: to what a factorisation is held to, where
-        one would have been possible."""
+        """Settings of an iteration that nobody asked for: closer than a factorisation is held to,
+        where one would have been possible."""
         few = np.count_nonzero(self.points.interior) <= DIRECT
-        return Krylov(tolerance=RESIDUAL if few else TOLERANCE, device=self.device)
+        return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE, device=self.device)
 
     def _through_lattice(self, load: np.ndarray, u: np.ndarray, solver: Solver) -> Solution:
         """The solution on scattered points by the operator of a certified lattice."""
@@ -232,7 +232,8 @@ class PlacedLPS(LPSOperator):
         solid = self.model.solid if parameters is None else parameters
         records: list[SolveRecord] = []
         asked = solver if isinstance(solver, Krylov) else self._unasked()
-        options = {"horizon": self.model.horizon, "tolerance": asked.tolerance, "records": records}
+        options: dict[str, Any] = {"horizon": self.model.horizon, "records": records}
+        options["tolerance"] = asked.tolerance
 
         def solved(method: str) -> torch.Tensor:
             return equilibrium(self.nodes, b, u, solid, method=method, **options)
