@@ -29,6 +29,7 @@ from tools.holed_sheet import (
     HOLES,
     STRIP,
     TENSION,
+    WAVES,
     Plate,
     edge_constants,
     held_samples,
@@ -113,6 +114,7 @@ def compare(
         "spacing": plain.spacing,
         "exchanges": plain.exchange.exchanges,
         "bond_strain": sample.max_bond_strain,
+        "displacement": float(np.sqrt((u**2).mean())),
     }
     if plate.radius:
         on_whole = force_on_mesh(whole, atoms, force, thickness=THICKNESS)
@@ -147,13 +149,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--model", type=Path, default=file, help="a model file")
     parser.add_argument("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
     parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
+    waves = tuple(range(len(WAVES)))
+    parser.add_argument("--waves", type=int, nargs="+", default=waves, help="their numbers, from 0")
     parser.add_argument("--edge-times", type=float, default=1.0, help="of an edge's stiffness")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     warnings.simplefilter("ignore")
     start = time.perf_counter()
-    samples = held_samples(args.cache, tension=args.tension, progress=not args.json)
+    asked = {"tension": args.tension, "waves": args.waves}
+    samples = held_samples(args.cache, **asked, progress=not args.json)
     model = warp_peri.load(args.model)
     zigzag, armchair = (edge_constants(armchair=turned) for turned in (False, True))
     round_edge = (zigzag["stiffness"] + armchair["stiffness"]) / 2
@@ -161,7 +166,7 @@ def main(argv: list[str] | None = None) -> int:
     table: dict[str, dict[str, float]] = {}
     for plate in (*HOLES, STRIP):
         edge = args.edge_times * (round_edge if plate.radius else zigzag["stiffness"])
-        for load, sample in zip(loads_of(plate, args.tension), samples[plate]):
+        for load, sample in zip(loads_of(plate, **asked), samples[plate]):
             name = f"{plate.name} {load.name}"
             table[name] = compare(model, plate, sample, edge, whole)
     numbers = {

@@ -56,11 +56,15 @@ def add_to(dtype):
 
 
 @cache
-def bonds(scalar):
-    """Functions of a bond in one precision, with the types of vectors and boxes."""
-    vec, mat = wp.types.vector(2, scalar), wp.types.matrix((2, 2), scalar)
-    box_type = wp.types.vector(4, scalar)
-    bond_type = wp.types.vector(3, scalar)
+def bonds(scalar, dimension):
+    """Functions of a bond in one precision and dimension d, with the types of vectors and boxes.
+
+    c1 = d and c2 = 2 d (d + 2) are the constants of the solid, (V2).
+    """
+    d = dimension
+    vec, mat = wp.types.vector(d, scalar), wp.types.matrix((d, d), scalar)
+    box_type = wp.types.vector(2 * d, scalar)
+    bond_type = wp.types.vector(d + 1, scalar)
     bond_at = load(bond_type)
     int_at, scalar_at, vec_at = load(wp.int32), load(scalar), load(vec)
 
@@ -94,12 +98,26 @@ def bonds(scalar):
         xi = vec_at(bonds.x, j) - vec_at(bonds.x, i)
         if bonds.box[0] > scalar(0.0):
             box = bonds.box
-            images = vec(box[0] * wp.rint(xi[0] * box[2]), box[1] * wp.rint(xi[1] * box[3]))
-            xi = xi - images
-        return bond_type(xi[0], xi[1], scalar(1.0) / wp.dot(xi, xi))
+            for a in range(d):
+                xi[a] = xi[a] - box[a] * wp.rint(xi[a] * box[d + a])
+        bond = bond_type()
+        for a in range(d):
+            bond[a] = xi[a]
+        bond[d] = scalar(1.0) / wp.dot(xi, xi)
+        return bond
+
+    @wp.func
+    def xi_of(bond: bond_type):
+        xi = vec()
+        for a in range(d):
+            xi[a] = bond[a]
+        return xi
 
     return SimpleNamespace(
         BondArrays=BondArrays,
+        dimension=wp.constant(d),
+        c1=wp.constant(scalar(d)),
+        c2=wp.constant(scalar(2 * d * (d + 2))),
         scalar=scalar,
         vec=vec,
         bond=bond_type,
@@ -107,6 +125,7 @@ def bonds(scalar):
         box=box_type,
         bond_class_of=bond_class_of,
         bond_of=bond_of,
+        xi_of=xi_of,
         volume_of=volume_of,
         int_at=int_at,
         scalar_at=scalar_at,

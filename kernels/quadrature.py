@@ -1,4 +1,4 @@
-"""Quadrature weights of the families of scattered points, a family a thread (theory.md, 7–8).
+"""Quadrature weights of the families of scattered points, a family a thread (theory.md, 7–8, V4).
 
 W = Qᵀ (Q Qᵀ)⁻¹ c by Cholesky, solved a second time for what the first left, with the rows of Q
 computed anew at each pass over the bonds: they need no memory.
@@ -9,32 +9,37 @@ from functools import cache
 import warp as wp
 
 BODY = """
-    const double bx = box.c[0], by = box.c[1], h = horizon;
+    const double h = horizon;
     const int count = exact.shape[0];  // unknown to the compiler, which would unroll
     const int begin = row.data[i], end = row.data[i + 1];
+    static const int power[COUNT][DIM] = POWERS;
     double G[COUNT][COUNT] = {}, q[COUNT], c[COUNT], left[COUNT], pull[COUNT];
     auto features = [&](int e) {
-        double a = x.data[neighbour.data[e]].c[0] - x.data[i].c[0];
-        double b = x.data[neighbour.data[e]].c[1] - x.data[i].c[1];
-        if (bx > 0.0) {
-            a -= rint(a / bx) * bx;
-            b -= rint(b / by) * by;
+        double p[DIM][DEGREE + 1], square = 0.0;
+        for (int d = 0; d < DIM; ++d) {
+            double a = x.data[neighbour.data[e]].c[d] - x.data[i].c[d];
+            if (box.c[0] > 0.0)
+                a -= rint(a / box.c[d]) * box.c[d];
+            a /= h;
+            p[d][1] = a;
+            square += a * a;
         }
-        a /= h;
-        b /= h;
-        const double r = sqrt(a * a + b * b);
-        double pa[DEGREE + 1], pb[DEGREE + 1];
-        pa[0] = 1.0 / (r * r * r);
-        pb[0] = 1.0;
-        for (int p = 1; p <= DEGREE; ++p) {
-            pa[p] = pa[p - 1] * a;
-            pb[p] = pb[p - 1] * b;
+        const double r = sqrt(square);
+        for (int d = 0; d < DIM; ++d) {
+            const double a = p[d][1];
+            p[d][0] = d == 0 ? 1.0 / (r * r * r) : 1.0;
+            for (int n = 1; n <= DEGREE; ++n)
+                p[d][n] = p[d][n - 1] * a;
         }
-        for (int p = 2, k = 0; p <= DEGREE; ++p)
-            for (int n = 0; n <= p; ++n)
-                q[k++] = pa[p - n] * pb[n];
+        for (int k = 0; k < COUNT; ++k) {
+            q[k] = p[0][power[k][0]];
+            for (int d = 1; d < DIM; ++d)
+                q[k] *= p[d][power[k][d]];
+        }
     };
-    double largest = 0.0;
+    double volume = h, largest = 0.0;
+    for (int d = 1; d < DIM; ++d)
+        volume *= h;
     for (int k = 0; k < count; ++k) {
         c[k] = exact.data[k];
         left[k] = c[k];
@@ -81,12 +86,14 @@ BODY = """
             left[m] = c[m];
         for (int e = begin; e < end; ++e) {
             features(e);
-            double w = weight.data[e] / (h * h);
+            double w = weight.data[e] / volume;
             for (int m = 0; m < count; ++m)
                 w += q[m] * pull[m];
             for (int m = 0; m < count; ++m)
                 left[m] -= w * q[m];
-            weight.data[e] = w * h * h;
+            for (int d = 0; d < DIM; ++d)
+                w *= h;
+            weight.data[e] = w;
         }
     }
     double worst = 0.0;
@@ -97,22 +104,24 @@ BODY = """
 
 
 @cache
-def family_weights(degree: int):
-    """The kernel for polynomials of a degree: weights of some nodes' bonds, and their residuals.
+def family_weights(powers: tuple[tuple[int, ...], ...]):
+    """The kernel for monomials of these powers: weights of some nodes' bonds, and their residuals.
 
     The residual is −1 where the conditions depend on each other and another method must be taken:
     where a pivot of the Gram matrix, by its root, is below `independent` of the largest.
     """
-    count = (degree + 1) * (degree + 2) // 2 - 3
-    body = BODY.replace("COUNT", str(count)).replace("DEGREE", str(degree))
+    vec = wp.types.vector(len(powers[0]), wp.float64)
+    table = ", ".join("{" + ", ".join(map(str, p)) + "}" for p in powers)
+    body = BODY.replace("COUNT", str(len(powers))).replace("DEGREE", str(max(map(sum, powers))))
+    body = body.replace("DIM", str(len(powers[0]))).replace("POWERS", "{" + table + "}")
 
     @wp.func_native(body)
     def of_family(
         i: wp.int32,
-        x: wp.array(dtype=wp.vec2d),
+        x: wp.array(dtype=vec),
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
-        box: wp.vec2d,
+        box: vec,
         horizon: wp.float64,
         independent: wp.float64,
         exact: wp.array(dtype=wp.float64),
@@ -123,10 +132,10 @@ def family_weights(degree: int):
     def weights(
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
-        x: wp.array(dtype=wp.vec2d),
+        x: wp.array(dtype=vec),
         row: wp.array(dtype=wp.int32),
         neighbour: wp.array(dtype=wp.int32),
-        box: wp.vec2d,
+        box: vec,
         horizon: wp.float64,
         independent: wp.float64,
         exact: wp.array(dtype=wp.float64),

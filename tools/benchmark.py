@@ -2,6 +2,7 @@
 
     python tools/benchmark.py operator [--quick] [--threads 1]
     python tools/benchmark.py roofline [--quick]
+    python tools/benchmark.py launch [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
@@ -29,7 +30,15 @@ import numpy as np
 import torch
 import warp as wp
 
-from tools import numba_rival, numba_rows, rivals, roofline, solve_study, solver_choice
+from tools import (
+    launch_costs,
+    numba_rival,
+    numba_rows,
+    rivals,
+    roofline,
+    solve_study,
+    solver_choice,
+)
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
@@ -362,16 +371,44 @@ def ceilings(*, quick: bool) -> None:
             roofline.roofline(bonds, Solid(**MODEL), u, bandwidth)
 
 
+def launches(*, quick: bool, threads: int = 2) -> None:
+    """Where one forward sweep's time goes, on one thread and two; by rows in Numba beside it."""
+    try:
+        import numba
+    except ImportError:
+        numba = None
+        print("Numba is not installed: pip install 'warp_peri[bench]'")
+    for side in (200,) if quick else (200, 400, 1000):
+        points, box = problem("lattice", side)
+        fields = np.random.default_rng(1).normal(size=(2, side**2, 2))
+        for precision in ("float64", "float32"):
+            bonds = Bonds(points, HORIZON, precision=precision)
+            t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
+            for count in range(1, threads + 1):
+                set_threads(count)
+                torch.set_num_threads(count)
+                forward, _ = ours(bonds, fields, getattr(torch, precision))
+                seconds = launch_costs.parts(bonds, Solid(**MODEL), fields[0], forward)
+                if numba is not None:
+                    numba.set_num_threads(count)
+                    rival = numba_rows.numba_rows(t, getattr(np, precision))
+                    seconds["Numba by rows"] = launch_costs.least(rival)
+                told = "; ".join(f"{name} {1e3 * part:.2f}" for name, part in seconds.items())
+                print(f"{side}², {precision}, {count} threads, ms: {told}", flush=True)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["operator", "roofline", "solve", "choice"])
+    parser.add_argument("what", choices=["operator", "roofline", "launch", "solve", "choice"])
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
     )
-    parser.add_argument("--threads", type=int, default=2, help="operator: of every candidate")
+    parser.add_argument(
+        "--threads", type=int, default=2, help="operator, launch: of every candidate"
+    )
     parser.add_argument("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add_argument("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
@@ -381,6 +418,8 @@ def main(arguments: list[str] | None = None) -> int:
         solver_choice.solver_choice(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "roofline":
         ceilings(quick=given.quick)
+    elif given.what == "launch":
+        launches(quick=given.quick, threads=given.threads)
     else:
         operator(quick=given.quick, threads=given.threads)
     return 0

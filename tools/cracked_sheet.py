@@ -127,33 +127,44 @@ def cracked_sheet(
 
 
 def _crossing(ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Which bonds meet a segment."""
+    place = _places(ends, start, end)
+    crossing: np.ndarray = (place > 0) & (place < 1)
+    return crossing
+
+
+def _places(ends: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Where bonds meet the line of a segment, from 0 to 1 on it; NaN for those that do not."""
     along = end - start
     normal = np.array([-along[1], along[0]])
     height = (ends - start) @ normal
     share = height[:, 0] / (height[:, 0] - height[:, 1] + 1e-300)
     meet = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
-    place = (meet - start) @ along / (along @ along)
-    crossing: np.ndarray = (height[:, 0] * height[:, 1] < 0) & (place > 0) & (place < 1)
-    return crossing
+    place: np.ndarray = (meet - start) @ along / (along @ along)
+    return np.where(height[:, 0] * height[:, 1] < 0, place, np.nan)
+
+
+def opened_ends(body: CrackedSheet, ends: np.ndarray) -> np.ndarray:
+    """Ends of an open crack [Å], shape [2, 2]: midway from its last bond to the next whole one.
+
+    The sheet may have the crack or not.
+
+    Raises InputError for a crack that meets no bond, or all on its line to one side.
+    """
+    start, end = ends
+    place = _places(body.positions[body.bonds], start, end)
+    mine = place[(place > 0) & (place < 1)]
+    whole = place[~body.cut & ~((place > 0) & (place < 1))]
+    if not len(mine) or not (whole < mine.min()).any() or not (whole > mine.max()).any():
+        raise InputError(f"crack {ends.tolist()}: expected to meet bonds, and some beyond")
+    low = (mine.min() + whole[whole < mine.min()].max()) / 2
+    high = (mine.max() + whole[whole > mine.max()].min()) / 2
+    return np.array([start + low * (end - start), start + high * (end - start)])
 
 
 def opened(body: CrackedSheet, ends: np.ndarray) -> float:
-    """Length of a crack along x [Å]: each tip is midway from its last cut bond to the next one.
-
-    Raises ValueError for a crack along another direction.
-    """
-    (start, y), (end, other) = ends
-    if other != y:
-        raise ValueError("crack: expected one along x; the crystal is what is turned")
-    line = np.array([(2 * start - end, y), (2 * end - start, y)])
-    crossing = _crossing(body.positions[body.bonds], *line)
-    bonds, cut = body.positions[body.bonds[crossing]], body.cut[crossing]
-    height = bonds[:, :, 1] - y
-    share = height[:, 0] / (height[:, 0] - height[:, 1])
-    x = bonds[:, 0, 0] + share * (bonds[:, 1, 0] - bonds[:, 0, 0])
-    low, high = x[cut].min(), x[cut].max()
-    whole = x[~cut]
-    return float((high + whole[whole > high].min()) / 2 - (low + whole[whole < low].max()) / 2)
+    """Length of an open crack [Å]; see opened_ends."""
+    return float(np.linalg.norm(np.diff(opened_ends(body, ends), axis=0)))
 
 
 class CutSession(LammpsSession):

@@ -161,14 +161,16 @@ HOLES = (Plate((120.0, 120.0), 25.0), Plate((120.0, 120.0), 40.0))
 STRIP = Plate((120.0, 50.0))
 
 
-def loads_of(plate: Plate, tension: float = TENSION) -> tuple[Load, ...]:
-    """What a plate is loaded by; stresses are about a tension [TPa]."""
+def loads_of(
+    plate: Plate, tension: float = TENSION, waves: Sequence[int] = tuple(range(len(WAVES)))
+) -> tuple[Load, ...]:
+    """What a plate is loaded by: pulls, and waves by number; stresses are about a tension [TPa]."""
     pulls = (
         (EndsPulled(0, tension), EndsPulled(1, tension))
         if plate.radius
         else (EndsPulled(0, tension),)
     )
-    return (*pulls, *(Wave(number, tension) for number in range(len(WAVES))))
+    return (*pulls, *(Wave(number, tension) for number in waves))
 
 
 def held_samples(
@@ -176,6 +178,7 @@ def held_samples(
     *,
     plates: Sequence[Plate] = (*HOLES, STRIP),
     tension: float = TENSION,
+    waves: Sequence[int] = tuple(range(len(WAVES))),
     progress: bool,
 ) -> dict[Plate, list[Sample]]:
     """Plates at rest under their loads, from the cache or solved, in the order of `loads_of`.
@@ -186,10 +189,10 @@ def held_samples(
     cache.mkdir(parents=True, exist_ok=True)
     bond, potential = bond_length(), potential_file()
     samples: dict[Plate, list[Sample]] = {}
-    count = sum(len(loads_of(plate)) for plate in plates)
+    count = sum(len(loads_of(plate, tension, waves)) for plate in plates)
     with locked(cache), tqdm(total=count, disable=not progress) as bar:
         for plate in plates:
-            loads = loads_of(plate, tension)
+            loads = loads_of(plate, tension, waves)
             files = {load: _file(cache, plate, load, bond, potential) for load in loads}
             kept = {load: read_record(file, Sample) for load, file in files.items()}
             missing = [load for load in files if kept[load] is None]

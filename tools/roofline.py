@@ -52,7 +52,7 @@ def sweeps(bonds: Bonds, solid: Solid, u: np.ndarray) -> dict[str, float]:
         raise RuntimeError("the lattice is not laid out in rows")
     lam, mu, alpha, D = (bonds.floats(np.atleast_1d(value)) for value in solid.values())
     kw, m = influence(bonds, alpha, D)
-    law = filled(structs(bonds.scalar).Law, kw, m, kw, m, lam, mu)
+    law = filled(structs(bonds.scalar, bonds.dimension).Law, kw, m, kw, m, lam, mu)
     planes, theta = rows.planes("forward", 1)
     values: Any = wp.array(u[None], dtype=bonds.vec, device="cpu")
     Lu = bonds.zeros(1, len(bonds.rows), dtype=bonds.vec)

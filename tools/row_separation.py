@@ -1,18 +1,32 @@
-"""What a sheet without a crack says of cracks: how one row of its bonds parts, what it stores."""
+"""What a sheet without a crack says of cracks: how one row of its bonds parts, what it stores.
+
+With it go the cracks of a continuum that this row law holds (theory.md, C20–C22).
+"""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline, PPoly
 from scipy.optimize import brentq
 
-from tools.cracked_sheet import EV, OPEN, _uniaxial_stress, longer_cutoff
+from tools.cracked_sheet import (
+    EV,
+    OPEN,
+    _uniaxial_stress,
+    cracked_sheet,
+    longer_cutoff,
+    opened_ends,
+)
+from tools.elastic import elastic_constants
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
-from warp_peri.damage.cohesive_zone import RowLaw
+from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
 
 STEP = 0.05
 """Between separations [Å]."""
@@ -72,3 +86,76 @@ def stored_energy(largest: float = 0.18, step: float = 0.01) -> CubicSpline:
         potential = longer_cutoff(Path(folder))
         stress = [_uniaxial_stress(bond_length(), float(e), potential, 1) for e in strains[1:]]
     return CubicSpline(strains, [0.0, *stress]).antiderivative()
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What sheets without a crack say.
+
+    Attributes:
+        lam, mu: plane Lamé constants [TPa].
+        law: of a row of bonds along zigzag [Å, TPa].
+        energy: density [TPa] by strain.
+        softened_at: times the sheet's strain, of the moduli that it stores.
+    """
+
+    lam: float
+    mu: float
+    law: RowLaw
+    energy: PPoly
+    softened_at: float = 1.0
+
+    def share(self, strain: float) -> float:
+        """Of the moduli that is left at a strain, by the energy."""
+        at = self.softened_at * strain
+        return float(2 * self.energy(at) / (self.lam + 2 * self.mu) / at**2) if at else 1.0
+
+    @property
+    def E(self) -> float:
+        """Young's modulus of the sheet [TPa]."""
+        return 4 * self.mu * (self.lam + self.mu) / (self.lam + 2 * self.mu)
+
+    def rim(self, half: ArrayLike) -> tuple[float, float]:
+        """Half sides [Å] of the rectangle through the first atoms that are held.
+
+        half: half sides of the part of the sheet that moves [Å].
+        """
+        inner = np.broadcast_to(np.asarray(half, float), 2)
+        x = np.abs(cracked_sheet([], half=half).positions)
+        first = [float(x[x[:, axis] > inner[axis], axis].min()) for axis in (0, 1)]
+        return first[0], first[1]
+
+    def ends(self, cracks: Sequence[np.ndarray], half: ArrayLike) -> list[np.ndarray]:
+        """Where straight cracks, by their ends [Å], part the bonds of a sheet."""
+        body = cracked_sheet([], half=half)  # with cracks, atoms that lost two bonds are not there
+        return [opened_ends(body, np.asarray(crack, float)) for crack in cracks]
+
+    def held(self, cracks: Sequence[np.ndarray], half: ArrayLike) -> HeldCracks:
+        """The continuum of straight cracks in a rectangle, rows of bonds ahead of them."""
+        step = float(np.sqrt(3) * bond_length())
+        ends = np.array(self.ends(cracks, half))
+        return HeldCracks(self.lam, self.mu, self.rim(half), ends, step)
+
+    def pulled(self, cracks: HeldCracks, factor: float, strain: float) -> float:
+        """Critical strain with the moduli of a strain: rows are stronger by as much."""
+        return cracks.critical_strain(self.law.times(factor / self.share(strain)))
+
+    def predicted(self, cracks: HeldCracks, factor: float) -> float:
+        """The strain that is critical with its own moduli."""
+        strain = 0.04
+        for _ in range(20):
+            before, strain = strain, self.pulled(cracks, factor, strain)
+            if abs(strain - before) < 1e-6:
+                break
+        return strain
+
+    def factor(self, cracks: HeldCracks, strain: float) -> float:
+        """By which rows are stronger than the law, so that cracks are critical at a strain."""
+        return float(brentq(lambda f: self.pulled(cracks, f, strain) - strain, 0.5, 2.0, xtol=1e-5))
+
+
+def whole(*, softened_at: float = 1.0) -> Whole:
+    """All that is known without a crack."""
+    constants = elastic_constants(bond_length())
+    lam, mu = constants["lambda"], constants["mu"]
+    return Whole(lam, mu, row_law(), stored_energy(), softened_at)

@@ -16,7 +16,11 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.body import Coupling, solve_body
 from warp_peri.statics.rim import Field, Traction
+from warp_peri.statics.settings import refuse_solver
 from warp_peri.statics.solution import Solution
+
+GIVEN = ("displacement", "traction", "b", "edge", "coupling")
+"""What a Body says itself, and no option may."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +104,8 @@ class Body:
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
         offered(material, "influence", "solve", "a linear material for a Body")
+        refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
+        (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(
             material,
             self.mesh,
@@ -108,7 +114,7 @@ class Body:
             b=self.b,
             edge=self.edge,
             coupling=self.coupling,
-            allow_uncertified=bool(options.get("allow_uncertified", False)),
+            **options,
         )
         u, _ = body.on_corners()
         exchange = body.exchange

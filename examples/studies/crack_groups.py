@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,15 +17,11 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.interpolate import PPoly
-from scipy.optimize import brentq
 from tqdm import tqdm
 
-from tools.cracked_sheet import cracked_sheet, critical_strain, finished
-from tools.elastic import elastic_constants
+from tools.cracked_sheet import critical_strain, finished
 from tools.graphene import bond_length
-from tools.row_separation import row_law, stored_energy
-from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
+from tools.row_separation import whole
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -76,56 +71,9 @@ CASES: dict[str, tuple[tuple[tuple[int, int, int], ...], tuple[float, float], fl
 from which to pull more slowly. Nothing was settled on with the last five in sight."""
 
 
-@dataclass(frozen=True)
-class Whole:
-    """What sheets without a crack say.
-
-    Attributes:
-        lam, mu: plane Lamé constants [TPa].
-        law: of a row of bonds [Å, TPa].
-        energy: density [TPa] by strain.
-    """
-
-    lam: float
-    mu: float
-    law: RowLaw
-    energy: PPoly
-
-    def share(self, strain: float) -> float:
-        """Of the moduli that is left at a strain, by the energy."""
-        return float(2 * self.energy(strain) / (self.lam + 2 * self.mu) / strain**2)
-
-    def pulled(self, cracks: HeldCracks, factor: float, strain: float) -> float:
-        """Critical strain with the moduli of a strain: rows are stronger by as much."""
-        return cracks.critical_strain(self.law.times(factor / self.share(strain)))
-
-    def predicted(self, cracks: HeldCracks, factor: float) -> float:
-        """The strain that is critical with its own moduli."""
-        strain = 0.04
-        for _ in range(20):
-            before, strain = strain, self.pulled(cracks, factor, strain)
-            if abs(strain - before) < 1e-6:
-                break
-        return strain
-
-
-def whole() -> Whole:
-    """All that is known without a crack."""
-    constants = elastic_constants(BOND)
-    return Whole(constants["lambda"], constants["mu"], row_law(), stored_energy())
-
-
 def ends(case: str) -> list[np.ndarray]:
     """Ends of a case's cracks [Å], shape [2, 2] each."""
     return [np.array([(a * STEP, k * ROW), (b * STEP, k * ROW)]) for a, b, k in CASES[case][0]]
-
-
-def held(known: Whole, case: str) -> HeldCracks:
-    """The continuum of a case; its rim runs through the first atoms that are held."""
-    half = np.array(CASES[case][1])
-    x = np.abs(cracked_sheet([], half=half).positions)
-    rim = [float(x[x[:, axis] > half[axis], axis].min()) for axis in (0, 1)]
-    return HeldCracks(known.lam, known.mu, (rim[0], rim[1]), np.array(ends(case)), STEP)
 
 
 def atoms(cases: list[str], kept: Path) -> dict[str, float]:
@@ -143,6 +91,13 @@ def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", nargs="+", type=int, help="numbers, from 1; 0 is always there")
+    parser.add_argument(
+        "--softened-at",
+        type=float,
+        default=1.0,
+        metavar="TIMES",
+        help="the sheet's strain, of the moduli that it stores; 0 is linear",
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crack_groups")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -151,14 +106,16 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(f"--cases: expected numbers from 1 to {len(names) - 1}, got {args.cases}")
     cases = [FITTED, *(names[number] for number in wanted)]
     args.out.mkdir(parents=True, exist_ok=True)
-    measured, known = atoms(cases, args.out / "atoms.json"), whole()
-    base, single = measured[FITTED], held(known, FITTED)
-    factor = float(brentq(lambda f: known.pulled(single, f, base) - base, 0.5, 2.0, xtol=1e-5))
+    measured = atoms(cases, args.out / "atoms.json")
+    known = whole(softened_at=args.softened_at)
+    base, single = measured[FITTED], known.held(ends(FITTED), CASES[FITTED][1])
+    factor = known.factor(single, base)
     table = {
         FITTED: {"atoms": base, "error without a factor": known.predicted(single, 1) / base - 1}
     }
     for case in tqdm(cases[1:], desc="continuum"):
-        strain, predicted = measured[case], known.predicted(held(known, case), factor)
+        cracks = known.held(ends(case), CASES[case][1])
+        strain, predicted = measured[case], known.predicted(cracks, factor)
         error = predicted / strain - 1
         table[case] = {"atoms": strain, "predicted": predicted, "error": error}
     numbers = {"factor": factor, "strength": float(known.law.traction.max()), "cracks": table}

@@ -14,9 +14,9 @@ from warp_peri.kernels.bonds import add_to, bonds
 
 
 @cache
-def adjoints(scalar):
-    """The kernels in one precision."""
-    of = bonds(scalar)
+def adjoints(scalar, dimension):
+    """The kernels in one precision and dimension."""
+    of = bonds(scalar, dimension)
     int_at = of.int_at
     BondArrays = of.BondArrays
 
@@ -28,7 +28,7 @@ def adjoints(scalar):
             return c
         return int_at(reverse, e)
 
-    types = structs(scalar)
+    types = structs(scalar, dimension)
     return SimpleNamespace(
         scaled=_scaled(of),
         dilatation_adjoint=_dilatation_adjoint(of, reverse_class),
@@ -39,9 +39,9 @@ def adjoints(scalar):
 
 
 @cache
-def structs(scalar):
+def structs(scalar, dimension):
     """What table_adjoint reads: the law as tables and numbers, and the fields it was applied to."""
-    vec = bonds(scalar).vec
+    vec = bonds(scalar, dimension).vec
 
     @wp.struct
     class Law:
@@ -84,6 +84,7 @@ def _scaled(of):
 
 
 def _dilatation_adjoint(of, reverse_class):
+    c1, xi_of = of.c1, of.xi_of
     BondArrays, scalar, vec = of.BondArrays, of.scalar, of.vec
     bond_of, bond_class_of, volume_of = of.bond_of, of.bond_class_of, of.volume_of
     int_at, scalar_at, vecs_at = of.int_at, of.scalar_at, of.vecs_at
@@ -101,7 +102,7 @@ def _dilatation_adjoint(of, reverse_class):
         hd: wp.array2d(dtype=vec),
         tau: wp.array2d(dtype=scalar),
     ):
-        """τ_i = (2/md_i) ∂/∂θ_i, (43)."""
+        """τ_i = (d/md_i) ∂/∂θ_i, (43)."""
         s, t = wp.tid()
         i = nodes[first + t]
         own = hd[s, i]
@@ -112,16 +113,17 @@ def _dilatation_adjoint(of, reverse_class):
             j = int_at(bonds.neighbour, e)
             p = e - skip
             bond = bond_of(bonds, p, i, j)
-            xi = vec(bond[0], bond[1])
+            xi = xi_of(bond)
             c = bond_class_of(bonds, p)
             back = reverse_class(bonds, reverse, e, c)
             total += wp.dot(xi, scalar_at(kd, c) * own - scalar_at(kd, back) * vecs_at(hd, s, j))
-        tau[s, i] = scalar(-4.0) * (lam[0] - mu[0]) / md[volume_of(bonds, i)] * total
+        tau[s, i] = -c1 * c1 * (lam[0] - mu[0]) / md[volume_of(bonds, i)] * total
 
     return dilatation_adjoint
 
 
 def _displacement_adjoint(of, reverse_class):
+    c2, xi_of, last = of.c2, of.xi_of, of.dimension
     BondArrays, scalar, vec = of.BondArrays, of.scalar, of.vec
     bond_of, bond_class_of, int_at = of.bond_of, of.bond_class_of, of.int_at
     scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
@@ -143,7 +145,7 @@ def _displacement_adjoint(of, reverse_class):
         i = first + t
         own = h[s, i]
         own_tau = tau[s, i]
-        factor = scalar(16.0) * mu[0]
+        factor = c2 * mu[0]
         total = vec()
         begin = bonds.row[i]
         skip = bonds.lattice * begin
@@ -152,12 +154,12 @@ def _displacement_adjoint(of, reverse_class):
             if j >= 0:
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
-                xi = vec(bond[0], bond[1])
+                xi = xi_of(bond)
                 c = bond_class_of(bonds, p)
                 back = reverse_class(bonds, reverse, e, c)
                 stretch = (
                     wp.dot(xi, scalar_at(kw, c) * own - scalar_at(kw, back) * vecs_at(h, s, j))
-                    * bond[2]
+                    * bond[last]
                 )
                 total += (
                     factor * stretch
@@ -171,7 +173,8 @@ def _displacement_adjoint(of, reverse_class):
 
 def _by_bond(of, structs):
     """What the bonds of one node add to ∂/∂(K W), its share of ∂/∂λ and ∂/∂μ, and ∂/∂m, ∂/∂md."""
-    BondArrays, scalar, vec, int_at = of.BondArrays, of.scalar, of.vec, of.int_at
+    c1, c2, xi_of, last = of.c1, of.c2, of.xi_of, of.dimension
+    BondArrays, scalar, int_at = of.BondArrays, of.scalar, of.int_at
     bond_of, bond_class_of, volume_of = of.bond_of, of.bond_class_of, of.volume_of
     scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
     add_at = add_to(scalar)
@@ -188,8 +191,8 @@ def _by_bond(of, structs):
         kw_bar: wp.array(dtype=scalar),
         kd_bar: wp.array(dtype=scalar),
     ):
-        factor = scalar(-16.0) * law.mu[0]
-        dilatational = scalar(-2.0) * (law.lam[0] - law.mu[0])
+        factor = -c2 * law.mu[0]
+        dilatational = -c1 * (law.lam[0] - law.mu[0])
         shear = scalar(0.0)
         bulk = scalar(0.0)
         volume = scalar(0.0)
@@ -205,10 +208,10 @@ def _by_bond(of, structs):
                 j = int_at(bonds.neighbour, e)
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
-                xi = vec(bond[0], bond[1])
+                xi = xi_of(bond)
                 c = bond_class_of(bonds, p)
                 stretch = wp.dot(xi, vecs_at(fields.u, s, j) - ui)
-                by_shear = wp.dot(xi, hi) * stretch * bond[2]
+                by_shear = wp.dot(xi, hi) * stretch * bond[last]
                 by_bulk = wp.dot(xi, hdi) * (theta_i + scalars_at(fields.theta, s, j))
                 shear += scalar_at(law.kw, c) * by_shear
                 bulk += scalar_at(law.kd, c) * by_bulk
@@ -222,13 +225,14 @@ def _by_bond(of, structs):
             volume += tau_i * theta_i
         v = volume_of(bonds, i)
         m_bar = -factor * shear / law.m[v]
-        md_bar = -dilatational * bulk / law.md[v] - volume / scalar(2.0)
+        md_bar = -dilatational * bulk / law.md[v] - volume / c1
         return shear, bulk, m_bar, md_bar
 
     return by_bond
 
 
 def _table_adjoint(of, structs):
+    last = of.dimension
     BondArrays, scalar, scalar_at = of.BondArrays, of.scalar, of.scalar_at
     add_at, by_bond = add_to(scalar), _by_bond(of, structs)
     Law, Fields = structs.Law, structs.Fields
@@ -280,7 +284,7 @@ def _table_adjoint(of, structs):
         parts[block, 1] = bulks
         if bonds.lattice == 1:
             for p in range(bonds.pattern.shape[0]):
-                square = scalar(1.0) / bonds.pattern[p][2]
+                square = scalar(1.0) / bonds.pattern[p][last]
                 add_at(kw_bar, p - base, volumes * square)
                 if one_table == 0:
                     add_at(kd_bar, p - base, volumes_d * square)

@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_peri.kernels.bonds import bonds
 
-_of = bonds(wp.float64)
+_of = bonds(wp.float64, 2)
 BondArrays, vec = _of.BondArrays, _of.vec
 bond_class_of, bond_of = _of.bond_class_of, _of.bond_of
 

@@ -17,9 +17,9 @@ from warp_peri.kernels.bonds import bonds
 
 
 @cache
-def sweeps(scalar):
-    """The kernels in one precision."""
-    of = bonds(scalar)
+def sweeps(scalar, dimension):
+    """The kernels in one precision and dimension."""
+    of = bonds(scalar, dimension)
     return SimpleNamespace(
         weighted_volume=_weighted_volume(of),
         dilatation=_dilatation(of),
@@ -57,6 +57,7 @@ def _weighted_volume(of):
 
 
 def _dilatation(of):
+    c1, xi_of = of.c1, of.xi_of
     BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
     bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
     scalar_at, vecs_at = of.scalar_at, of.vecs_at
@@ -71,10 +72,10 @@ def _dilatation(of):
         u: wp.array2d(dtype=vec),
         theta: wp.array2d(dtype=scalar),
     ):
-        """θ_i = (2/m_i) Σ_j K ξ·(u_j − u_i) W, (6), where no bond is broken."""
+        """θ_i = (d/m_i) Σ_j K ξ·(u_j − u_i) W, (6), where no bond is broken."""
         s, t = wp.tid()
         i = nodes[first + t]
-        factor = scalar(2.0) / md[volume_of(bonds, i)]
+        factor = c1 / md[volume_of(bonds, i)]
         total = scalar(0.0)
         begin = bonds.row[i]
         skip = bonds.lattice * begin
@@ -82,7 +83,7 @@ def _dilatation(of):
             j = int_at(bonds.neighbour, e)
             p = e - skip
             bond = bond_of(bonds, p, i, j)
-            xi = vec(bond[0], bond[1])
+            xi = xi_of(bond)
             k = scalar_at(kd, bond_class_of(bonds, p))
             total += factor * k * wp.dot(xi, vecs_at(u, s, j) - u[s, i])
         theta[s, i] = total
@@ -91,7 +92,8 @@ def _dilatation(of):
 
 
 def _surface_shape(of):
-    BondArrays, scalar, vec, mat, bond_of = of.BondArrays, of.scalar, of.vec, of.mat, of.bond_of
+    xi_of = of.xi_of
+    BondArrays, scalar, mat, bond_of = of.BondArrays, of.scalar, of.mat, of.bond_of
     bond_class_of, int_at, scalar_at = of.bond_class_of, of.int_at, of.scalar_at
 
     @wp.kernel
@@ -112,7 +114,7 @@ def _surface_shape(of):
             if j >= 0:
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
-                xi = vec(bond[0], bond[1])
+                xi = xi_of(bond)
                 k = scalar_at(kd, bond_class_of(bonds, p))
                 total += k * wp.outer(xi, xi)
         shape[i] = total
@@ -121,6 +123,7 @@ def _surface_shape(of):
 
 
 def _surface_dilatation(of):
+    xi_of = of.xi_of
     BondArrays, scalar, vec, mat, bond_of = of.BondArrays, of.scalar, of.vec, of.mat, of.bond_of
     bond_class_of, int_at, scalar_at = of.bond_class_of, of.int_at, of.scalar_at
     vecs_at = of.vecs_at
@@ -147,7 +150,7 @@ def _surface_dilatation(of):
             if j >= 0:
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
-                xi = vec(bond[0], bond[1])
+                xi = xi_of(bond)
                 k = scalar_at(kd, bond_class_of(bonds, p))
                 total += k * wp.dot(xi, correction * (vecs_at(u, s, j) - u[s, i]))
         theta[s, i] = total
@@ -156,6 +159,7 @@ def _surface_dilatation(of):
 
 
 def _force(of):
+    c1, c2, xi_of, last = of.c1, of.c2, of.xi_of, of.dimension
     BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
     bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
     scalar_at, scalars_at, vecs_at = of.scalar_at, of.scalars_at, of.vecs_at
@@ -175,11 +179,11 @@ def _force(of):
         theta: wp.array2d(dtype=scalar),
         Lu: wp.array2d(dtype=vec),
     ):
-        """(L u)_i = −(2/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
+        """(L u)_i = −(c1/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (c2 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
         s, t = wp.tid()
         i = nodes[first + t]
-        dilatational = scalar(-2.0) * (lam[0] - mu[0]) / md[volume_of(bonds, i)]
-        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(bonds, i)]
+        dilatational = -c1 * (lam[0] - mu[0]) / md[volume_of(bonds, i)]
+        deviatoric = -c2 * mu[0] / m[volume_of(bonds, i)]
         total = vec()
         begin = bonds.row[i]
         skip = bonds.lattice * begin
@@ -188,9 +192,9 @@ def _force(of):
             if j >= 0:
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
-                xi = vec(bond[0], bond[1])
+                xi = xi_of(bond)
                 c = bond_class_of(bonds, p)
-                stretch = wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[2]
+                stretch = wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[last]
                 density = scalar_at(kd, c) * dilatational * (theta[s, i] + scalars_at(theta, s, j))
                 density += scalar_at(kw, c) * deviatoric * stretch
                 total += density * xi
@@ -200,6 +204,7 @@ def _force(of):
 
 
 def _bond_force(of):
+    c2, xi_of, last = of.c2, of.xi_of, of.dimension
     BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
     bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
     scalar_at, vecs_at = of.scalar_at, of.vecs_at
@@ -215,10 +220,10 @@ def _bond_force(of):
         u: wp.array2d(dtype=vec),
         Lu: wp.array2d(dtype=vec),
     ):
-        """(L u)_i = −(16 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (42): λ = μ, no dilatation."""
+        """(L u)_i = −(c2 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (42): λ = μ, no dilatation."""
         s, t = wp.tid()
         i = nodes[first + t]
-        deviatoric = scalar(-16.0) * mu[0] / m[volume_of(bonds, i)]
+        deviatoric = -c2 * mu[0] / m[volume_of(bonds, i)]
         total = vec()
         begin = bonds.row[i]
         skip = bonds.lattice * begin
@@ -227,9 +232,9 @@ def _bond_force(of):
             if j >= 0:
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
-                xi = vec(bond[0], bond[1])
+                xi = xi_of(bond)
                 k = scalar_at(kw, bond_class_of(bonds, p)) * deviatoric
-                total += k * wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[2] * xi
+                total += k * wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[last] * xi
         Lu[s, first + t] = total
 
     return bond_force

@@ -145,7 +145,7 @@ DISPLACEMENT_ADJOINT = (
 @cache
 def rows(scalar):
     """The kernels in one precision, and how many lanes they have."""
-    of = bonds(scalar)
+    of = bonds(scalar, 2)
     lanes = BYTES // wp.types.type_size_in_bytes(scalar)
 
     def native(body):
@@ -210,7 +210,7 @@ def _taken_up(of):
 
 def _to_numbers(of, body):
     """Planes of a vector field to a plane of numbers: θ of u, (6), or τ of hd, (43)."""
-    scalar, BondArrays, Law = of.scalar, of.BondArrays, structs(of.scalar).Law
+    scalar, BondArrays, Law = of.scalar, of.BondArrays, structs(of.scalar, 2).Law
 
     @wp.func_native(body)
     def piecewise(
@@ -241,7 +241,7 @@ def _to_numbers(of, body):
 
 def _to_vectors(of, body):
     """Planes of a vector field and of numbers to vectors: L u, (9), or ∂/∂u, (44)."""
-    scalar, vec, BondArrays, Law = of.scalar, of.vec, of.BondArrays, structs(of.scalar).Law
+    scalar, vec, BondArrays, Law = of.scalar, of.vec, of.BondArrays, structs(of.scalar, 2).Law
 
     @wp.func_native(body)
     def piecewise(

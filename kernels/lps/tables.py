@@ -3,7 +3,7 @@
 With k = K W/m of the deviatoric part and q = K W/md of the dilatation, bond e holds the vector
 a = q ξ and the number s = k/(q² r²), so that
 
-  θ_i = 2 Σ a·(u_j − u_i),   (L u)_i = Σ (−2 (λ−μ) (θ_i + θ_j) − 16 μ s a·(u_j − u_i)) a
+  θ_i = c1 Σ a·(u_j − u_i),   (L u)_i = Σ (−c1 (λ−μ) (θ_i + θ_j) − c2 μ s a·(u_j − u_i)) a
 
 are (6) and (9): 24 bytes a bond in double precision and the number of its far end, one stream for
 both sweeps. A bond whose q vanishes takes a q so small beside k that the dilatation, to rounding,
@@ -23,36 +23,41 @@ NOTHING = {"float64": 1e-20, "float32": 1e-10}
 
 DILATATION = """
     const REAL* v = (const REAL*)(u.data + size_t(s) * u.shape[1]);
-    const REAL x = v[2 * i], y = v[2 * i + 1];
-    REAL tx[4] = {}, ty[4] = {};
+    const REAL* x = v + DIM * size_t(i);
+    REAL t[DIM][4] = {};
     auto add = [&](int e, int l) {
-        const REAL* far = v + 2 * size_t(table.ends.data[e]);
+        const REAL* far = v + DIM * size_t(table.ends.data[e]);
         const REAL* a = (const REAL*)(table.vectors.data + e);
-        tx[l] += a[0] * (far[0] - x);
-        ty[l] += a[1] * (far[1] - y);
+        for (int d = 0; d < DIM; ++d)
+            t[d][l] += a[d] * (far[d] - x[d]);
     };
     BONDS
-    const REAL sum = ((tx[0] + tx[1]) + (tx[2] + tx[3])) + ((ty[0] + ty[1]) + (ty[2] + ty[3]));
-    theta.data[size_t(s) * theta.shape[1] + i] = REAL(2) * sum;
+    REAL sum = (t[0][0] + t[0][1]) + (t[0][2] + t[0][3]);
+    for (int d = 1; d < DIM; ++d)
+        sum += (t[d][0] + t[d][1]) + (t[d][2] + t[d][3]);
+    theta.data[size_t(s) * theta.shape[1] + i] = REAL(DIM) * sum;
 """
 FORCE = """
     const REAL* v = (const REAL*)(u.data + size_t(s) * u.shape[1]);
     const REAL* t = theta.data + size_t(s) * theta.shape[1];
-    const REAL x = v[2 * i], y = v[2 * i + 1], own = t[i];
-    REAL fx[4] = {}, fy[4] = {};
+    const REAL* x = v + DIM * size_t(i);
+    const REAL own = t[i];
+    REAL f[DIM][4] = {};
     auto add = [&](int e, int l) {
         const int j = table.ends.data[e];
-        const REAL* far = v + 2 * size_t(j);
+        const REAL* far = v + DIM * size_t(j);
         const REAL* a = (const REAL*)(table.vectors.data + e);
-        const REAL stretch = a[0] * (far[0] - x) + a[1] * (far[1] - y);
+        REAL stretch = a[0] * (far[0] - x[0]);
+        for (int d = 1; d < DIM; ++d)
+            stretch += a[d] * (far[d] - x[d]);
         const REAL density = bulk * (own + t[j]) + shear * (stretch * table.numbers.data[e]);
-        fx[l] += density * a[0];
-        fy[l] += density * a[1];
+        for (int d = 0; d < DIM; ++d)
+            f[d][l] += density * a[d];
     };
     BONDS
     REAL* out = (REAL*)(Lu.data + size_t(s) * Lu.shape[1] + number);
-    out[0] = (fx[0] + fx[1]) + (fx[2] + fx[3]);
-    out[1] = (fy[0] + fy[1]) + (fy[2] + fy[3]);
+    for (int d = 0; d < DIM; ++d)
+        out[d] = (f[d][0] + f[d][1]) + (f[d][2] + f[d][3]);
 """
 BONDS = """
     int e = table.row.data[i];
@@ -66,9 +71,9 @@ BONDS = """
 
 
 @cache
-def tables(scalar):
-    """The kernels in one precision."""
-    of = bonds(scalar)
+def tables(scalar, dimension):
+    """The kernels in one precision and dimension."""
+    of = bonds(scalar, dimension)
     vec = of.vec
 
     @wp.struct
@@ -79,7 +84,8 @@ def tables(scalar):
         numbers: wp.array(dtype=scalar)
 
     def native(body):
-        return body.replace("BONDS", BONDS).replace("REAL", f"wp::{scalar.__name__}")
+        body = body.replace("BONDS", BONDS).replace("DIM", str(dimension))
+        return body.replace("REAL", f"wp::{scalar.__name__}")
 
     return SimpleNamespace(
         Table=Table,
@@ -90,6 +96,7 @@ def tables(scalar):
 
 
 def _filled(of):
+    last, xi_of = of.dimension, of.xi_of
     scalar, vec, BondArrays, bond_of = of.scalar, of.vec, of.BondArrays, of.bond_of
     bond_class_of, volume_of, scalar_at = of.bond_class_of, of.volume_of, of.scalar_at
     nothing = wp.constant(scalar(NOTHING[scalar.__name__]))
@@ -121,8 +128,8 @@ def _filled(of):
                 if wp.abs(q) < nothing * wp.abs(k):
                     q = nothing * wp.abs(k)
                 if q != scalar(0.0):
-                    vectors[e] = q * vec(bond[0], bond[1])
-                    numbers[e] = k / q * bond[2] / q
+                    vectors[e] = q * xi_of(bond)
+                    numbers[e] = k / q * bond[last] / q
 
     return filled
 
@@ -155,6 +162,7 @@ def _dilatation(of, Table, body):
 
 
 def _force(of, Table, body):
+    c1, c2 = of.c1, of.c2
     scalar, vec = of.scalar, of.vec
 
     @wp.func_native(body)
@@ -183,8 +191,8 @@ def _force(of, Table, body):
     ):
         """L u of some nodes, (9)."""
         s, t = wp.tid()
-        bulk = scalar(-2.0) * (lam[0] - mu[0])
-        shear = scalar(-16.0) * mu[0]
+        bulk = -c1 * (lam[0] - mu[0])
+        shear = -c2 * mu[0]
         row_of_bonds(s, first + t, nodes[first + t], bulk, shear, table, u, theta, Lu)
 
     return force

@@ -5,6 +5,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
+from tests.support.plates import plate
 from warp_peri.choice import Scene
 from warp_peri.operator import bonds, gradient_sweeps
 from warp_peri.statics import nonlinear as third_order
@@ -91,3 +92,13 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
         wp.evaluate(samples.points, samples)
     with pytest.raises(wp.InputError, match="evaluate: transfer: not among .* HyperelasticSolid"):
         wp.evaluate(solid, samples, transfer=False)
+
+
+def test_a_body_refuses_what_it_does_not_take():
+    material, _, _ = of("LPS, two functions")
+    body = wp.Body(plate(3.0, 12.0, 2, 8), displacement={"sides": (0, 0)})
+    with pytest.raises(wp.InputError, match=r"solver: expected none for a Body.*, got Direct\("):
+        wp.solve(material, body, solver=wp.Direct())
+    for option in ("transfer", "coupling", "tolerance"):
+        with pytest.raises(wp.InputError, match=f"among allow_uncertified, got {option}"):
+            wp.solve(material, body, **{option: False})

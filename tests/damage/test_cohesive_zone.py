@@ -45,6 +45,20 @@ def test_cracks_of_one_row_share_the_bonds_between_them():
     assert held.critical_strain(law) < alone.critical_strain(law)
 
 
+def test_a_crack_need_not_be_a_whole_number_of_steps_long():
+    crack = np.array([[(-3.1, 0.0), (3.1, 0.0)]])
+    held = HeldCracks(LAM, MU, HALF, crack, 0.5)
+    x = np.sort(held.bonds[:, 0])
+    assert x == pytest.approx(-x[::-1])  # as far ahead of either tip
+    assert x[4:] == pytest.approx(3.1 + 0.5 * (np.arange(4) + 0.5))
+    law = RowLaw(0.2 * SEPARATION, TRACTION)
+    strains = [
+        HeldCracks(LAM, MU, HALF, crack * scale, 0.5).critical_strain(law)
+        for scale in (3.0 / 3.1, 1.0, 3.25 / 3.1)
+    ]
+    assert strains[0] > strains[1] > strains[2]
+
+
 def test_a_path_ends_at_the_end_of_the_law_and_balances():
     held = HeldCracks(LAM, MU, HALF, PAIR, 0.5)
     law = RowLaw(0.2 * SEPARATION, TRACTION)

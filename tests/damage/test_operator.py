@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import warp as wp
 
+from tests.support import cubes
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
-from warp_peri.damage.solid import continuum_stretch
+from warp_peri.damage.solid import BrittleSolid, continuum_stretch
+from warp_peri.errors import InputError
 from warp_peri.launch import floats, zeros
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
@@ -78,3 +80,34 @@ def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
     assert errors[2] < 0.5 * errors[0]
     if lam == 1:  # no dilatation: the formula of the continuum
         assert continuum_stretch(model, 16 * limit) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("lam", [1.0, -0.4, 3.0])
+def test_the_toughness_in_space_has_the_limit_of_the_theory(lam):
+    """(V5), whose limit is an integral over the crossing bonds of K = 1/r in a ball."""
+    t = (np.arange(2000) + 0.5) / 2000
+    crossing = (1 - t**4) / 2 - 2 / 3 * t * (1 - t**3)
+    limit = 3 + 9 * (lam - 1) * (crossing**2).mean()
+    assert 9 * (crossing**2).mean() == pytest.approx(26 / 45, abs=1e-6)
+    errors = []
+    for ratio in (2.5, 5.0, 10.0):
+        model = cubes.solid(ratio, lam, 1.0)
+        classes = bond_classes(1.0, ratio, dimension=3)
+        errors.append(abs(unit_toughness(model, classes) / ratio / limit - 1))
+    assert errors[2] < 0.05
+    assert errors[2] < 0.6 * errors[0]
+
+
+def test_the_critical_stretch_in_space_is_the_published_one():
+    bulk, mu, horizon, toughness = 70.0, 30.0, 0.25, 3.0
+    model = cubes.solid(horizon, bulk - 2 * mu / 3, mu)
+    unit = (3 * mu + (3 / 4) ** 4 * (bulk - 5 * mu / 3)) * horizon
+    assert continuum_stretch(model, toughness) == pytest.approx(np.sqrt(toughness / unit))
+    bonds = cubes.solid(horizon, mu, mu)  # Silling and Askari: 5 G / (9 κ δ), κ = 5μ/3
+    expected = np.sqrt(5 * toughness / (9 * 5 / 3 * mu * horizon))
+    assert continuum_stretch(bonds, toughness) == pytest.approx(expected)
+
+
+def test_a_solid_in_space_does_not_break_yet():
+    with pytest.raises(InputError, match="expected a sheet"):
+        BrittleSolid(cubes.solid(3.0), 1.0, toughness=1.0)

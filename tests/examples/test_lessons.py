@@ -19,3 +19,11 @@ def test_an_influence_function_of_ones_own_is_found():
     from examples.own_influence import numbers
 
     assert numbers["radius"] == pytest.approx(9.0, rel=1e-5)
+
+
+def test_a_ball_swells_in_a_block_as_the_textbook_says():
+    from examples.solid_in_space import swollen
+
+    *_, error, proven = swollen(0.1)
+    assert error < 4e-3
+    assert proven == pytest.approx(0.33, rel=1e-2)

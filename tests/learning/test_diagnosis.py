@@ -8,18 +8,19 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.waves import fluctuation
 from warp_peri import Bernstein, InputError, Samples, diagnose
-from warp_peri.learning.diagnosis import _Grid
+from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.sheet_features import SheetFeatures
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)
-EVERY = np.arange(24)
+COUNT = 24
 
 
 @pytest.fixture(scope="module")
 def samples():
-    return manufactured(MODEL, lattice(9, HORIZON), len(EVERY), wave_number=0.6)
+    return manufactured(MODEL, lattice(9, HORIZON), COUNT, wave_number=0.6)
 
 
 def with_force(samples, extra):
@@ -31,14 +32,14 @@ def with_force(samples, extra):
 
 
 def planted(samples, cause):
-    grid = _Grid(samples, HORIZON)
+    grid = SheetFeatures(samples, HORIZON)
     if cause == "dispersion":
         other = kernel("steep", HORIZON, lam=0.4, mu=0.7)
         return LPSOperator(other, samples.points)(samples.u)
     if cause == "anisotropy":
-        return grid.pairs(EVERY)[..., 0]
+        return grid.pairs()[..., 0]
     if cause == "nonlinearity":
-        return grid.quadratic(EVERY)[..., 3] + grid.quadratic(EVERY)[..., 20]
+        return grid.quadratic()[..., 3] + grid.quadratic()[..., 20]
     factor = np.random.default_rng(0).normal(size=(grid.place.shape[0], 1))
     return factor * samples.b[:, samples.interior]
 
@@ -55,7 +56,7 @@ def test_the_planted_cause_is_named(samples, cause):
 
 
 def test_noise_is_named_where_its_fields_are_given(samples):
-    noisy = replace(samples, u=samples.u + fluctuation(samples, len(EVERY), 0.01, seed=1).u)
+    noisy = replace(samples, u=samples.u + fluctuation(samples, COUNT, 0.01, seed=1).u)
     diagnosis = diagnose(MODEL, noisy, fluctuation(samples, 12, 0.01, seed=2))
     assert max(diagnosis.shares, key=diagnosis.shares.get) == "noise"
     assert diagnosis.shares["noise"] == pytest.approx(1.0, abs=0.2)
@@ -109,9 +110,46 @@ def test_nothing_is_advised_where_little_is_left(samples):
 )
 def test_the_few_features_of_a_cause_are_sums_of_its_many(samples, few, many, first, rank):
     """But for the first two invariants, whose stresses are not symmetric."""
-    grid = _Grid(samples, HORIZON)
-    asked, rows = getattr(grid, few)(EVERY).reshape(-1, 6), getattr(grid, many)(EVERY)
+    grid = SheetFeatures(samples, HORIZON)
+    asked, rows = getattr(grid, few)().reshape(-1, 6), getattr(grid, many)()
     assert np.linalg.matrix_rank(asked) == rank
     asked, rows = asked[:, first:], rows.reshape(-1, rows.shape[-1])
     left = asked - rows @ np.linalg.lstsq(rows, asked, rcond=None)[0]
     assert np.abs(left).max() < 1e-9 * np.abs(asked).max()
+
+
+def test_forces_that_grow_with_the_cube_are_nonlinear(samples):
+    """They change sign with u, as a linear solid's do; at small strains none can be as large."""
+    loaded = replace(samples, u=0.02 * samples.u, b=0.02 * samples.b)
+    cubic = SheetFeatures(loaded, HORIZON).cubic()[..., 9]
+    assert diagnose(MODEL, with_force(loaded, cubic)).shares["nonlinearity"] > 0.7
+    weak = replace(samples, u=1e-3 * loaded.u, b=1e-3 * loaded.b)
+    assert diagnose(MODEL, with_force(weak, cubic)).shares["nonlinearity"] < 0.05
+
+
+def test_pairs_of_bonds_are_dispersion(samples):
+    """The dilatation joins nodes 2δ apart; bonds by class do not reach them, and take nothing."""
+    grid = SheetFeatures(samples, HORIZON)
+    far, near = grid.kernels()[..., -2], grid.orbits()
+    near = near.reshape(far.size, -1)
+    far -= (near @ np.linalg.lstsq(near, far.ravel(), rcond=None)[0]).reshape(far.shape)
+    assert diagnose(MODEL, with_force(samples, far)).shares["dispersion"] > 0.7
+
+
+def test_short_waves_alone_see_what_has_six_axes(samples):
+    """An affine or quadratic field feels nothing of it."""
+    x = samples.x[None]
+    bent = np.stack([x[..., 0] ** 2 - x[..., 0] * x[..., 1], x[..., 1] ** 2], axis=-1)
+    forces = SheetFeatures(replace(samples, u=bent, b=bent), HORIZON).hexagonal()
+    assert np.abs(forces).max() < 1e-9 * np.abs(bent).max()
+    assert forces.shape[-1] > 2
+
+
+def test_what_is_unexplained_is_named_last():
+    shares = {"dispersion": 0.05, "anisotropy": 0.1, "heterogeneity": 0.6, "unexplained": 0.25}
+    known = Diagnosis(0.2, shares)
+    assert known.causes == ["heterogeneity", "anisotropy", "dispersion"]
+    assert "Next comes anisotropy, 10 %" in known.sentence
+    unknown = Diagnosis(0.2, {**shares, "unexplained": 0.8})
+    assert unknown.causes[:2] == ["unexplained", "heterogeneity"]
+    assert "Try smaller and smoother loads" in unknown.advice

@@ -14,6 +14,7 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, Samples, choose_model, diagnose, evaluate
 from warp_peri.choice import Scene
 from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.methods import (
     Conditions,
@@ -150,13 +151,13 @@ def constants(smoothing):
         b = np.zeros_like(u)
         b[:, LATTICE.interior] = NonlinearOperator(known, LATTICE)(u)
         b *= 1 + 1e-4 * np.random.default_rng(0).normal(size=b.shape)
-        found = fit(
+        found = learn_third_order(
             there(Samples(LATTICE, u, b), units),
-            2.5 * h,
-            Bernstein(3, two_functions=True),
+            Nonlinear(smoothing and Smoothing(smoothing * h)),
+            horizon=2.5 * h,
+            kernel=Bernstein(3, two_functions=True),
             method=Optimum(moduli="isotropic"),
             normalise=True,
-            nonlinear=Nonlinear(smoothing and Smoothing(smoothing * h)),
             progress=False,
         ).material
         strain = found.proven_strain(h)
@@ -217,7 +218,7 @@ def energies(**asked):
         stress = factors(USUAL, units)[1]
         stiff = {k: v if v is True else v * stress for k, v in asked.items()}
         found = fit_energy(there(Samples(SHEET, u, b), units), hgo_dictionary(), **stiff)
-        return np.append(found.solid.coefficients / stress, found.residual)
+        return np.append(found.material.coefficients / stress, found.residual)
 
     return run
 
@@ -231,7 +232,7 @@ def from_displacement(units, _):
     found = fit_displacement(
         there(Samples(SHEET, u), units), hgo_dictionary(), stiffness=0.0, thickness=1, most_steps=3
     )
-    return np.append(found.solid.coefficients, found.thickness.numbers)
+    return np.append(found.material.coefficients, found.thickness.numbers)
 
 
 CASES = {

@@ -13,6 +13,7 @@ from tools.cracked_sheet import (
     finished,
     longer_cutoff,
     opened,
+    opened_ends,
 )
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
@@ -71,7 +72,7 @@ def test_bonds_that_are_open_are_no_rest(tmp_path):
         assert not pulled.rest(apart)[1]
 
 
-def test_finished_sheets_lack_nothing_and_slanted_cracks_have_no_length(tmp_path):
+def test_finished_sheets_lack_nothing(tmp_path):
     kept = tmp_path / "atoms.json"
     assert finished(kept, "strain") == {}
     kept.write_text('{"old": {"strain": 0.03}, "new": {"strain": 0.04, "half_length": 3.0}}')
@@ -81,8 +82,25 @@ def test_finished_sheets_lack_nothing_and_slanted_cracks_have_no_length(tmp_path
         kept.write_text(text)
         with pytest.raises(InputError, match="expected sheets that were pulled before"):
             finished(kept, "strain")
-    with pytest.raises(ValueError, match="crack: expected one along x"):
-        opened(cracked_sheet([], half=8.0), np.array([(-2.0, 0.0), (2.0, 1.0)]))
+
+
+def test_an_open_crack_ends_between_the_last_bond_it_cuts_and_the_next():
+    slanted = np.array([(-9.0, -6.5), (8.0, 5.0)])
+    other = np.array([(3.5 * STEP, 0.0), (6.5 * STEP, 0.0)])
+    body = cracked_sheet([slanted, other], half=22.0)
+    tips = opened_ends(body, slanted)
+    along = (slanted[1] - slanted[0]) / np.linalg.norm(slanted[1] - slanted[0])
+    away = (tips - slanted[0]) @ [-along[1], along[0]]
+    assert np.abs(away).max() < 1e-12  # on its line
+    assert np.abs(tips - slanted).max() < STEP
+    assert opened(body, slanted) == pytest.approx(np.linalg.norm(tips[1] - tips[0]))
+    row = opened_ends(body, other)
+    assert row == pytest.approx(np.array([(3 * STEP, 0), (6 * STEP, 0)]), abs=STEP)
+    assert opened(body, other) == pytest.approx(3 * STEP)
+    assert opened_ends(cracked_sheet([], half=22.0), other) == pytest.approx(row)
+    for wrong in ((-1e-3, 1e-3), (-40.0, 40.0)):  # no bond, and none left
+        with pytest.raises(InputError, match="expected to meet bonds, and some beyond"):
+            opened(body, np.array([(wrong[0], 3.1), (wrong[1], 3.1)]))
 
 
 @pytest.mark.slow

@@ -199,10 +199,14 @@ def _rows(
                     group += left.pop(number)
                     joined = True
                     break
-        low, high = spans.min() - cells * step, spans.max() + cells * step
-        places = np.arange(low + step / 2, high, step)
-        inside = (places[:, None] > spans[:, 0]) & (places[:, None] < spans[:, 1])
-        places = places[~inside.any(axis=1)]
+        spans = spans[np.argsort(spans[:, 0])]
+        low, high = spans[0, 0] - cells * step, spans[-1, 1] + cells * step
+        ahead = step * (np.arange(cells) + 0.5)
+        parts = [low + ahead, spans[-1, 1] + ahead]
+        for left_end, right_end in zip(spans[:-1, 1], spans[1:, 0]):
+            count = max(1, round((right_end - left_end) / step))  # whole bonds between two cracks
+            parts.append(left_end + (right_end - left_end) * (np.arange(count) + 0.5) / count)
+        places = np.sort(np.concatenate(parts))
         ends = (start + low * along, start + high * along)
         rows.append((ends, (2 * places - low - high) / (high - low)))
     return rows

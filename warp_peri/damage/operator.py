@@ -43,7 +43,8 @@ def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
 
 
 def unit_toughness(model: Model, classes: BondClasses) -> float:
-    """Energy per length of a straight cut between node rows whose bonds all have stretch 1 (C6).
+    """Energy of a straight cut between node rows whose bonds all have stretch 1, (C6), over its
+    length; in space (V5), over its area.
 
     G_c = this × s₀². The dilatation's part is that of nodes whose cut bonds alone are stretched.
     """
@@ -52,8 +53,9 @@ def unit_toughness(model: Model, classes: BondClasses) -> float:
     rows = classes.steps[:, 1]
     h = classes.spacing
     up = rows > 0
-    deviatoric = 8 * model.mu * h * np.sum((rows * w * r2)[up])
-    crossing = [2 * np.sum((w * r2)[rows > k]) for k in range(int(rows.max()))]
+    d = model.dimension
+    deviatoric = d * (d + 2) * model.mu * h * np.sum((rows * w * r2)[up])
+    crossing = [d * np.sum((w * r2)[rows > k]) for k in range(int(rows.max()))]
     dilatational = h * (model.lam - model.mu) * np.sum(np.square(crossing))
     return float(deviatoric + dilatational)
 

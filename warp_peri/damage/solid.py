@@ -39,7 +39,8 @@ class BrittleSolid:
             [stress / length²], instead of both (C8).
         tension_only: bonds in compression do not break.
 
-    Raises InputError unless exactly one of the three criteria is given, and all numbers are > 0.
+    Raises InputError unless exactly one of the three criteria is given, all numbers are > 0 and
+    the model is that of a sheet.
     """
 
     model: Model
@@ -55,6 +56,8 @@ class BrittleSolid:
         if len(given) != 1:
             names = ", ".join(given) or "none"
             raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
+        if self.model.dimension != 2:
+            raise InputError("model: expected a sheet, for bonds break in two dimensions only")
         for name in ("density", *given):
             value = getattr(self, name)
             if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
@@ -132,7 +135,13 @@ def positive_kernel(model: Model, horizon: float) -> Model:
 
 
 def continuum_stretch(model: Model, toughness: float) -> float:
-    """s₀ of the continuum for a toughness G_c (theory.md, C5): N. Trask and others, 2019."""
+    """s₀ of the continuum for a toughness G_c (theory.md, C5, V5), N. Trask and others 2019.
+
+    In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
+    """
     lam, mu = model.lam, model.mu
-    unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
+    if model.dimension == 3:
+        unit = (3 * mu + (3 / 4) ** 4 * (lam - mu)) * model.horizon
+    else:
+        unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
     return float(np.sqrt(toughness / unit))

@@ -29,7 +29,7 @@ INERTIA = 1e-8
 def critical_time_step(
     model: Model, *, spacing: float, density: float, allow_uncertified: bool = False
 ) -> float:
-    """Time step [ps] below which velocity Verlet is stable on every part of the lattice (50–51).
+    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (50–51, V6).
 
     2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.1 % too
     large. It holds on any set of nodes with displacement given out to 2δ, and on periodic boxes.
@@ -46,7 +46,8 @@ def critical_time_step(
     """
     _positive("density", density)
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
-    classes = bond_classes(model.nominal_spacing(spacing), model.horizon)
+    near = model.nominal_spacing(spacing)
+    classes = bond_classes(near, model.horizon, dimension=model.dimension)
     stiffest = largest_bound(classes, *stiffnesses(model, classes))
     return float(2 * np.sqrt(inertia(density, model.units) / stiffest))
 
@@ -56,9 +57,9 @@ class State:
     """A motion between two steps.
 
     Attributes:
-        u: displacement of all nodes [Å], shape [N, 2].
-        v: velocity of the interior nodes [Å/ps], shape [I, 2].
-        g: L u − b on them [TPa/Å], shape [I, 2].
+        u: displacement of all nodes [Å], shape [N, d].
+        v: velocity of the interior nodes [Å/ps], shape [I, d].
+        g: L u − b on them [TPa/Å], shape [I, d].
     """
 
     u: np.ndarray
@@ -82,7 +83,7 @@ class Inert:
         operator: L on a lattice.
         interior: nodes that move, shape [N] bool.
         density: ρ [kg/m³].
-        load: b on the interior nodes [TPa/Å], shape [I, 2].
+        load: b on the interior nodes [TPa/Å], shape [I, d].
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Inert:
         self.inertia = inertia(density, operator.model.units)
 
     def state(self, u: np.ndarray, v: np.ndarray) -> State:
-        """The state with displacement [N, 2] and velocity [I, 2]."""
+        """The state with displacement [N, d] and velocity [I, d]."""
         return State(u, v, self.operator(u) - self.load)
 
 
@@ -129,9 +130,9 @@ def march(
 
     Args:
         operator: of a model on a lattice.
-        b: body force density, constant in time [TPa/Å], shape [N, 2]; None for none.
-        u: displacement at the start [Å], shape [N, 2].
-        v: velocity at the start [Å/ps], shape [N, 2], zero by default; that of the collar is not
+        b: body force density, constant in time [TPa/Å], shape [N, d]; None for none.
+        u: displacement at the start [Å], shape [N, d].
+        v: velocity at the start [Å/ps], shape [N, d], zero by default; that of the collar is not
             looked at.
         density: ρ [kg/m³].
         step: Δt [ps], at most the critical one.
@@ -187,7 +188,7 @@ def _march(body: Inert, state: State, dt: float, steps: int, every: int) -> Moti
 def _checked(points: PointsLike, fields: dict[str, ArrayLike]) -> dict[str, np.ndarray]:
     """The fields as arrays of their own; InputError naming one that does not fit."""
     arrays = {name: np.array(field, dtype=float) for name, field in fields.items()}
-    shape = (len(points.x), 2)
+    shape = points.x.shape
     for name, field in arrays.items():
         if field.shape != shape or not np.isfinite(field).all():
             raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -114,13 +115,19 @@ def _table(
 
 
 def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Fields u, shape [S, N, 2], less the translation and small turn nearest to them."""
+    """Fields u, shape [S, N, d], less the translation and small turn nearest to them."""
     x = x - x.mean(axis=0)
-    turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
-    u = u - u.mean(axis=1, keepdims=True)
-    size = float((turn**2).sum())
-    angle = np.einsum("sna,na->s", u, turn) / size if size > 0 else np.zeros(len(u))
-    left: np.ndarray = u - angle[:, None, None] * turn
+    left: np.ndarray = u - u.mean(axis=1, keepdims=True)
+    turns: list[np.ndarray] = []
+    for a, b in combinations(range(x.shape[1]), 2):
+        turn = np.zeros_like(x)
+        turn[:, a], turn[:, b] = -x[:, b], x[:, a]
+        for other in turns:  # each at right angles to those before
+            turn -= np.vdot(other, turn) / np.vdot(other, other) * other
+        size = float((turn**2).sum())
+        if size > 0:
+            turns.append(turn)
+            left = left - (np.einsum("sna,na->s", left, turn) / size)[:, None, None] * turn
     return left
 
 

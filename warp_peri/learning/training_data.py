@@ -126,4 +126,6 @@ def listed(
             f"{name}: expected Samples (nodes with u and b), or a list of them, got "
             f"{type(samples).__name__}"
         )
+    if any(each.points.dimension != 2 for each in sets):
+        raise InputError(f"{name}: expected a sheet; in space Micromodulus(horizon) is learned")
     return list(sets)

@@ -8,8 +8,9 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.family import Family
-from warp_peri.micromodulus.nodes import Nodes, lay_out, node_steps
+from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.micromodulus.regression import compressed
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 
 CHUNK = 2**24
@@ -85,7 +86,7 @@ def long_wave_moduli(
 
     Raises InputError for loads that do not tell the tensors apart.
     """
-    grid, axes = node_steps(samples.points)
+    grid, axes = lattice_steps(samples.points)
     values, slopes, kept = _test_fields(samples, grid)
     u = (samples.u @ axes)[:, kept]
     b = (samples.loads @ axes)[:, kept]

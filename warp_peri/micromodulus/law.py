@@ -20,9 +20,9 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
-from warp_peri.micromodulus.nodes import node_steps
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.points.arrays import checked, is_positive
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.points.unit_names import (
@@ -290,7 +290,7 @@ class Crystal:
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
         if nodes.axis is None or self.dimension != 2 or isotropic:
             return
-        there = node_steps(nodes)[1].T @ checked_orientation(nodes.axis, 2)
+        there = lattice_steps(nodes)[1].T @ checked_orientation(nodes.axis, 2)
         same = np.asarray(self.orientation) @ point_group(self.symmetry, 2)
         if np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS:
             angle = np.degrees(np.arctan2(there[1, 0], there[0, 0]))

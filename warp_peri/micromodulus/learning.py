@@ -30,8 +30,8 @@ from warp_peri.micromodulus.groups import (
     shared_with_nodes,
 )
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.nodes import node_steps
 from warp_peri.micromodulus.regression import Learned, compressed, directions, learn
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, factors
 
@@ -78,7 +78,7 @@ def fit(
 
     Raises InputError for samples that do not carry the horizon or do not determine the law.
     """
-    axes = node_steps(samples.points)[1]
+    axes = lattice_steps(samples.points)[1]
     d = len(axes)
     turn = np.eye(d) if orientation is None else axes.T @ checked_orientation(orientation, d)
     reach, ratio, name = horizon / samples.spacing, None, symmetry

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import LATTICE_TOLERANCE, lattice_steps
@@ -92,7 +90,7 @@ def lay_out(points: Points, steps: np.ndarray, *, why: str = "") -> Nodes:
         raise InputError(f"points: expected {d} coordinates for this law, got {points.x.shape[1]}")
     if not points.spacing > 0:
         raise InputError("points: expected a lattice, got scattered points (spacing 0)")
-    grid, axes = node_steps(points)
+    grid, axes = lattice_steps(points)
     reach = int(np.abs(steps).max())
     if points.box is not None:
         shape = _period(points, axes, reach)
@@ -151,51 +149,3 @@ def _check(points: Points, nodes: Nodes, steps: np.ndarray, why: str) -> None:
             f"points: expected all bonds of every interior node, got {lacking} of "
             f"{len(nodes.interior)} nodes with cut bonds{why}"
         )
-
-
-def node_steps(points: Points) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the nodes of a lattice from its corner, [N, d], and its axes as columns.
-
-    Raises InputError naming how far points lie off the lattice.
-    """
-    if points.x.shape[1] == 2:
-        return lattice_steps(points)
-    h, x = points.spacing, points.x
-    axes = _axes(x, h)
-    for _ in range(2):  # once with bonds' directions, once with all positions
-        local = (x - x[0]) @ axes / h
-        grid = np.rint(local).astype(np.int64)
-        if not len(x) > 3 or np.abs(local - grid).max() < 1e-9:
-            break
-        shifted = grid - grid.mean(axis=0)
-        U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ shifted)
-        axes = U @ V
-    off = np.abs((x - x[0]) @ axes / h - grid).max()
-    if off > LATTICE_TOLERANCE:
-        raise InputError(
-            f"points: expected a cubic lattice of spacing {h:g}, got nodes {off:.1e} spacings off"
-        )
-    return grid - grid.min(axis=0), axes
-
-
-def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
-    """Directions of a cubic lattice as columns, as near to the coordinates as they can be named."""
-    some = x[:: max(1, len(x) // 2000)]
-    pairs = cKDTree(x).query_ball_point(some, spacing * (1 + LATTICE_TOLERANCE))
-    step = np.concatenate([x[near] - at for near, at in zip(pairs, some)])
-    step = step[np.linalg.norm(step, axis=1) > spacing / 2] / spacing
-    if not len(step):
-        raise InputError(f"points: no two of them are {spacing:g} apart, the spacing of a lattice")
-    first = step[0] / np.linalg.norm(step[0])
-    across = step[np.abs(step @ first) < 0.1]
-    if not len(across):
-        raise InputError("points: expected a cubic lattice, got nodes along one line")
-    second = across[0] - (across[0] @ first) * first
-    second /= np.linalg.norm(second)
-    frame = np.stack([first, second, np.cross(first, second)], axis=1)
-    best = max(
-        (frame[:, order] * signs for order in itertools.permutations(range(3))
-         for signs in itertools.product((1, -1), repeat=3)),
-        key=np.trace,
-    )  # fmt: skip
-    return np.eye(3) if np.abs(best - np.eye(3)).max() < 1e-12 else best

@@ -15,25 +15,25 @@ NOTHING = 1e-14
 
 
 def tensors_of(model: Model, spacing: float) -> Crystal:
-    """The law of a plane LPS, with one influence function or two, on a square lattice, exactly.
+    """The law of an LPS, with one influence function or two, on a lattice, exactly.
 
     C(ξ) is minus its stencil at ξ: products of dilatations make bonds of range 2δ. Any points whose
-    families are whole give the same force.
+    families are whole give the same force. Of a solid in space it is what is proven,
+    and solved where nodes are many.
 
     Args:
         model: linear.
         spacing: of the lattice, in the model's units.
     """
-    classes = bond_classes(spacing, model.horizon)
+    d = model.dimension
+    classes = bond_classes(spacing, model.horizon, dimension=d)
     with torch.no_grad():
         A = stencil(classes, model.solid).numpy()
-    reach = A.shape[-1] // 2
-    line = np.arange(-reach, reach + 1)
-    steps = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    tensors = -A.transpose(2, 3, 0, 1).reshape(-1, 2, 2)
-    half = (steps[:, 0] > 0) | ((steps[:, 0] == 0) & (steps[:, 1] > 0))
+    steps = np.indices(A.shape[2:]).reshape(d, -1).T - A.shape[-1] // 2
+    tensors = -A.reshape(d, d, -1).transpose(2, 0, 1)
+    half = np.arange(len(steps)) > len(steps) // 2
     kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors).max())
     both = (tensors + tensors.transpose(0, 2, 1)) / 2
-    law = Crystal(spacing, steps[kept], both[kept], model.units, "4mm",
+    law = Crystal(spacing, steps[kept], both[kept], model.units, {2: "4mm", 3: "m-3m"}[d],
                        provenance={"fit": {"from": "linear peridynamic solid"}})  # fmt: skip
     return law.certified()

@@ -17,7 +17,6 @@ from warp_peri.kernels.nonlinear.tensors import tensor_rows
 from warp_peri.launch import floats
 from warp_peri.micromodulus.law import SAME_SPACING
 from warp_peri.micromodulus.learning import transferred
-from warp_peri.micromodulus.nodes import node_steps
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
@@ -27,6 +26,7 @@ from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.axis import axis_of
 from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
@@ -67,7 +67,7 @@ class TensorSweeps(GradientSweeps):
     def __init__(self, points: Points, model: ThirdOrderCrystal) -> None:
         super().__init__(points, model.horizon)
         self.kernels = tensor_rows(wp.float64)
-        axes = node_steps(points)[1]
+        axes = lattice_steps(points)[1]
         steps = np.rint(self.xi @ axes / points.spacing).astype(int)
         law = model.linear
         turned = axes @ law.tensors @ axes.T

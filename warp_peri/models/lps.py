@@ -8,7 +8,7 @@ import os
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +35,7 @@ LARGEST_MODULUS = 1e100
 """[TPa]; products of larger ones soon are no numbers."""
 LARGEST_FILE = 2**24
 """Bytes of a model file that are read at most."""
-_OPTIONAL = {"trained_strain", "largest_wave_number", "sha256"}
+_OPTIONAL = {"trained_strain", "largest_wave_number", "dimension", "sha256"}
 _RECORDS = ("certificate", "errors", "provenance", "versions")
 _KEYS = {
     "format",
@@ -55,7 +55,7 @@ _KEYS = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Model:
-    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9).
+    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9, V1–V3).
 
     Attributes:
         lam: Lamé parameter λ [TPa].
@@ -77,6 +77,7 @@ class Model:
         units: names of the units of length and stress that all of it is in; Å and TPa where these
             lines say so.
         file: that the model was read from; not part of its contents.
+        dimension: 2, a sheet, or 3, a solid.
 
     Raises InputError naming the first number out of its range.
     """
@@ -97,11 +98,13 @@ class Model:
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
     file: Path | None = None
-    dimension: ClassVar[int] = 2
+    dimension: int = 2
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", check_units(self.units))
         length, stress = symbols(self.units)
+        if self.dimension not in (2, 3) or isinstance(self.dimension, bool):
+            raise InputError(f"dimension: expected 2 or 3, got {self.dimension!r:.50}")
         for name in ("lam", "mu", "alpha", "horizon"):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
         if self.D_dilatation is None:
@@ -129,8 +132,11 @@ class Model:
                 f"lambda, mu: expected at most {LARGEST_MODULUS:g} {stress}, got {self.lam}, "
                 f"{self.mu}"
             )
-        if not (self.mu > 0 and self.lam + self.mu > 0):
-            raise InputError(f"lambda, mu: expected μ > 0 and λ + μ > 0, got {self.lam}, {self.mu}")
+        bulk = "λ + μ" if self.dimension == 2 else "λ + 2μ/3"
+        if not (self.mu > 0 and self.lam + 2 * self.mu / self.dimension > 0):
+            raise InputError(
+                f"lambda, mu: expected μ > 0 and {bulk} > 0, got {self.lam}, {self.mu}"
+            )
         if not (np.any(self.D) and np.any(self.dilatation)):
             raise InputError("D: expected a coefficient other than 0")
         if len(self.dilatation) != len(self.D):
@@ -160,12 +166,16 @@ class Model:
 
     @property
     def E(self) -> float:
-        """Young's modulus of the continuum [TPa], plane stress."""
+        """Young's modulus of the continuum [TPa]; of a sheet in plane stress."""
+        if self.dimension == 3:
+            return self.mu * (3 * self.lam + 2 * self.mu) / (self.lam + self.mu)
         return 4 * self.mu * (self.lam + self.mu) / (self.lam + 2 * self.mu)
 
     @property
     def nu(self) -> float:
-        """Poisson's ratio of the continuum, plane stress."""
+        """Poisson's ratio of the continuum; of a sheet in plane stress."""
+        if self.dimension == 3:
+            return self.lam / (2 * (self.lam + self.mu))
         return self.lam / (self.lam + 2 * self.mu)
 
     @property
@@ -215,6 +225,14 @@ class Model:
         if not allow_uncertified:
             raise InputError(message)
         warnings.warn(message, stacklevel=3)
+
+    def check_dimension(self, points: PointsLike) -> None:
+        """Raise InputError for points of another dimension than the model's."""
+        if points.x.shape[1] != self.dimension:
+            raise InputError(
+                f"points: expected {self.dimension} dimensions, the model's, got shape "
+                f"{list(points.x.shape)}"
+            )
 
     @property
     def transferred_from(self) -> float | None:
@@ -338,6 +356,8 @@ def model_content(model: Model) -> dict[str, Any]:
     for key in ("trained_strain", "largest_wave_number"):
         if getattr(model, key) is not None:
             content[key] = getattr(model, key)
+    if model.dimension != 2:  # files of sheets name none
+        content["dimension"] = model.dimension
     content["sha256"] = content_hash(content)
     return content
 
@@ -410,6 +430,7 @@ def model_from(content: Any) -> Model:
         trained_strain=content.get("trained_strain"),
         largest_wave_number=content.get("largest_wave_number"),
         units=(content["length_unit"], content["stress_unit"]),
+        dimension=content.get("dimension", 2),
     )
     if content["degree"] != model.degree:
         raise InputError(

@@ -60,7 +60,7 @@ def gradient(
         parameters: whether to return those to λ, μ, α, D.
     """
     u, lam, mu, alpha, *coefficients = arrays
-    kernels = adjoints(bonds.scalar)
+    kernels = adjoints(bonds.scalar, bonds.dimension)
     e = evaluation
     law = filled(kernels.Law, e.kw, e.m, e.kd, e.md, lam, mu)
     h, hd = _scaled(bonds, evaluation, g)
@@ -77,7 +77,9 @@ def gradient(
     tables.run()
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
     by_D, by_alpha = tables.gradients()
-    return Gradient(u_bar, -2 * bulk, 2 * bulk - 16 * shear, by_alpha, *by_D)
+    d = bonds.dimension
+    c1, c2 = d, 2 * d * (d + 2)
+    return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
 
 
 def _scaled(
@@ -88,7 +90,7 @@ def _scaled(
     for m in (evaluation.m, evaluation.md)[: 1 + (evaluation.md is not evaluation.m)]:
         scaled.append(bonds.zeros(len(g), bonds.nodes, dtype=bonds.vec))
         inputs = (bonds.rows, bonds.arrays, m, g)
-        kernel = adjoints(bonds.scalar).scaled
+        kernel = adjoints(bonds.scalar, bonds.dimension).scaled
         launch_slices(kernel, len(bonds.rows), inputs, (scaled[-1],), samples=len(g))
     return scaled[0], scaled[-1]
 
@@ -101,7 +103,7 @@ def _by_bonds(
     u_bar: wp.array[Any] | None,
 ) -> None:
     """τ, and ∂/∂u where an array is given, through the lists of neighbours."""
-    kernels, links = adjoints(bonds.scalar), (bonds.arrays, bonds.reverse)
+    kernels, links = adjoints(bonds.scalar, bonds.dimension), (bonds.arrays, bonds.reverse)
     inputs: tuple[Any, ...]
     if not bonds.bond_based:
         inputs = (bonds.full, *links, law.kd, law.md, law.lam, law.mu, scaled[1])
@@ -151,7 +153,7 @@ class _Tables:
         self.alpha, self.coefficients = alpha, coefficients
         self.parts = bonds.zeros(BLOCKS, 2)
         self.blocks = bonds.blocks
-        self.kernel = adjoints(bonds.scalar).table_adjoint
+        self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
         self.backwards, self.sums = [], []
         for D in coefficients:
             kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)

@@ -35,12 +35,13 @@ class Bonds:
 
     Attributes:
         families: families of all nodes.
+        dimension: 2 or 3.
         scalar, vec, mat: types of numbers, vectors and matrices in this precision.
         arrays: what leads every kernel from a node to its bonds, see kernels/bonds.py.
         rows: interior nodes, where forces are evaluated, shape [I].
         full: nodes within δ of them, where dilatations are needed; `cut` are those of them with
             broken bonds, `whole` the others.
-        r, weight: length [Å] and quadrature weight [Å²] of each bond class, shape [C].
+        r, weight: length [Å] and quadrature weight [Å^d] of each bond class, shape [C].
         reverse: number of the bond from j back to i; not read on lattices, shape [E].
         kept: tables that launches keep from one evaluation to the next.
 
@@ -61,7 +62,8 @@ class Bonds:
             raise InputError(f"precision: expected one of {list(PRECISIONS)}, got {precision!r}")
         self.scalar = PRECISIONS[precision]
         self.device = known_device(device)
-        types = bonds(self.scalar)
+        self.dimension = points.x.shape[1]
+        types = bonds(self.scalar, self.dimension)
         self.vec, self.mat = types.vec, types.mat
         self.families = families = families_of(
             points,
@@ -81,18 +83,18 @@ class Bonds:
 
     def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, ...] | None) -> Any:
         """The kernels' struct; of what only the other kind of point set has, one idle entry."""
-        families, lattice = self.families, self.families.lattice
+        families, lattice, d = self.families, self.families.lattice, self.dimension
         bond_class = np.zeros(1) if lattice is None else lattice.bond_class
-        pattern = np.ones((1, 2)) if lattice is None else families.pattern
+        pattern = np.ones((1, d)) if lattice is None else families.pattern
         inverse_square = 1 / (pattern**2).sum(axis=1, keepdims=True)
-        inverse = (0.0, 0.0) if box is None else (1 / box[0], 1 / box[1])
+        periods = 2 * d * (0.0,) if box is None else (*box, *(1 / side for side in box))
         arrays = types.BondArrays()
         arrays.lattice = int(self.lattice)
         arrays.row, arrays.neighbour = self.ints(families.row), self.ints(families.neighbour)
         arrays.bond_class = self.ints(bond_class)
         arrays.pattern = floats(np.hstack([pattern, inverse_square]), types.bond, self.device)
-        arrays.x = floats(x if lattice is None else np.zeros((1, 2)), self.vec, self.device)
-        arrays.box = types.box(*(self.scalar(value) for value in (*(box or (0.0, 0.0)), *inverse)))
+        arrays.x = floats(x if lattice is None else np.zeros((1, d)), self.vec, self.device)
+        arrays.box = types.box(*(self.scalar(value) for value in periods))
         return arrays
 
     @property
@@ -107,10 +109,10 @@ class Bonds:
 
     @cached_property
     def laid_out(self) -> Rows | None:
-        """A lattice without broken bonds as rows of a rectangle, for the processor's sweeps that
-        take many nodes at a time; None for what else there is.
+        """A square lattice without broken bonds as rows of a rectangle, for the processor's sweeps
+        that take many nodes at a time; None for what else there is.
         """
-        if not self.lattice or self.device != DEVICE or self.bond_based:
+        if not self.lattice or self.dimension != 2 or self.device != DEVICE or self.bond_based:
             return None
         return rows_of(self.families, *self._places, self.scalar)
 

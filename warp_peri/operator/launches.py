@@ -72,7 +72,7 @@ def influence(
     kernel = influence_kernels.influence(degree, bonds.scalar)
     _launch(gradient, kernel, len(bonds.r), table, kw)
     count = 1 if bonds.lattice else len(bonds.full)
-    kernel = lps.sweeps(bonds.scalar).weighted_volume
+    kernel = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
     _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)
     if not gradient:
         if len(bonds.kept) > 1:  # those of the last model: at most two functions
@@ -112,7 +112,7 @@ def check_volumes(bonds: Bonds, model: Model) -> None:
 def surface_shape(bonds: Bonds, kd: wp.array[Any], *, gradient: bool = False) -> wp.array[Any]:
     """S of the nodes with broken bonds, (40), shape [N]."""
     shape = bonds.zeros(bonds.nodes, dtype=bonds.mat, gradient=gradient)
-    kernel = lps.sweeps(bonds.scalar).surface_shape
+    kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_shape
     _launch(gradient, kernel, len(bonds.cut), (bonds.cut, bonds.arrays, kd), shape)
     return shape
 
@@ -142,7 +142,7 @@ def evaluate(
         gradient: whether to record derivatives.
         dilatation: whether θ is wanted by node, and not only for the force.
     """
-    samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar), bonds.arrays
+    samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar, bonds.dimension), bonds.arrays
     inputs: tuple[Any, ...]
     kw, m = influence(bonds, alpha, D, gradient=gradient)
     kd, md = kw, m
@@ -155,7 +155,7 @@ def evaluate(
         kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
     if bonds.laid_out is not None and not gradient:
         theta = bonds.zeros(samples, bonds.nodes if dilatation else 0)
-        law = filled(lps_adjoint.structs(bonds.scalar).Law, kw, m, kd, md, lam, mu)
+        law = filled(lps_adjoint.structs(bonds.scalar, bonds.dimension).Law, kw, m, kd, md, lam, mu)
         _by_rows(bonds, bonds.laid_out, law, u, Lu, theta if dilatation else None)
         return Evaluation(kw, m, kd, md, theta, Lu)
     theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)

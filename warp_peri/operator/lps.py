@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, overload
 
@@ -35,17 +35,12 @@ class _Force(torch.autograd.Function):
         ctx.gathers = len(bonds.cut) == 0 and bonds.device == DEVICE
         ctx.save_for_backward(*inputs)  # the arrays share their memory
         taped = any(ctx.needs_input_grad) and not ctx.gathers
-        types = [bonds.vec] + (len(inputs) - 1) * [bonds.scalar]
-        ctx.arrays = [
-            wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=taped)
-            for tensor, dtype in zip(inputs, types)
-        ]
+        ctx.arrays = _arrays(bonds, inputs, gradient=taped)
         if taped:
             with wp.Tape() as ctx.tape:
                 ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
         else:
-            wanted = any(ctx.needs_input_grad)
-            ctx.evaluation = evaluate(bonds, *ctx.arrays, dilatation=wanted)
+            ctx.evaluation = evaluate(bonds, *ctx.arrays)
         Lu: torch.Tensor = wp.to_torch(ctx.evaluation.Lu, requires_grad=False)
         return Lu
 
@@ -82,6 +77,15 @@ class _Force(torch.autograd.Function):
 _force: Callable[..., torch.Tensor] = _Force.apply
 
 
+def _arrays(bonds: Bonds, tensors: Sequence[torch.Tensor], *, gradient: bool = False) -> list[Any]:
+    """u and the numbers as Warp arrays, which share the tensors' memory."""
+    types = [bonds.vec] + (len(tensors) - 1) * [bonds.scalar]
+    return [
+        wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=gradient)
+        for tensor, dtype in zip(tensors, types)
+    ]
+
+
 class NodeOperator:
     """Minus the internal force density of a model on a point set; equals b in equilibrium.
 
@@ -98,8 +102,8 @@ class NodeOperator:
 
     Raises InputError for a point set that does not carry the horizon, or an uncertified spacing.
 
-    ``op(u)`` takes u [Å] of shape [N, 2] or [S, N, 2] on all nodes and returns L u [TPa/Å] on the
-    interior nodes, shape [I, 2] or [S, I, 2]: NumPy in, NumPy out; torch in, differentiable torch
+    ``op(u)`` takes u [Å] of shape [N, d] or [S, N, d] on all nodes and returns L u [TPa/Å] on the
+    interior nodes, shape [I, d] or [S, I, d]: NumPy in, NumPy out; torch in, differentiable torch
     out.
     """
 
@@ -154,20 +158,21 @@ class NodeOperator:
             Lu = lps_force(self.bonds, tensor, solid)
         else:
             check_field(self.bonds, tensor)
-            fields = tensor.detach().reshape(-1, self.bonds.nodes, 2).contiguous()
+            fields = tensor.detach().reshape(-1, *tensor.shape[-2:]).contiguous()
             vectors: Any = wp.from_torch(fields, dtype=self.bonds.vec)
             made = self._tabulated(vectors, solid)
-            Lu = wp.to_torch(made, requires_grad=False).reshape(*tensor.shape[:-2], -1, 2)
+            Lu = wp.to_torch(made, requires_grad=False)
+            Lu = Lu.reshape(*tensor.shape[:-2], -1, tensor.shape[-1])
         return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
 
 
 def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, 2], differentiable in u and in every value
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable in u and in every value
     of the solid.
 
     Args:
         bonds: of a point set with N nodes.
-        u: displacement [Å], shape [N, 2] or [S, N, 2], in the precision of the bonds.
+        u: displacement [Å], shape [N, d] or [S, N, d], in the precision of the bonds.
         solid: numbers, arrays or tensors; λ = μ for bonds that are bond-based.
 
     Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based bonds, whose
@@ -182,20 +187,25 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
         raise InputError(
             f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
         )
-    Lu = _force(bonds, u.reshape(-1, bonds.nodes, 2), *numbers)
-    return Lu.reshape(*u.shape[:-2], -1, 2)
+    inputs = (u.reshape(-1, bonds.nodes, bonds.dimension), *numbers)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
+        Lu = _force(bonds, *inputs)
+    else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
+        made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
+        Lu = wp.to_torch(made, requires_grad=False)
+    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
 
 
 def check_field(bonds: Bonds, u: torch.Tensor) -> None:
     """Refuse a displacement whose device, type or shape is not that of the bonds."""
-    nodes, dtype = bonds.nodes, getattr(torch, bonds.scalar.__name__)
+    nodes, d, dtype = bonds.nodes, bonds.dimension, getattr(torch, bonds.scalar.__name__)
     if u.device != torch.device(bonds.device):
         raise InputError(f"u: expected a tensor on {bonds.device}, got one on {u.device}")
-    fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and u.shape[0] > 0
+    fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, d) and u.shape[0] > 0
     if u.dtype != dtype or not fits:
         raise InputError(
-            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, 2], S ≥ 1, or "
-            f"[{nodes}, 2], got {u.dtype} of shape {list(u.shape)}"
+            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, {d}], S ≥ 1, or "
+            f"[{nodes}, {d}], got {u.dtype} of shape {list(u.shape)}"
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 
-from warp_peri.kernels.lps.matrix import bond_entries, surface_entries
+from warp_peri.kernels.lps.matrix import entries
 from warp_peri.launch import floats, launch, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.bonds import Bonds
@@ -22,13 +22,13 @@ from warp_peri.points.samples import PointsLike
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices on a point set of N nodes, I of them interior; component a of node i is 2 i + a.
+    """Matrices on a point set of N nodes, I of them interior; component a of node i is d i + a.
 
     Attributes:
-        gamma: Γ, forces on the interior nodes from displacements [Å⁻²], shape [2 I, 2 N].
-        phi: Φ, dilatations at all nodes from displacements [Å⁻¹], shape [N, 2 N]; zero rows where
+        gamma: Γ, forces on the interior nodes from displacements [Å⁻²], shape [d I, d N].
+        phi: Φ, dilatations at all nodes from displacements [Å⁻¹], shape [N, d N]; zero rows where
             no force needs them.
-        psi: Ψ, Σ_j (2/m) K ξ (θ_i + θ_j) W on the interior nodes [Å⁻¹], shape [2 I, N].
+        psi: Ψ, Σ_j (d/m) K ξ (θ_i + θ_j) W on the interior nodes [Å⁻¹], shape [d I, N].
     """
 
     gamma: sp.csr_array
@@ -36,7 +36,7 @@ class Matrices:
     psi: sp.csr_array
 
     def operator(self, lam: float, mu: float) -> sp.csr_array:
-        """L [TPa/Å²], shape [2 I, 2 N]."""
+        """L [TPa/Å²], shape [d I, d N]."""
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
 
 
@@ -70,21 +70,22 @@ def matrices(
 
 def assemble(bonds: Bonds, tables: Sequence[wp.array[Any]]) -> Matrices:
     """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
-    edges = len(bonds.families.neighbour)
-    gamma, psi = zeros(edges, dtype=wp.mat22d), zeros(edges, dtype=wp.vec2d)
+    edges, d = len(bonds.families.neighbour), bonds.dimension
+    kernels = entries(d)
+    gamma, psi = zeros(edges, dtype=kernels.mat), zeros(edges, dtype=kernels.vec)
     kernel_inputs = (bonds.full, bonds.arrays, *tables)
-    launch(bond_entries, len(bonds.full), kernel_inputs, (gamma, psi))
-    phi = zeros(edges, dtype=wp.vec2d)
+    launch(kernels.bond_entries, len(bonds.full), kernel_inputs, (gamma, psi))
+    phi = zeros(edges, dtype=kernels.vec)
     wp.copy(phi, psi)
     if len(bonds.cut):
         shape = surface_shape(bonds, tables[2])
         surface = (bonds.cut, bonds.arrays, tables[2], shape)
-        launch(surface_entries, len(bonds.cut), surface, (phi,))
+        launch(kernels.surface_entries, len(bonds.cut), surface, (phi,))
     nodes = bonds.nodes
     intact = np.flatnonzero(bonds.families.neighbour >= 0)
     owner = np.repeat(np.arange(nodes), np.diff(bonds.families.row))[intact]
     far_end = bonds.families.neighbour[intact]
-    a = np.arange(2)
+    a = np.arange(d)
 
     def blocks(
         values: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]
@@ -92,21 +93,21 @@ def assemble(bonds: Bonds, tables: Sequence[wp.array[Any]]) -> Matrices:
         return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
     value = gamma.numpy()[intact]
-    out_row = np.broadcast_to((2 * owner[:, None] + a)[:, :, None], value.shape)
-    far = np.broadcast_to((2 * far_end[:, None] + a)[:, None, :], value.shape)
-    near = np.broadcast_to((2 * owner[:, None] + a)[:, None, :], value.shape)
-    size = (2 * nodes, 2 * nodes)
+    out_row = np.broadcast_to((d * owner[:, None] + a)[:, :, None], value.shape)
+    far = np.broadcast_to((d * far_end[:, None] + a)[:, None, :], value.shape)
+    near = np.broadcast_to((d * owner[:, None] + a)[:, None, :], value.shape)
+    size = (d * nodes, d * nodes)
     G = blocks(value, out_row, near, size) - blocks(value, out_row, far, size)
 
     value = phi.numpy()[intact]
-    vector = 2 * owner[:, None] + a
+    vector = d * owner[:, None] + a
     node = np.broadcast_to(owner[:, None], value.shape)
-    size = (nodes, 2 * nodes)
-    P = blocks(value, node, 2 * far_end[:, None] + a, size) - blocks(value, node, vector, size)
+    size = (nodes, d * nodes)
+    P = blocks(value, node, d * far_end[:, None] + a, size) - blocks(value, node, vector, size)
     value = psi.numpy()[intact]
     other = np.broadcast_to(far_end[:, None], value.shape)
-    size = (2 * nodes, nodes)
+    size = (d * nodes, nodes)
     Q = blocks(value, vector, other, size) + blocks(value, vector, node, size)
 
-    interior = (2 * bonds.families.rows[:, None] + a).ravel()
+    interior = (d * bonds.families.rows[:, None] + a).ravel()
     return Matrices(G[interior], P, Q[interior])

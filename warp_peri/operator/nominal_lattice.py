@@ -17,13 +17,14 @@ def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
     the certified lattice the operator is the one of the proof. Any other lattice, and scattered
     points, are returned as they are.
 
-    Raises InputError where the points are in other units than the model.
+    Raises InputError where the points are in other units or dimensions than the model.
     """
     nodes = nodes_of(points)
     check_same(model.units, nodes.units)
+    model.check_dimension(nodes)
     spacing = model.nominal_spacing(nodes.spacing)
     if spacing == nodes.spacing:
         return nodes
     scale = spacing / nodes.spacing
-    box = None if nodes.box is None else (scale * nodes.box[0], scale * nodes.box[1])
+    box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
     return dataclasses.replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)

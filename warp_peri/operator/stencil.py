@@ -23,7 +23,7 @@ TorusSymbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
-    """A(n) [TPa/Å²] along the lattice's own axes, shape [2, 2, 2R + 1, 2R + 1], n = 0 central.
+    """A(n) [TPa/Å²] along the lattice's own axes, shape [d, d] and d times 2R + 1, n = 0 central.
 
     Differentiable in the values of the solid that are float64 tensors. R is the reach of a family
     in steps, or twice it with a dilatation; λ = μ has none (theory.md, 42).
@@ -33,24 +33,25 @@ def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     xi, r = torch.from_numpy(classes.xi), torch.from_numpy(classes.r)
     weight, count = torch.from_numpy(classes.weight), torch.from_numpy(classes.count).to(r.dtype)
     reach = int(np.abs(classes.steps).max())
-    size = 2 * reach + 1
-    place = torch.from_numpy((classes.steps + reach) @ (size, 1))
+    d, size = classes.steps.shape[1], 2 * reach + 1
+    place = torch.from_numpy((classes.steps + reach) @ size ** np.arange(d)[::-1])
     normalised = []
     for coefficients in (solid.D, solid.dilatation):
         basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(coefficients) - 1))
         kw = weight * r**-alpha * (basis @ coefficients)
         normalised.append((kw / (count @ (kw * r**2)))[classes.bond_class])
     w, p = normalised
-    bonds = -16 * mu * w / (xi**2).sum(dim=1) * torch.einsum("na,nb->abn", xi, xi)
-    gamma = torch.zeros(2, 2, size**2, dtype=r.dtype).index_add(2, place, bonds)
-    middle = torch.tensor([size**2 // 2])
-    gamma = gamma.index_add(2, middle, -bonds.sum(dim=2, keepdim=True)).reshape(2, 2, size, size)
+    bonds = -2 * d * (d + 2) * mu * w / (xi**2).sum(dim=1) * torch.einsum("na,nb->abn", xi, xi)
+    gamma = torch.zeros(d, d, size**d, dtype=r.dtype).index_add(2, place, bonds)
+    middle, box = torch.tensor([size**d // 2]), d * (size,)
+    gamma = gamma.index_add(2, middle, -bonds.sum(dim=2, keepdim=True)).reshape(d, d, *box)
     if solid.bond_based:
         return gamma
-    phi = torch.zeros(2, size**2, dtype=r.dtype).index_add(1, place, 2 * p * xi.T)
-    phi = phi.reshape(2, 1, size, size)
-    bulk = torch.nn.functional.conv2d(phi, phi.flip(2, 3), padding=2 * reach)
-    whole: torch.Tensor = torch.nn.functional.pad(gamma, 4 * [reach]) - (lam - mu) * bulk
+    phi = torch.zeros(d, size**d, dtype=r.dtype).index_add(1, place, d * p * xi.T)
+    phi = phi.reshape(d, 1, *box)
+    convolved = {2: torch.nn.functional.conv2d, 3: torch.nn.functional.conv3d}[d]
+    bulk = convolved(phi, phi.flip(*range(2, 2 + d)), padding=2 * reach)
+    whole: torch.Tensor = torch.nn.functional.pad(gamma, 2 * d * [reach]) - (lam - mu) * bulk
     return whole
 
 

@@ -20,7 +20,7 @@ class NodeFields:
     """What a displacement does at the interior nodes.
 
     Attributes:
-        stress: σ [TPa], shape [S, I, 2, 2], symmetric.
+        stress: σ [TPa], shape [S, I, d, d], symmetric.
         strain: ε, symmetric part of the least-squares gradient over the family, same shape.
         dilatation: θ, shape [S, I].
         energy: density [TPa], shape [S, I].
@@ -43,17 +43,20 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     Args:
         model: the model; no certificate is asked for.
         points: a lattice or scattered points; its u is not looked at.
-        u: displacement [Å] on all nodes, shape [N, 2] or [S, N, 2].
+        u: displacement [Å] on all nodes, shape [N, d] or [S, N, d].
 
     Raises InputError for a u of another shape, a point set that does not carry the horizon, or
     nodes outside the body: the stress is that of complete families.
     """
     u = np.asarray(u, dtype=float)
     points = on_nominal_lattice(model, points)
-    nodes = len(points.x)
-    shaped = u.ndim in (2, 3) and u.size > 0 and u.shape[-2:] == (nodes, 2)
+    nodes, d = points.x.shape
+    c2 = 2 * d * (d + 2)
+    shaped = u.ndim in (2, 3) and u.size > 0 and u.shape[-2:] == (nodes, d)
     if not (shaped and np.isfinite(u).all()):
-        raise InputError(f"u: expected finite values of shape [S, {nodes}, 2], got {list(u.shape)}")
+        raise InputError(
+            f"u: expected finite values of shape [S, {nodes}, {d}], got {list(u.shape)}"
+        )
     if points.outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
     owner, far, xi, r, W = _interior_bonds(points, model.horizon)
@@ -72,17 +75,17 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     shape = total(Kd[:, None, None] * outer)
     moments = total(outer)
     parts = []
-    for field in u.reshape(-1, nodes, 2):
+    for field in u.reshape(-1, nodes, d):
         eta = field[far] - field[owner]
         along = (xi * eta).sum(axis=1)
-        theta = 2 / md * total(Kd * along)
-        dilatational = ((model.lam - model.mu) * 2 / md * theta)[:, None, None] * shape
+        theta = d / md * total(Kd * along)
+        dilatational = ((model.lam - model.mu) * d / md * theta)[:, None, None] * shape
         deviatoric = total((K * along / r**2)[:, None, None] * outer)
-        deviatoric *= (8 * model.mu / m)[:, None, None]
+        deviatoric *= (c2 / 2 * model.mu / m)[:, None, None]
         gradient = total(eta[:, :, None] * xi[:, None, :]) @ np.linalg.inv(moments)
         strain = (gradient + gradient.transpose(0, 2, 1)) / 2
         energy = (model.lam - model.mu) * theta**2 / 2
-        energy += 4 * model.mu / m * total(K * along**2 / r**2)
+        energy += c2 / 4 * model.mu / m * total(K * along**2 / r**2)
         parts.append((dilatational + deviatoric, strain, theta, energy))
     return NodeFields(*(np.stack(part) for part in zip(*parts)))
 

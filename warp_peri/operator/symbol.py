@@ -94,8 +94,14 @@ def zone_wedge(spacing: float, intervals: int) -> np.ndarray:
 def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
     """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
 
-    Raises InputError for an influence function whose weighted volume is zero.
+    Raises InputError for an influence function whose weighted volume is zero, and a lattice of
+    another dimension than the model's.
     """
+    if classes.steps.shape[1] != model.dimension:
+        raise InputError(
+            f"model: expected one of {classes.steps.shape[1]} dimensions, those of the lattice, "
+            f"got {model.dimension}; in space micromodulus.tensors_of(model, spacing) is proven"
+        )
     tables = []
     r = classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing)
     for K in (model.influence(r), model.influence_dilatation(r)):
@@ -115,11 +121,13 @@ def long_wave_moduli(
 ) -> tuple[float, float, float]:
     """C11, C12, C44 [TPa] of the symbol at long waves (theory.md, 22), from fourth moments of v.
 
-    C44 = 8 Σ v ξ₁²ξ₂²/r², C11 = 8 Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ. The dilatation is exact on
-    affine fields, hence the plain λ − μ = κ μ².
+    C44 = (c2/2) Σ v ξ₁²ξ₂²/r², C11 = (c2/2) Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ, with c2/2 = 8 of
+    a sheet and 15 of a solid. The dilatation is exact on affine fields, hence the plain
+    λ − μ = κ μ².
     """
-    x1, x2 = classes.xi.T
-    each = 8 * v[classes.bond_class] / (x1**2 + x2**2)
+    d = classes.xi.shape[1]
+    x1, x2 = classes.xi.T[:2]
+    each = d * (d + 2) * v[classes.bond_class] / (classes.xi**2).sum(axis=1)
     excess = kappa * (classes.count @ (v * classes.r**2)) ** 2
     C44 = each @ (x1**2 * x2**2)
     return float(each @ x1**4 + excess), float(C44 + excess), float(C44)

@@ -23,11 +23,11 @@ class Tabulated:
 
     Call it with u, shape [S, N] of vectors, and a solid of plain numbers: returns L u, shape [S, I]
     of vectors. The tables are made anew whenever α or a coefficient differs from those they were
-    made for; λ and μ are no part of them. They take 24 bytes a bond in double precision.
+    made for; λ and μ are no part of them. They take 8 (d + 1) bytes a bond in double precision.
     """
 
     def __init__(self, bonds: Bonds) -> None:
-        self.bonds, self.kernels = bonds, tables(bonds.scalar)
+        self.bonds, self.kernels = bonds, tables(bonds.scalar, bonds.dimension)
         self._made_for: tuple[bytes, ...] | None = None
         self._table: Any = None
         self._dilatational: tuple[wp.array[Any], wp.array[Any]] | None = None
@@ -45,7 +45,7 @@ class Tabulated:
         if not bonds.bond_based:
             self._launch(self.kernels.dilatation, bonds.whole, (u,), theta)
             if self._dilatational is not None:
-                kernel = lps.sweeps(bonds.scalar).surface_dilatation
+                kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_dilatation
                 inputs = (bonds.cut, bonds.arrays, *self._dilatational, u)
                 launch_slices(kernel, len(bonds.cut), inputs, (theta,), samples=samples)
         Lu = empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)

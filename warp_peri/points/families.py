@@ -31,8 +31,8 @@ HORIZON_TOLERANCE = 1e-6
 spacing has a tolerance of its own, 1 + twice this."""
 
 COLLAR = "interior nodes need complete families out to twice the horizon"
-LARGEST_REACH = 100
-"""Largest horizon in spacings: a family of 31 000 bonds."""
+LARGEST_REACH = {2: 100, 3: 20}
+"""Largest horizon in spacings, by dimension: a family of 31 000 or 33 000 bonds."""
 
 BOND_COLLAR = "interior nodes need complete families"
 AT_EDGES = "Free edges and holes: Body(mesh, …), whose elements take what an edge cuts"
@@ -45,10 +45,10 @@ class BondClasses:
     Attributes:
         spacing: lattice spacing h [Å].
         horizon: δ [Å].
-        steps: bond vectors in lattice steps, shape [B, 2], B bonds a family.
+        steps: bond vectors in lattice steps, shape [B, d], B bonds a family.
         bond_class: class of each bond, shape [B].
         r: bond length of each class [Å], shape [C].
-        weight: quadrature weight W of each class [Å²], shape [C].
+        weight: quadrature weight W of each class [Å^d], shape [C].
     """
 
     spacing: float
@@ -60,7 +60,7 @@ class BondClasses:
 
     @property
     def xi(self) -> np.ndarray:
-        """Bond vectors ξ [Å] along the lattice's own axes, shape [B, 2]."""
+        """Bond vectors ξ [Å] along the lattice's own axes, shape [B, d]."""
         return self.spacing * self.steps
 
     @property
@@ -81,12 +81,12 @@ class Families:
             number in the pattern, shape [B]), for each bond of scattered points (shape [E]).
         r: length of each bond class [Å], shape [C] on a lattice; on scattered points every bond is
             its own class, shape [E].
-        weight: quadrature weight W of each bond class [Å²], same shape; on scattered points zero
+        weight: quadrature weight W of each bond class [Å^d], same shape; on scattered points zero
             for bonds of nodes that need none.
         rows: interior nodes, where forces are evaluated, shape [I].
         whole: nodes where dilatations are needed and no bond is broken.
         cut: nodes where dilatations are needed and bonds are broken.
-        pattern: bond vectors ξ of a lattice family [Å], shape [B, 2]; empty for scattered points.
+        pattern: bond vectors ξ of a lattice family [Å], shape [B, d]; empty for scattered points.
         lattice: bond classes of the lattice; None for scattered points.
     """
 
@@ -115,48 +115,50 @@ class Families:
         return sum(array.nbytes for array in held) / len(self.neighbour)
 
 
-def bond_classes(spacing: float, horizon: float, *, degree: int = DEGREE) -> BondClasses:
-    """Bonds, orbits and weights of the full family on a square lattice.
+def bond_classes(
+    spacing: float, horizon: float, *, degree: int = DEGREE, dimension: int = 2
+) -> BondClasses:
+    """Bonds, orbits and weights of the full family on a square or cubic lattice.
 
     Args:
         spacing: lattice spacing h [Å].
         horizon: δ [Å], at least the spacing.
         degree: of the quadrature.
+        dimension: 2 or 3.
 
     Raises InputError when the horizon is below one spacing or the weights do not exist.
     """
-    kept = _bond_classes(float(spacing), float(horizon), degree)
+    kept = _bond_classes(float(spacing), float(horizon), degree, dimension)
     arrays = (kept.steps, kept.bond_class, kept.r, kept.weight)
     return BondClasses(kept.spacing, kept.horizon, *(array.copy() for array in arrays))
 
 
 @lru_cache(maxsize=64)
-def _bond_classes(spacing: float, horizon: float, degree: int) -> BondClasses:
+def _bond_classes(spacing: float, horizon: float, degree: int, dimension: int) -> BondClasses:
     """`bond_classes`, kept: the weights take a decomposition of all bonds."""
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing: expected a lattice spacing > 0, got {spacing}")
     if not (np.isfinite(horizon) and horizon >= spacing):
         raise InputError(f"horizon: expected at least one spacing ({spacing}), got {horizon}")
-    if horizon > LARGEST_REACH * spacing:
+    most = LARGEST_REACH[dimension]
+    if horizon > most * spacing:
         raise InputError(
-            f"horizon: expected at most {LARGEST_REACH} spacings ({LARGEST_REACH * spacing:g}), "
-            f"got {horizon}"
+            f"horizon: expected at most {most} spacings ({most * spacing:g}), got {horizon}"
         )
     longest = squared_reach(horizon / spacing)
     reach = math.isqrt(longest)
-    a, b = np.meshgrid(*2 * [np.arange(-reach, reach + 1)], indexing="ij")
-    steps = np.stack([a.ravel(), b.ravel()], axis=1)
+    steps = np.indices(dimension * (2 * reach + 1,)).reshape(dimension, -1).T - reach
     square = (steps**2).sum(axis=1)
     steps = steps[(square > 0) & (square <= longest)]
     orbit = np.sort(np.abs(steps), axis=1)[:, ::-1]
-    order = np.lexsort((orbit[:, 0], (orbit**2).sum(1)))
+    order = np.lexsort((*orbit.T[-2::-1], (orbit**2).sum(1)))
     steps, orbit = steps[order], orbit[order]
     new = np.ones(len(orbit), bool)
     new[1:] = (orbit[1:] != orbit[:-1]).any(axis=1)
     bond_class = np.cumsum(new) - 1
     weights = quadrature_weights(spacing * steps, horizon, degree=degree)
     weight = np.bincount(bond_class, weights) / np.bincount(bond_class)
-    r = spacing * np.hypot(*orbit[new].T)
+    r = spacing * np.hypot.reduce(orbit[new].astype(float), axis=1)
     return BondClasses(spacing, horizon, steps, bond_class, r, weight)
 
 
@@ -224,7 +226,8 @@ class _Build:
 
 def _lattice_families(points: PointsLike, horizon: float, degree: int) -> _Build:
     """On a lattice: one pattern of bonds for all nodes."""
-    classes = bond_classes(points.spacing, horizon, degree=degree)
+    d = points.x.shape[1]
+    classes = bond_classes(points.spacing, horizon, degree=degree, dimension=d)
     grid, axes, table, lacking = _lattice_table(points, classes)
     row = _numbered(np.arange(len(points.x) + 1, dtype=np.int64) * len(classes.steps))
     neighbour = table.reshape(-1)
@@ -270,7 +273,7 @@ def _numbered(row: np.ndarray) -> np.ndarray:
 
 
 def squared_reach(ratio: float) -> int:
-    """Largest a² + b² of the bonds (a, b) of a lattice whose horizon is `ratio` spacings."""
+    """Largest squared length, in steps, of a lattice's bonds at a horizon of `ratio` spacings."""
     return math.floor((ratio * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
 
 
@@ -281,14 +284,16 @@ def _lattice_table(
     h, box, size = classes.spacing, points.box, None
     grid, axes = lattice_steps(points)
     reach = int(np.abs(classes.steps).max())
+    d = len(axes)
     if box is not None:
-        if not np.array_equal(axes, np.eye(2)):
+        if not np.array_equal(axes, np.eye(d)):
             raise InputError("box: expected a lattice along the axes, got a rotated one")
-        fits = np.shape(box) == (2,) and np.isfinite(box).all()
-        size = np.rint(np.divide(box, h)).astype(np.int32) if fits else np.zeros(2, np.int32)
+        fits = np.shape(box) == (d,) and np.isfinite(box).all()
+        size = np.rint(np.divide(box, h)).astype(np.int32) if fits else np.zeros(d, np.int32)
         if not fits or np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
+            several = "two" if d == 2 else "three"
             raise InputError(
-                f"box: expected two whole multiples of {h} above {2 * reach * h} "
+                f"box: expected {several} whole multiples of {h} above {2 * reach * h} "
                 f"{_unit(points)}, got {box}"
             )
     table = neighbour_table(grid, classes.steps, size)
@@ -321,13 +326,14 @@ def _unit(points: PointsLike) -> str:
 
 def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float, unit: str) -> str:
     """Say what horizon the collar would carry, of those for which there are quadrature weights."""
-    rows, columns = grid.max(0) - grid.min(0) + 1
-    present: np.ndarray = np.zeros((rows, columns), bool)
-    asked: np.ndarray = np.zeros((rows, columns), bool)
+    size = grid.max(0) - grid.min(0) + 1
+    present: np.ndarray = np.zeros(size, bool)
+    asked: np.ndarray = np.zeros(size, bool)
     present[tuple((grid - grid.min(0)).T)] = True
     asked[tuple((grid[interior] - grid.min(0)).T)] = True
     reach = min(present.shape) // 4 + 1  # twice this leaves any node of the set
-    length = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    steps = np.indices(len(size) * (2 * reach + 1,)) - float(reach)
+    length = np.hypot.reduce(steps, axis=0)
     present, asked = np.pad(present, 2 * reach), np.pad(asked, 2 * reach)
 
     def fits(horizon: float) -> bool:

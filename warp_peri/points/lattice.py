@@ -1,9 +1,12 @@
-"""Square lattices, straight or turned: their axes, the steps of their nodes, who is where."""
+"""Square and cubic lattices, straight or turned: their axes, steps of their nodes, who is where."""
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import warp as wp
+from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
@@ -18,10 +21,12 @@ LATTICE_TOLERANCE = 1e-6
 EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
 """The table of lattice places around the nodes may be so much larger than their number, or so
 large; beyond that the nodes are too far apart to be one body."""
+LARGEST_TABLE = 2**30
+"""Places that can be numbered, with room for a margin."""
 
 
 def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of the nodes of a lattice from its corner, shape [N, 2] int32, and its axes as columns.
+    """Steps of the nodes of a lattice from its corner, shape [N, d] int32, and its axes as columns.
 
     Raises InputError naming points off the lattice, and for nodes too far apart to be one body.
     """
@@ -39,7 +44,7 @@ def straight_steps(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarra
     place = (x - x.min(axis=0)) / spacing
     grid = np.rint(place)
     if np.abs(place - grid).max() <= LATTICE_TOLERANCE:
-        return grid.astype(np.int32), np.eye(2)
+        return grid.astype(np.int32), np.eye(x.shape[1])
     return _steps(x, spacing, _axes(x, spacing), "")
 
 
@@ -49,25 +54,28 @@ def neighbour_table(
     """The node at each step of a family from each node, −1 where there is none: [N, B] int32.
 
     Args:
-        grid: lattice steps of the nodes, shape [N, 2].
-        steps: bond vectors of a family in lattice steps, shape [B, 2].
+        grid: lattice steps of the nodes, shape [N, d].
+        steps: bond vectors of a family in lattice steps, shape [B, d].
         size: periods in lattice steps, more than twice the longest step; None without.
 
     Raises InputError for nodes given twice.
     """
+    reach = int(np.abs(steps).max())
     if size is None:
-        reach = int(np.abs(steps).max())
         grid = grid - grid.min(axis=0) + reach
         size = grid.max(axis=0) + 1 + reach
+        wrapped = 0
     else:
-        grid = grid % size
+        grid, wrapped = grid % size, reach
     number = np.full(size, -1, dtype=np.int32)
     number[tuple(grid.T)] = nodes = np.arange(len(grid))
     twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
     if len(twice):
         raise InputError(f"points: {len(twice)} duplicates: {scattered.listed(twice)}")
+    number = np.pad(number, wrapped, mode="wrap")
+    stride = np.array(number.strides) // number.itemsize
     table = zeros(len(grid), len(steps), dtype=wp.int32)
-    lattice = (ints(grid), ints(steps), ints(number))
+    lattice = (ints((grid + wrapped) @ stride), ints(steps @ stride), ints(number.ravel()))
     launch_slices(kernels.lattice_neighbours, len(grid), lattice, (table,))
     found: np.ndarray = table.numpy()
     return found
@@ -75,7 +83,7 @@ def neighbour_table(
 
 def _refuse_far(x: np.ndarray, spacing: float) -> None:
     places = np.prod(np.ptp(x, axis=0) / spacing + 1)
-    if places > max(SMALL_TABLE, EMPTY_SHARE * len(x)):
+    if places > max(SMALL_TABLE, min(EMPTY_SHARE * len(x), LARGEST_TABLE)):
         raise InputError(
             f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
         )
@@ -87,8 +95,9 @@ def _steps(x: np.ndarray, h: float, axes: np.ndarray, unit: str) -> tuple[np.nda
     off = np.abs(x - x[0] - h * grid).max(axis=1)
     far = np.flatnonzero(off > LATTICE_TOLERANCE * h)
     if len(far):
+        kind = "square" if x.shape[1] == 2 else "cubic"
         raise InputError(
-            f"points: expected a square lattice of spacing {h}{unit}; off it: "
+            f"points: expected a {kind} lattice of spacing {h}{unit}; off it: "
             f"{scattered.listed(far)}, by up to {float(off.max()):.2g}{unit}, where "
             f"{LATTICE_TOLERANCE * h:.1g}{unit} ({LATTICE_TOLERANCE:g} spacings) are allowed: are "
             "positions rounded?"
@@ -97,7 +106,9 @@ def _steps(x: np.ndarray, h: float, axes: np.ndarray, unit: str) -> tuple[np.nda
 
 
 def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
-    """Directions of the lattice as columns, from the mean angle of nearest-neighbour bonds."""
+    """Directions of the lattice as columns."""
+    if x.shape[1] == 3:
+        return _cubic_axes(x, spacing)
     row, neighbour, _ = scattered.neighbours(x, spacing * (1 + LATTICE_TOLERANCE))
     step = (x[neighbour] - np.repeat(x, np.diff(row), axis=0)) @ (1, 1j)
     step = step[step != 0]  # a point given twice says nothing
@@ -106,7 +117,40 @@ def _axes(x: np.ndarray, spacing: float) -> np.ndarray:
             f"points: expected a square lattice of spacing {spacing}, but no two "
             "points are that close"
         )
-    angle = np.angle((step**4).sum()) / 4  # the fourth power is blind to quarter turns
+    # The mean angle of nearest-neighbour bonds; the fourth power is blind to quarter turns.
+    angle = np.angle((step**4).sum()) / 4
     if abs(angle) < 1e-12:
         return np.eye(2)
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _cubic_axes(x: np.ndarray, spacing: float) -> np.ndarray:
+    """Of the directions of nearest-neighbour bonds, as near to the coordinates as can be named, and
+    then those that fit all positions best."""
+    some = x[:: max(1, len(x) // 2000)]
+    pairs = cKDTree(x).query_ball_point(some, spacing * (1 + LATTICE_TOLERANCE))
+    step = np.concatenate([x[near] - at for near, at in zip(pairs, some)])
+    step = step[np.linalg.norm(step, axis=1) > spacing / 2] / spacing
+    if not len(step):
+        raise InputError(f"points: no two of them are {spacing:g} apart, the spacing of a lattice")
+    first = step[0] / np.linalg.norm(step[0])
+    across = step[np.abs(step @ first) < 0.1]
+    if not len(across):
+        raise InputError("points: expected a cubic lattice, got nodes along one line")
+    second = across[0] - (across[0] @ first) * first
+    second /= np.linalg.norm(second)
+    frame = np.stack([first, second, np.cross(first, second)], axis=1)
+    axes: np.ndarray = max(
+        (frame[:, order] * signs for order in itertools.permutations(range(3))
+         for signs in itertools.product((1, -1), repeat=3)),
+        key=np.trace,
+    )  # fmt: skip
+    if np.abs(axes - np.eye(3)).max() < 1e-12:
+        return np.eye(3)
+    local = (x - x[0]) @ axes / spacing
+    grid = np.rint(local)
+    if np.abs(local - grid).max() < 1e-9:
+        return axes
+    U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
+    fitted: np.ndarray = U @ V
+    return fitted

@@ -73,7 +73,7 @@ class Points:
     @classmethod
     def sheet(
         cls,
-        sides: tuple[int, int],
+        sides: tuple[int, ...],
         spacing: float,
         *,
         units: Units = USUAL,
@@ -82,13 +82,13 @@ class Points:
         """A periodic lattice along the axes, all of its nodes interior.
 
         Args:
-            sides: nodes along each axis; node (i, j) is number i · sides[1] + j.
+            sides: nodes along each of d axes; node (i, j) is number i · sides[1] + j.
             spacing: h [length].
             units: of length and stress.
             axis: of the material, as of Points.
         """
         grid = np.indices(sides).reshape(len(sides), -1).T
-        box = (sides[0] * spacing, sides[1] * spacing)
+        box = tuple(n * spacing for n in sides)
         return cls(
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
         )

@@ -1,6 +1,8 @@
-"""Quadrature weights of families, exact on a singular reproducing space (theory.md, 7–8)."""
+"""Quadrature weights of families, exact on a singular reproducing space (theory.md, 7–8, V4)."""
 
 from __future__ import annotations
+
+from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,16 +24,16 @@ takes a hundred times as long."""
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
     """Minimum-norm weights W with Σ_j W_j q(ξ_j) = ∫ q over the ball.
 
-    q = ξ₁ᵃ ξ₂ᵇ / r³ with 2 ≤ a + b ≤ degree: the polynomials whose quotient is integrable in two
-    dimensions (Trask et al. 2019; You et al. 2021, section 3.2).
+    q = p / r³ with monomials p of 4 − d ≤ degree of p ≤ degree: those whose quotient is integrable
+    in d dimensions (Trask et al. 2019; You et al. 2021, section 3.2).
 
     Args:
-        xi: bond vectors of the family [Å], shape [B, 2], none of them zero.
+        xi: bond vectors of the family [Å], shape [B, d], d = 2 or 3, none of them zero.
         horizon: δ [Å].
         degree: of the polynomials, at least 2.
 
     Returns:
-        W [Å²], shape [B].
+        W [Å^d], shape [B].
 
     Raises InputError when no weights meet the conditions (the family is too poor).
     """
@@ -52,34 +54,38 @@ def family_weights(
     """Weights of many families at once, whatever their residual.
 
     Args:
-        xi: bond vectors [Å], shape [F, B, 2]; zero vectors fill up families of fewer bonds.
+        xi: bond vectors [Å], shape [F, B, d]; zero vectors fill up families of fewer bonds.
         horizon: δ [Å].
         degree: of the polynomials, at least 2.
 
     Returns:
-        W [Å²], shape [F, B], and the largest relative residual of each family's conditions, [F].
+        W [Å^d], shape [F, B], and the largest relative residual of each family's conditions, [F].
     """
-    powers, exact = conditions(degree)
+    d = xi.shape[-1]
+    powers, exact = conditions(degree, d)
     xi = xi / horizon
-    r = np.hypot(xi[..., 0], xi[..., 1])
+    r = np.hypot.reduce(xi, axis=-1)
     inverse = np.divide(1, r, out=np.zeros_like(r), where=r > 0)
-    ladder = [np.stack([xi[..., a] ** p for p in range(degree + 1)]) for a in range(2)]
-    rows = np.stack([ladder[0][a] * ladder[1][b] for a, b in powers], axis=1)
+    ladder = [np.stack([xi[..., a] ** p for p in range(degree + 1)]) for a in range(d)]
+    rows = np.stack(
+        [reduce(np.multiply, (ladder[a][n] for a, n in enumerate(p))) for p in powers], axis=1
+    )
     rows *= (inverse**SINGULARITY)[:, None]
     weights = _smallest(rows, exact)
     residual = np.abs((rows @ weights[..., None])[..., 0] - exact).max(axis=1)
-    return weights * horizon**2, residual / np.abs(exact).max()
+    return weights * horizon**d, residual / np.abs(exact).max()
 
 
-def conditions(degree: int) -> tuple[list[tuple[int, int]], np.ndarray]:
-    """Exponents (a, b) of the Q polynomials, and their integrals over the unit ball, shape [Q].
+def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.ndarray]:
+    """Exponents of the Q polynomials in d variables, and their integrals over the unit ball, [Q].
 
     Raises InputError for a degree that is no whole number ≥ 2.
     """
     if not (isinstance(degree, (int, np.integer)) and degree >= SINGULARITY - 1):
         raise InputError(f"quadrature degree: expected a whole number ≥ 2, got {degree!r}")
-    powers = [(p - b, b) for p in range(SINGULARITY - 1, degree + 1) for b in range(p + 1)]
-    return powers, np.array([_ball_integral(a, b) for a, b in powers])
+    lowest = SINGULARITY + 1 - dimension
+    powers = [p for n in range(lowest, degree + 1) for p in _monomials(n, dimension)]
+    return powers, np.array([_ball_integral(p) for p in powers])
 
 
 def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -91,8 +97,19 @@ def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return weights
 
 
-def _ball_integral(a: int, b: int) -> float:
-    """∫ ξ₁ᵃ ξ₂ᵇ / r³ over the unit ball."""
-    if a % 2 or b % 2:
+def _monomials(degree: int, dimension: int) -> list[tuple[int, ...]]:
+    """Exponents of the monomials of a degree, those of the highest power of ξ₁ first."""
+    if dimension == 1:
+        return [(degree,)]
+    return [(n, *p) for n in range(degree, -1, -1) for p in _monomials(degree - n, dimension - 1)]
+
+
+def _ball_integral(powers: tuple[int, ...]) -> float:
+    """∫ ξ₁ᵃ ξ₂ᵇ … / r³ over the unit ball in as many dimensions as there are powers."""
+    if any(n % 2 for n in powers):
         return 0.0
-    return float(2 * beta((a + 1) / 2, (b + 1) / 2) / (a + b + 2 - SINGULARITY))
+    sphere, half = 2.0, (powers[0] + 1) / 2
+    for n in powers[1:]:
+        sphere *= beta(half, (n + 1) / 2)
+        half += (n + 1) / 2
+    return float(sphere / (sum(powers) + len(powers) - SINGULARITY))

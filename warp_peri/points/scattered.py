@@ -26,9 +26,9 @@ def neighbours(
     """Points within reach of each point, itself excluded.
 
     Args:
-        x: positions [Å], shape [N, 2].
+        x: positions [Å], shape [N, d], d = 2 or 3.
         reach: largest distance that counts [Å].
-        box: periods (Lx, Ly) [Å], more than twice the reach; None when the points are not periodic.
+        box: d periods [Å], more than twice the reach; None when the points are not periodic.
 
     Returns:
         row [N + 1], neighbour [E] and distance [Å] [E]; those of point i are row[i] … row[i + 1].
@@ -39,27 +39,28 @@ def neighbours(
         raise InputError(f"horizon: expected a length > 0, got {reach}")
     corner = x.min(axis=0)
     extent = x.max(axis=0) - corner
+    d = x.shape[1]
     if box is not None:
-        if not (np.shape(box) == (2,) and np.isfinite(box).all() and (2 * reach < min(box))):
-            raise InputError(f"box: expected two periods above {2 * reach:g}, got {box}")
+        if not (np.shape(box) == (d,) and np.isfinite(box).all() and (2 * reach < min(box))):
+            number = "two" if d == 2 else "three"
+            raise InputError(f"box: expected {number} periods above {2 * reach:g}, got {box}")
         extent = np.array(box, dtype=float)
-    most = np.sqrt(len(x)) + 1  # no more cells than points, or nearly so
+    most = len(x) ** (1 / d) + 1  # no more cells than points, or nearly so
     widest = extent / (reach * (1 + 1e-9))  # no rounding puts near points two cells apart
     cells = np.maximum(np.minimum(widest, most * 2).astype(int), 1)
     position = (x - corner) / np.where(extent > 0, extent, 1)
     position = position % 1 if box is not None else position
     cell = np.minimum((position * cells).astype(np.int32), cells - 1)
-    flat = cell[:, 0] * cells[1] + cell[:, 1]
+    flat = np.ravel_multi_index(tuple(cell.T), tuple(cells))
     start = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=cells.prod()))])
-    # cell_start[p, q] and cell_start[p, q + 1] bound the points of cell (p, q)
-    bounds = np.concatenate(
-        [start[:-1].reshape(cells), start[1:].reshape(cells)[:, -1:]], axis=1, dtype=np.int64
-    )
-    links = (floats(x, wp.vec2d), ints(cell), ints(bounds), ints(np.argsort(flat, kind="stable")))
-    period = wp.vec2d(*(box or (0.0, 0.0)))
+    vec, layer = wp.types.vector(d, wp.float64), (0, 3 - d)
+    cell = wp.array(np.pad(cell, ((0, 0), layer)), dtype=wp.vec3i, device="cpu")
+    counts = wp.vec3i(*np.pad(cells, layer, constant_values=1).tolist())
+    links = (floats(x, vec), cell, counts, ints(start), ints(np.argsort(flat, kind="stable")))
+    period = vec(*(box or d * (0.0,)))
+    kernel = kernels.near_points(d)
     count = zeros(len(x) + 1, dtype=wp.int32)
     nothing = (zeros(1, dtype=wp.int32), zeros(1))
-    kernel = kernels.near_points
     launch(kernel, len(x), (*links, period, reach, 0), (count, *nothing))
     row = np.cumsum(count.numpy(), dtype=np.int64)
     if row[-1] >= 2**31:
@@ -102,7 +103,7 @@ def bonds_of(
     neighbour: np.ndarray,
     box: tuple[float, ...] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bond vectors of some nodes [Å], shape [E', 2], their bonds [E'], and family sizes [nodes]."""
+    """Bond vectors of some nodes [Å], shape [E', d], their bonds [E'], and family sizes [nodes]."""
     size = row[nodes + 1] - row[nodes]
     bond = np.repeat(row[nodes] - np.cumsum(size) + size, size) + np.arange(size.sum())
     xi = x[neighbour[bond]] - x[np.repeat(nodes, size)]
@@ -114,16 +115,17 @@ def bonds_of(
 def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
     """Nodes whose ball leaves the convex hull of the points by more than one spacing.
 
-    The spacing is that of as many points in a square lattice. Balls that reach into a hole or a
-    bay cannot be told from balls of a coarser cloud, and pass.
+    The spacing is that of as many points in a square or cubic lattice. Balls that reach into a
+    hole or a bay cannot be told from balls of a coarser cloud, and pass.
     """
     try:
         hull = ConvexHull(x).equations
-    except QhullError:  # all points on one line
+    except QhullError:  # all points on one line or plane
         return np.arange(len(x))
-    spacing = horizon * np.sqrt(np.pi / (bonds / len(x) + 1))
+    d, nodes = x.shape[1], bonds / len(x) + 1
+    spacing = horizon * (np.sqrt(np.pi / nodes) if d == 2 else np.cbrt(4 / 3 * np.pi / nodes))
     depth = np.full(len(x), np.inf)
-    for normal, offset in zip(hull[:, :2], hull[:, 2]):
+    for normal, offset in zip(hull[:, :d], hull[:, d]):
         depth = np.minimum(depth, -(x @ normal) - offset)
     return np.flatnonzero(depth < horizon - spacing)
 
@@ -137,16 +139,18 @@ def weights(
     horizon: float,
     degree: int,
 ) -> np.ndarray:
-    """Quadrature weights of the families of `nodes` [Å²], zero on all other bonds, shape [E].
+    """Quadrature weights of the families of `nodes` [Å^d], zero on all other bonds, shape [E].
 
     Raises InputError naming the nodes whose family is too poor.
     """
-    exact = floats(conditions(degree)[1])
-    period = wp.vec2d(*(box or (0.0, 0.0)))
-    links = (floats(x, wp.vec2d), ints(row), ints(neighbour), period, horizon, INDEPENDENT, exact)
+    d = x.shape[1]
+    powers, exact = conditions(degree, d)
+    vec = wp.types.vector(d, wp.float64)
+    links = (floats(x, vec), ints(row), ints(neighbour), vec(*(box or d * (0.0,))))
+    settings = (horizon, INDEPENDENT, floats(exact))
     found = zeros(len(neighbour)), zeros(len(nodes))
-    kernel = quadrature_kernels.family_weights(int(degree))
-    launch_slices(kernel, len(nodes), (ints(nodes), *links), found, weight=FAMILY)
+    kernel = quadrature_kernels.family_weights(tuple(powers))
+    launch_slices(kernel, len(nodes), (ints(nodes), *links, *settings), found, weight=FAMILY)
     weight, residual = (array.numpy() for array in found)
     rest, poor = nodes[residual < 0], [nodes[~(residual <= RESIDUAL)]]
     size = row[rest + 1] - row[rest]
@@ -158,7 +162,7 @@ def weights(
         first = last
         xi, bond, some_size = bonds_of(x, some, row, neighbour, box)
         place = np.arange(some_size.max()) < some_size[:, None]
-        padded = np.zeros((*place.shape, 2))
+        padded = np.zeros((*place.shape, d))
         padded[place] = xi
         by_svd, left = family_weights(padded, horizon, degree=degree)
         weight[bond] = by_svd[place]

@@ -14,11 +14,11 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
 
     Args:
         points: a lattice or scattered points; nodes outside the body do not count.
-        u: displacement [Å], shape [N, 2] or [S, N, 2].
+        u: displacement [Å], shape [N, d] or [S, N, d].
     """
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x = points.x[body]
-    count = min(5, len(x))
+    count = min(2 * x.shape[1] + 1, len(x))
     r, near = cKDTree(x).query(x, k=count)
     r, near = r.reshape(-1, count)[:, 1:], near.reshape(-1, count)[:, 1:]
     if points.spacing > 0:
@@ -26,7 +26,7 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     xi = x[near] - x[:, None]
     square = (xi**2).sum(axis=-1)
     unit = xi / np.where(square > 0, square, np.inf)[..., None]
-    fields = np.asarray(u).reshape(-1, len(points.x), 2)[:, body]
+    fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
     return max(
         (
             float(np.abs((unit * (field[near] - field[:, None])).sum(axis=-1)).max())

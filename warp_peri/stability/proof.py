@@ -151,8 +151,12 @@ def largest_bound(
     """An upper bound of Λmax D(k) over all k [TPa/Å²], proven cell by cell (theory.md, 50).
 
     Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
-    then it is what was proven so far.
+    then it is what was proven so far. In space it is (V6), which is not sharp.
     """
+    if classes.steps.shape[1] == 3:
+        long = classes.count * np.abs(z)
+        bulk = 3 * max(kappa, 0.0) * long.sum() * (long @ classes.r**2)
+        return float(20 * (classes.count @ np.maximum(v, 0.0)) + bulk)
     half = np.pi / classes.spacing / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
     corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])

@@ -54,7 +54,7 @@ def solvability(
     Raises InputError for a point set that does not carry the horizon.
     """
     L = matrices(model, points, quadrature_degree=quadrature_degree).operator(model.lam, model.mu)
-    A = sp.csc_array(L[:, np.repeat(points.interior, 2)])
+    A = sp.csc_array(L[:, np.repeat(points.interior, points.x.shape[1])])
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
     negative = _negative_weights(model, points, quadrature_degree)

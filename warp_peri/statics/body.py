@@ -226,7 +226,7 @@ def solve_body(
     whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
     to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
     two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
-    b_bulk = loads.density(points.x[bulk.inside])
+    b_bulk = loads.density(points.x[bulk.inside], spacing)
     u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
     fields = u_rim, points, bulk.field(inner, two.to_bulk @ u_rim)
     solution = BodySolution(*told, *fields, overlap, record, two)

@@ -54,7 +54,9 @@ class BodyGradient:
         change = loads_on(rim.mesh, displacement or {}, traction, b)
         total = float(np.vdot(self.f, change.on(rim)))
         if points is not None:
-            total += float(np.vdot(self.b, change.density(points.x[points.interior])))
+            total += float(
+                np.vdot(self.b, change.density(points.x[points.interior], points.spacing))
+            )
         given, fixed = change.given(rim)
         if (fixed & ~_held(self.solution)).any():
             raise InputError("displacement: expected parts that are held, and the same components")

@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import binary_dilation
 
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import Mesh
 from warp_peri.statics.rim import Field, Rim, Traction
+
+FINE = 4
+"""Places in a spacing, on either axis, where the density is read for a lattice."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +39,34 @@ class Loads:
             f += rim.traction(name, pull)
         return f
 
-    def density(self, x: np.ndarray) -> np.ndarray:
-        """The body force density [TPa/Å] at positions, both of shape [n, 2]."""
-        return np.zeros_like(x) if self.b is None else np.asarray(self.b(x), dtype=float)
+    def density(self, x: np.ndarray, spacing: float) -> np.ndarray:
+        """The body force density [TPa/Å] that nodes of a lattice feel, both of shape [n, 2].
+
+        Its mean around a node (B16), by weights that add up to one over the nodes and
+        leave quadratic fields as they are: no force is lost between nodes, and what changes from
+        triangle to triangle is not taken for a long wave. It is read up to 2.5 spacings away.
+
+        x: along the axes, so that they lie on a lattice of the spacing [Å].
+        """
+        if self.b is None:
+            return np.zeros_like(x)
+        cells = np.rint((x - x.min(axis=0)) / spacing).astype(int) + 2
+        near = np.zeros(cells.max(axis=0) + 3, bool)
+        near[tuple(cells.T)] = True
+        near = binary_dilation(near, np.ones((5, 5)))
+        places = np.argwhere(np.kron(near, np.ones((FINE, FINE), bool)))
+        at = x.min(axis=0) + spacing * ((places + 0.5) / FINE - 2.5)
+        fine = np.zeros((FINE * near.shape[0], FINE * near.shape[1], 2))
+        fine[tuple(places.T)] = self.b(at)
+        s = np.abs((np.arange(5 * FINE) + 0.5) / FINE - 2.5)
+        inner, outer = 1 + s**2 * (1.5 * s - 2.5), 2 - s * (4 - s * (2.5 - 0.5 * s))
+        weight = np.where(s < 1, inner, np.where(s < 2, outer, 0.0)) / FINE
+        felt, count = fine, np.array(near.shape) - 4
+        for axis in (0, 1):
+            span = FINE * count[axis]
+            felt = sum(w * felt[n : n + span : FINE] for n, w in enumerate(weight)).swapaxes(0, 1)
+        there: np.ndarray = felt[tuple((cells - 2).T)]
+        return there
 
     def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
         """Held displacements of the nodes of elements, and which they are, shape [n, 2] each."""

@@ -29,7 +29,8 @@ def refuse_indefinite(
 ) -> None:
     """Raise InputError when L_II is not positive definite, on lattices and where bonds are broken.
 
-    On plain lattices by the symbol, and where that proves nothing by the smallest eigenvalue. Where
+    On plain lattices by the symbol, and where that proves nothing, as in space, by the smallest
+    eigenvalue. Where
     bonds are broken, its symmetric part decides: a kernel that changes sign seldom bears that
     (theory.md, B9). Elsewhere nothing is asked.
 
@@ -42,16 +43,20 @@ def refuse_indefinite(
         allowed: warn, where bonds are broken, instead.
     """
     if points.outside is not None:
-        _judge_cut(sp.csc_array((stiffness + stiffness.T) / 2), allowed)
+        nodes = int(np.count_nonzero(points.interior))
+        _judge_cut(sp.csc_array((stiffness + stiffness.T) / 2), nodes, allowed)
         return
     if not points.is_plain_lattice:
         return
-    nodes = domain(
-        points, horizon, bond_based=solid.bond_based, degree=degree, device=torch.device("cpu")
-    )
-    with torch.no_grad():
-        A = stencil(nodes.classes, solid)
-    if smallest_ratio(nodes.torus.symbol(A), nodes.torus) > 0:
+    if points.dimension == 2:
+        laid = domain(
+            points, horizon, bond_based=solid.bond_based, degree=degree, device=torch.device("cpu")
+        )
+        with torch.no_grad():
+            A = stencil(laid.classes, solid)
+        if smallest_ratio(laid.torus.symbol(A), laid.torus) > 0:
+            return
+    elif definite_factors(stiffness) is not None:
         return
     smallest = smallest_eigenvalue(stiffness)
     if not smallest > 0:
@@ -61,7 +66,7 @@ def refuse_indefinite(
         )
 
 
-def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
+def _judge_cut(symmetric: sp.csc_array, nodes: int, allowed: bool) -> None:
     """Refuse, or warn of, a symmetric part that is not positive definite."""
     if definite_factors(symmetric) is not None:
         return
@@ -69,7 +74,7 @@ def _judge_cut(symmetric: sp.csc_array, allowed: bool) -> None:
     if smallest > 0:
         return
     message = (
-        f"outside: with these bonds broken the operator on {symmetric.shape[0] // 2} nodes is not "
+        f"outside: with these bonds broken the operator on {nodes} nodes is not "
         f"positive definite: the smallest eigenvalue of its symmetric part is "
         f"{smallest:.2g}, and its solutions may be wrong; Body(mesh, …) does without broken bonds"
     )

@@ -57,7 +57,7 @@ class MatrixProblem:
         return int(self.stiffness.shape[0] // self.components)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """b − L u of the collar [TPa/Å], one column a sample: shape [2 I, S].
+        """b − L u of the collar [TPa/Å], one column a sample: shape [d I, S].
 
         Args:
             b: load, shape [S, N, d].

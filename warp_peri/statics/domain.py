@@ -8,6 +8,7 @@ import numpy as np
 import scipy.fft
 import torch
 
+from warp_peri.errors import InputError
 from warp_peri.operator.stencil import Torus
 from warp_peri.points.families import BondClasses, bond_classes, families_of
 from warp_peri.points.lattice import lattice_steps
@@ -97,8 +98,10 @@ def domain(
 ) -> Domain:
     """Lay the nodes of a lattice out, without a table of their neighbours.
 
-    Raises InputError as families_of does, for the same point sets.
+    Raises InputError as families_of does, for the same point sets, and for three dimensions.
     """
+    if points.x.shape[1] != 2:
+        raise InputError("method: expected lu in three dimensions, for this one is for sheets")
     classes = bond_classes(points.spacing, horizon, degree=degree)
     grid, axes = lattice_steps(points)
     family = int(np.abs(classes.steps).max())

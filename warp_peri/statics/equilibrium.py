@@ -118,7 +118,7 @@ class _ByLU(torch.autograd.Function):
             with torch.enable_grad():
                 leaves = [value.detach().requires_grad_() for value in parameters]
                 force = lps_force(ctx.bonds, solved, Solid(*leaves))
-                pull = torch.from_numpy(-w.reshape(shape[0], -1, 2).copy())
+                pull = torch.from_numpy(-w.reshape(shape[0], -1, shape[-1]).copy())
                 found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
         fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
         return None, None, *fields, *found_by
@@ -144,7 +144,7 @@ def equilibrium(
 
     Args:
         points: a lattice, or for the method lu any points.
-        b: body force density [TPa/Å], shape [S, N, 2] or [N, 2]; only interior values count. The
+        b: body force density [TPa/Å], shape [S, N, d] or [N, d]; only interior values count. The
             iterative methods run on its device, "lu" on the processor.
         u_collar: displacement [Å], same shape; only collar values count.
         solid: numbers, arrays or tensors. Where λ and μ are equal the problem is bond-based, and
@@ -163,7 +163,7 @@ def equilibrium(
     """
     solid = solid.map(lambda v: torch.as_tensor(v, dtype=torch.float64).reshape(-1).cpu())
     shape = b.shape
-    b, u = (field.double().reshape(-1, len(points.x), 2) for field in (b, u_collar))
+    b, u = (field.double().reshape(-1, *points.x.shape) for field in (b, u_collar))
     inside = torch.from_numpy(points.interior)[:, None].to(b.device)
     b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
     if method == "lu":

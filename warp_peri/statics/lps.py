@@ -41,6 +41,8 @@ FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
 LOADS, NODES_A_LOAD = 2, 45
 """A factorisation pays from 2 + n/45 loads on n nodes; the two were measured together."""
+LARGEST_SOLID = 4_000
+"""Most unknown nodes in space, where factors fill up."""
 STIFF = 30.0
 """λ/μ from which the strip at the edge costs less than the iterations that it saves."""
 SINGULAR = 1e-13
@@ -78,13 +80,13 @@ class PlacedLPS(LPSOperator):
         return np.asarray(self(np.asarray(v, dtype=float)))
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """h² (½ u_I·L u_I + u_I·L u_C) [stress · area], shape [...]; on lattices."""
+        """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
         if self.carrier is not None or self.points.spacing == 0:
             return None
         return linear_energy(self, self.points, u)
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
-        """σ [TPa] at the interior nodes, [..., I, 2, 2]; None on scattered points."""
+        """σ [TPa] at the interior nodes, [..., I, d, d]; None on scattered points."""
         if self.carrier is not None:
             return None
         stress = node_fields(self.model, self.points, u).stress
@@ -96,7 +98,7 @@ class PlacedLPS(LPSOperator):
         """Equilibrium with b on the interior, u given on the collar (theory.md, 29).
 
         Args:
-            b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; only interior values count.
+            b: body force density [TPa/Å], shape [N, d] or [S, N, d]; only interior values count.
             u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
                 is one, differentiable in both.
             solver: Direct(…) or Krylov(…); None takes the cheapest by size and shape.
@@ -114,7 +116,7 @@ class PlacedLPS(LPSOperator):
             return self._through_lattice(load, field, solver)
         records: list[SolveRecord] = []
         nodes = self.nodes
-        flat_load, flat = (f.reshape(-1, len(nodes.x), 2) for f in (load, field))
+        flat_load, flat = (f.reshape(-1, *nodes.x.shape) for f in (load, field))
 
         def solved(method: str) -> np.ndarray:
             if method not in ("lu", "gmres"):
@@ -245,12 +247,14 @@ class PlacedLPS(LPSOperator):
 
 
 def linear_energy(operator: Any, points: Points, u: np.ndarray) -> np.ndarray:
-    """h² (½ u_I·L u_I + u_I·L u_C) [stress · area] of a linear operator, shape [...]."""
+    """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d] of a linear operator, shape [...]."""
     u = np.asarray(u, dtype=float)
     inside = points.interior[:, None]
     own, collar = (operator(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
     inner = u[..., points.interior, :]
-    return np.asarray(points.spacing**2 * (inner * (own / 2 + collar)).sum(axis=(-2, -1)))
+    return np.asarray(
+        points.spacing**points.dimension * (inner * (own / 2 + collar)).sum(axis=(-2, -1))
+    )
 
 
 def checked_fields(
@@ -260,10 +264,11 @@ def checked_fields(
     if b is None:
         raise InputError("b: expected loads, got None")
     load, u = np.ascontiguousarray(b, dtype=float), np.array(u_collar, dtype=float, order="C")
-    if load.shape != u.shape or load.ndim not in (2, 3) or load.shape[-2:] != (len(points.x), 2):
+    if load.shape != u.shape or load.ndim not in (2, 3) or load.shape[-2:] != points.x.shape:
+        n, d = points.x.shape
         raise InputError(
-            f"b, u_collar: expected shape [S, {len(points.x)}, 2] or "
-            f"[{len(points.x)}, 2], got {list(load.shape)} and {list(u.shape)}"
+            f"b, u_collar: expected shape [S, {n}, {d}] or [{n}, {d}], "
+            f"got {list(load.shape)} and {list(u.shape)}"
         )
     free = points.interior
     if not (np.isfinite(load[..., free, :]).all() and np.isfinite(u[..., ~free, :]).all()):
@@ -281,6 +286,14 @@ def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads
         loads: how many are solved for; 0 for iteration in any case.
     """
     nodes = int(np.count_nonzero(points.interior))
+    if points.x.shape[1] == 3:
+        if nodes > LARGEST_SOLID:
+            raise InputError(
+                f"points: expected at most {LARGEST_SOLID} unknown nodes in three dimensions, "
+                f"which are solved for directly, got {nodes}; on lattices "
+                "micromodulus.tensors_of(model, spacing) is solved on more"
+            )
+        return "lu"
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
     if nodes <= DIRECT and loads and (stiff or loads > LOADS + nodes / NODES_A_LOAD):
@@ -324,6 +337,8 @@ def sheet_at_rest(operator: PlacedLPS, b: ArrayLike) -> Solution:
     wave vector of the sheet.
     """
     nodes, model = operator.nodes, operator.model
+    if nodes.dimension != 2:
+        raise InputError("points: expected a sheet for a periodic solve, got three dimensions")
     steps, sides = whole_sheet(nodes)
     load, _ = checked_fields(nodes, b, np.zeros_like(np.asarray(b, dtype=float)))
     grid = np.empty((*load.shape[:-2], *sides, 2))

@@ -45,8 +45,8 @@ class LPSOperator(lps.NodeOperator):
     Raises InputError for a point set that does not carry the horizon (on scattered points as
     Carrier does), or an uncertified spacing without a transfer.
 
-    ``op(u)`` takes u [Å] of shape [N, 2] or [S, N, 2] on all nodes and returns shape [I, 2] or
-    [S, I, 2]: NumPy in, NumPy out; torch in, differentiable torch out.
+    ``op(u)`` takes u [Å] of shape [N, d] or [S, N, d] on all nodes and returns shape [I, d] or
+    [S, I, d]: NumPy in, NumPy out; torch in, differentiable torch out.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class LPSOperator(lps.NodeOperator):
     ) -> None:
         self.carrier: Carrier | None = None
         self.home, self.points = model, nodes_of(points)
+        model.check_dimension(points)
         if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
             self.carrier = Carrier(model, points)
             here, points = self.carrier.model, self.carrier.lattice
@@ -103,16 +104,16 @@ class LPSOperator(lps.NodeOperator):
         """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
 
         Args:
-            b: at the nodes, shape [N, 2] or [S, N, 2]; on scattered points also at the places of
+            b: at the nodes, shape [N, d] or [S, N, d]; on scattered points also at the places of
                 the lattice, shape [Y, 2] or [S, Y, 2], as Carrier.load takes it.
 
         Raises InputError for other shapes.
         """
-        b, nodes = np.asarray(b, dtype=float), len(self.points.x)
+        b, (nodes, d) = np.asarray(b, dtype=float), self.points.x.shape
         if self.carrier is None:
-            if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, 2):
+            if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, d):
                 raise InputError(
-                    f"b: expected shape [S, {nodes}, 2] or [{nodes}, 2], got {list(b.shape)}"
+                    f"b: expected shape [S, {nodes}, {d}] or [{nodes}, {d}], got {list(b.shape)}"
                 )
             return b[..., self.points.interior, :]
         carried = self.carrier.load(b[None] if b.ndim == 2 else b)

@@ -1,0 +1,57 @@
+"""Solve in space: a ball swells inside an elastic block; against the textbook's elasticity."""
+
+import argparse
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri
+from warp_peri.micromodulus import tensors_of
+
+PICTURE = Path(__file__).parent.parent / "runs" / "solid_in_space.png"
+LAM, MU, BALL = 0.6, 0.8, 0.6
+SPACINGS = 1 / np.array([10, 14, 20, 28])
+
+
+def swollen(h):
+    """The block |x| < 1 at spacing h: nodes, their displacement, relative error, what is proven."""
+    side = np.arange(-1 - 4 * h, 1 + 4.5 * h, h)
+    x = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    r = np.linalg.norm(x, axis=1)
+    points = warp_peri.Points(x, (r > BALL) & (np.abs(x).max(axis=1) < 1 - h / 2), h)
+    # K = 1/r, δ = 2h. As tensors of range 2δ the solid is proven, and solved at any size.
+    model = warp_peri.Model(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3)
+    law = tensors_of(model, h)
+    exact = 0.1 * x * (BALL / np.maximum(r, BALL / 5))[:, None] ** 3  # without load, div u = 0
+    u = warp_peri.solve(law, warp_peri.Dirichlet(points, np.zeros_like(x), exact)).u
+    body = points.interior
+    error = np.linalg.norm((u - exact)[body]) / np.linalg.norm(exact[body])
+    return points, u, float(error), law.certificate.proven if law.certificate else 0.0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    as_json = parser.parse_args().json
+    solved = [swollen(h) for h in SPACINGS]
+    errors = [error for *_, error, _ in solved]
+    order = float(np.polyfit(np.log(SPACINGS), np.log(errors), 1)[0])
+    numbers = {"relative error of u": errors, "order": order, "proven, over μ": solved[0][3] / MU}
+    print(json.dumps(numbers, indent=None if as_json else 1))
+    points, u = solved[-1][:2]
+    count = round(len(points.x) ** (1 / 3))
+    size = np.where(points.interior, np.linalg.norm(u, axis=1), np.nan).reshape(3 * (count,))
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    edge = points.x.max()
+    image = axes[0].imshow(size[:, :, count // 2].T, extent=2 * (-edge, edge), origin="lower")
+    figure.colorbar(image, label="|u|, in half sides of the block")
+    axes[0].set(xlabel="x", ylabel="y", title="The plane z = 0 of the block")
+    axes[0].set(xlim=(-1, 1), ylim=(-1, 1))
+    axes[1].loglog(SPACINGS, errors, "o-", label=f"measured, order {order:.1f}")
+    axes[1].loglog(SPACINGS, errors[0] * (SPACINGS / SPACINGS[0]) ** 2, "k:", label="order 2")
+    axes[1].set(xlabel="spacing h, in half sides (δ = 2h)", ylabel="relative error of u")
+    axes[1].legend(frameon=False)
+    PICTURE.parent.mkdir(exist_ok=True)
+    figure.savefig(PICTURE)

@@ -1,0 +1,134 @@
+"""Solves in three dimensions: a manufactured solution of the local limit, and what is refused."""
+
+import numpy as np
+import pytest
+import torch
+
+import warp_peri
+from tests.support.cubes import cube, field, load, periodic_cube, solid
+from tests.support.problems import difference, fitted_order
+from tests.support.solving import solve
+from warp_peri import Krylov
+from warp_peri.dynamics.verlet import critical_time_step, inertia
+from warp_peri.errors import InputError
+from warp_peri.learning.evaluate import without_rigid_part
+from warp_peri.methods import Solid
+from warp_peri.micromodulus import tensors_of
+from warp_peri.operator.symbol import moduli
+from warp_peri.points.families import bond_classes
+
+pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+LENGTH, RATIO = 2.0, 2.0
+
+
+def error(number, lam, mu):
+    """Root mean square error on number³ unknown nodes, relative to the field."""
+    h = LENGTH / number
+    points = cube(number, RATIO * h, h, centred=True)
+    exact = field(points.x)
+    model = solid(RATIO * h, lam, mu)
+    u = solve(model, points, load(points.x, lam, mu), exact, allow_uncertified=True)
+    return np.sqrt(((u - exact)[points.interior] ** 2).mean() / (exact**2).mean())
+
+
+@pytest.mark.parametrize("lam", [0.8, 0.3, 3.0], ids=["bonds", "softer", "stiffer"])
+def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
+    numbers = np.array([3, 4, 6])
+    errors = [error(number, lam, 0.8) for number in numbers]
+    assert fitted_order(LENGTH / numbers, errors) >= 2
+
+
+def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size():
+    model = solid(2.0, D=[1.0, -0.3, 0.6], D_dilatation=[0.5, 1.0, 0.2])
+    tensors = tensors_of(model, 1.0)
+    points = cube(3, 2.0)
+    u = np.random.default_rng(1).normal(size=points.x.shape)
+    force = model.on(points, allow_uncertified=True)(u)
+    np.testing.assert_allclose(tensors.on(points)(u), force, atol=1e-12 * np.abs(force).max())
+    assert tensors.certificate.proven > 0.9 * tensors.certificate.sampled > 0
+    expected = moduli(model, bond_classes(1.0, 2.0, dimension=3))
+    assert {name: tensors.moduli()[name] for name in expected} == pytest.approx(expected)
+    errors = []
+    for number in (8, 16):
+        h = LENGTH / number
+        points = cube(number, RATIO * h, h, centred=True)
+        exact = field(points.x)
+        fine = tensors_of(solid(RATIO * h), h)
+        problem = warp_peri.Dirichlet(points, load(points.x, 0.3, 0.8), exact)
+        errors.append(np.abs(warp_peri.solve(fine, problem).u - exact).max())
+    assert errors[0] > 4 * errors[1]
+
+
+def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
+    model, density = solid(2.0, lam=3.0), 2000.0
+    step = critical_time_step(model, spacing=1.0, density=density, allow_uncertified=True)
+    waves = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, 3))
+    stiffest = np.linalg.eigvalsh(tensors_of(model, 1.0).symbol(waves)).max()
+    longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
+    assert 0.6 * longest < step < longest
+    points = cube(3, 2.0)
+    u = np.where(points.interior[:, None], np.random.default_rng(3).normal(size=points.x.shape), 0)
+    problem = warp_peri.Dirichlet(points, None, 1e-3 * u)
+    operator = model.on(points, allow_uncertified=True)
+    motion = warp_peri.move(operator, problem, density=density, step=0.9 * step, steps=200)
+    assert motion.u.shape == points.x.shape
+    assert np.ptp(motion.energy) < 1e-9 * motion.energy.mean()
+
+
+def test_errors_in_space_leave_rigid_motions_out():
+    points, operator = cube(2, 2.0), solid(2.0).on(cube(2, 2.0), allow_uncertified=True)
+    spin = np.array([[0, -0.1, 0.4], [0.1, 0, -0.7], [-0.4, 0.7, 0]])
+    rigid = points.x @ spin.T + [1.0, 2.0, 3.0]
+    assert np.abs(without_rigid_part(points.x, rigid[None])).max() < 1e-12
+    u, load = 0.1 * field(points.x), np.zeros_like(points.x)
+    load[points.interior] = operator(u)
+    samples = warp_peri.Samples(points, (u + rigid)[None], load[None])
+    assert warp_peri.evaluate(operator, samples)["E_shape"] < 1e-12
+    report = warp_peri.proofs.solvability(operator.model, points)
+    assert report.symmetric_min > 0
+    assert report.asymmetry < 1e-12
+
+
+def test_what_is_made_for_sheets_is_refused_in_space():
+    points = cube(2, 2.0)
+    zero = np.zeros_like(points.x)
+    operator = solid(2.0).on(points, allow_uncertified=True)
+    with pytest.raises(InputError, match="expected one of 2 dimensions.*tensors_of"):
+        warp_peri.certify(solid(2.0), spacing=1.0)
+    samples = warp_peri.Samples(points, zero[None], zero[None])
+    with pytest.raises(InputError, match="samples: expected a sheet; in space Micromodulus"):
+        warp_peri.fit(samples, warp_peri.LPS(2.0))
+    sheet = solid(2.0).on(periodic_cube((6, 6, 6)), allow_uncertified=True)
+    with pytest.raises(InputError, match="expected a sheet for a periodic solve"):
+        warp_peri.solve(sheet, warp_peri.Periodic(sheet.points, np.zeros((216, 3))))
+    with pytest.raises(InputError, match="expected lu in three dimensions"):
+        operator.rest(zero, zero, Krylov(preconditioner="sine"))
+    large = cube(16, 2.0)
+    with pytest.raises(InputError, match="at most 4000 unknown nodes in three dimensions"):
+        solid(2.0).on(large, allow_uncertified=True).rest(0 * large.x, 0 * large.x)
+
+
+def test_the_direct_solve_is_differentiable_in_space():
+    points, model = cube(2, 2.0), solid(2.0, alpha=1.2, D=[1.0, 0.4])
+    random = np.random.default_rng(0)
+    b, u, seed = random.normal(size=(3, *points.x.shape))
+    numbers = ("lam", "mu", "alpha", "D")
+    given = {name: np.atleast_1d(getattr(model, name)).astype(float) for name in numbers}
+    operator = model.on(points, allow_uncertified=True)
+
+    def scalar(load, collar, *values):
+        answer = operator.rest(load, collar, parameters=Solid(*values)).u
+        return (torch.from_numpy(seed) * answer).sum()
+
+    start = [torch.tensor(part, requires_grad=True) for part in (b, u, *given.values())]
+    found = torch.autograd.grad(scalar(*start), start)
+    for n, gradient in enumerate(found):
+        way = torch.from_numpy(random.normal(size=tuple(gradient.shape)))
+
+        def along(t, n=n, way=way):
+            moved = [part.detach() for part in start]
+            moved[n] = moved[n] + t[0] * way
+            return scalar(*moved).item()
+
+        expected = difference(along, [0.0], 0.003)[0]
+        assert float((gradient * way).sum()) == pytest.approx(expected, rel=1e-7)
