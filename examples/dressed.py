@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
-from examples.crystals import CELLS, judged
+from examples.crystals import Unseen
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
@@ -123,17 +123,18 @@ def breaking(solid: DressedSolid, bodies: int = 30) -> dict[str, float]:
 
 def crystal(name: str, with_ball: bool) -> dict[str, Any]:
     """A split law of a crystal from phonons, on waves it never saw and in a ball of atoms [%]."""
-    a = crystals.lattice_parameter(name)
-    atoms = crystals.force_constants(name, a)
-    held_out = {
-        "waves": crystals.waves(atoms, CELLS, longest=CELLS, shortest=4.0, loads=10, seed=2),
-        "short": crystals.waves(atoms, CELLS, longest=4.0, shortest=2.7, loads=5, seed=3),
-    }
-    seen = ball(name, atoms) if with_ball else None
+    atoms = crystals.force_constants(name)
+    a = crystals.spacing_of(np.diag(atoms.cell), crystals.RECIPES[name])
+    unseen = Unseen(
+        crystals.wave_loads(atoms, a, longest=18.0, shortest=4.0, loads=10, seed=2),
+        crystals.wave_loads(atoms, a, longest=4.0, shortest=2.7, loads=5, seed=3),
+        ball(name, atoms, a) if with_ball else None,
+        None,
+    )
     law = from_phonons(atoms, a, symmetry=atoms.group())
     proof = law.certificate
-    table = judged(law.symbol, law.crystal, held_out, seen)
-    rest = judged(without(law).symbol, without(law).crystal, held_out, seen)
+    table = unseen.judge(law.symbol, law.crystal)
+    rest = unseen.judge(without(law).symbol, without(law).crystal)
     return {
         "E_u": table["E_u"],
         "E_res": table["E_res"],

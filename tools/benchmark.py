@@ -5,6 +5,7 @@
     python tools/benchmark.py launch [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py crystals [--quick]
+    python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
 first. Rounds are interleaved, each timing follows an untimed call, and the best round counts (a
@@ -38,6 +39,7 @@ from tools import (
     rivals,
     roofline,
     solve_study,
+    solver_choice,
 )
 from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.errors import exit_status
@@ -402,20 +404,23 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["operator", "roofline", "launch", "solve", "crystals"])
+    kinds = ["operator", "roofline", "launch", "solve", "crystals", "choice"]
+    parser.add_argument("what", choices=kinds)
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
     )
     parser.add_argument(
         "--threads", type=int, default=2, help="operator, launch: of every candidate"
     )
-    parser.add_argument("--model", type=Path, help="solve: model file (default: learned graphene)")
-    parser.add_argument("--out", type=Path, help="solve: write the table as JSON")
+    parser.add_argument("--model", type=Path, help="of solve and choice (default: learned)")
+    parser.add_argument("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
     if given.what == "solve":
         solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "crystals":
         benchmark_crystals.crystals(quick=given.quick)
+    elif given.what == "choice":
+        solver_choice.solver_choice(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "roofline":
         ceilings(quick=given.quick)
     elif given.what == "launch":

@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from warp_peri.prediction.loads import mixed_waves
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None
@@ -18,6 +19,8 @@ Box = tuple[float, float] | None
 
 UNLOADED_RADIUS = 50.0
 """Inside of it the disk carries no load [Å] (Table 2)."""
+WAVES = 5
+"""Random loads go round the rim up to so many times."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,49 @@ class RimLoad:
         return value
 
 
-Load = WaveLoad | PatchLoad | RimLoad
+@dataclass(frozen=True)
+class MixedLoad:
+    """All waves of a sheet that are no shorter than `shortest`, together: random phases and
+    directions, each as large as its |k| (theory.md, Q10).
+
+    It has no amplitude of its own, as a WaveLoad.
+    """
+
+    seed: int
+    shortest: float
+
+    @property
+    def load_id(self) -> str:
+        return f"mixed-{self.seed} λ≥{self.shortest:g}"
+
+    def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
+        """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
+        return mixed_waves(positions, _periods(box), self.shortest, seed=self.seed)
+
+
+@dataclass(frozen=True)
+class RandomRim:
+    """A random load on the disk outside UNLOADED_RADIUS: waves around it, of any seed."""
+
+    seed: int
+
+    @property
+    def load_id(self) -> str:
+        return f"rim-{self.seed}"
+
+    def shape(self, positions: np.ndarray, box: Box = None) -> np.ndarray:
+        """At positions [Å] of a disk centred on the origin; shapes [A, 2]."""
+        random = np.random.default_rng(self.seed)
+        factors = random.normal(size=(2, WAVES, 2))
+        loaded = np.linalg.norm(positions, axis=1) > UNLOADED_RADIUS
+        angle = np.outer(np.arctan2(*positions[loaded].T[::-1]), np.arange(1, WAVES + 1))
+        field = np.zeros((len(positions), 2))
+        field[loaded] = np.cos(angle) @ factors[0] + np.sin(angle) @ factors[1]
+        field[loaded] -= field[loaded].mean(axis=0)
+        return field
+
+
+Load = WaveLoad | PatchLoad | RimLoad | MixedLoad | RandomRim
 
 TRAINING = [
     WaveLoad(axis, (p1, p2))

@@ -18,7 +18,7 @@ import numpy as np
 
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsError, LammpsSession
-from tools.loads import Load, WaveLoad, atom_force
+from tools.loads import Load, MixedLoad, RandomRim, WaveLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
@@ -95,7 +95,7 @@ def cache_file(cache: str | os.PathLike[str], body: Piece, load: Load) -> Path:
         "version": CACHE_VERSION,
         **body_record(body),
         "load": repr(load),
-        "amplitude": TRAINING_STRAIN if isinstance(load, WaveLoad) else load.amplitude,
+        "amplitude": getattr(load, "amplitude", TRAINING_STRAIN),
         "tolerances": [TOLERANCE, STRAIN_TOLERANCE],
     }
     key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
@@ -175,7 +175,7 @@ def solve(body: Piece, statics: Statics, load: Load) -> Sample:
     shape = load.shape(statics.reference, body.box)
     unit = atom_force(shape, area_per_atom(body.bond), THICKNESS)
     try:
-        if isinstance(load, WaveLoad):
+        if isinstance(load, (WaveLoad, MixedLoad, RandomRim)):
             amplitude, rest = _strained(statics, unit, load.load_id)
         else:
             amplitude = load.amplitude

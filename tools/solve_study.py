@@ -55,13 +55,14 @@ class Row:
 
 
 def mask_of(shape: str, n: int) -> np.ndarray:
-    """Unknown nodes in an n × n box: a square, a disk, or an L with a hole."""
+    """Unknown nodes in an n × n box: a square, a disk, an L, or an L with a hole."""
     i, j = np.mgrid[:n, :n] - (n - 1) / 2
     if shape == "disk":
         return i**2 + j**2 <= (n / 2) ** 2
     mask = np.ones((n, n), bool)
-    if shape == "L with a hole":
+    if shape.startswith("L"):
         mask[n // 2 :, n // 2 :] = False
+    if shape == "L with a hole":
         mask[(i + n / 4) ** 2 + (j + n / 4) ** 2 < (n / 10) ** 2] = False
     return mask
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from warp_peri import micromodulus as micromodulus
     from warp_peri import neural as neural
     from warp_peri import plots as plots
+    from warp_peri import prediction as prediction
     from warp_peri import proofs as proofs
     from warp_peri import shapes as shapes
     from warp_peri import tissue as tissue
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
     from warp_peri.points.samples import Samples
+    from warp_peri.prediction.predict import predict
     from warp_peri.problems import Body, Dirichlet, Periodic
     from warp_peri.solving import move, solve
     from warp_peri.stability.certificate import certify
@@ -82,6 +84,7 @@ __all__ = [
     "fit",
     "load",
     "move",
+    "predict",
     "save",
     "set_threads",
     "solve",
@@ -104,6 +107,7 @@ _NAMES = {
     "points.mesh": ("Mesh",),
     "points.points": ("Points",),
     "points.samples": ("Samples",),
+    "prediction.predict": ("predict",),
     "problems": ("Body", "Dirichlet", "Periodic"),
     "solving": ("move", "solve"),
     "stability.certificate": ("certify",),
@@ -124,6 +128,7 @@ _MODULES = (
     "micromodulus",
     "neural",
     "plots",
+    "prediction",
     "proofs",
     "shapes",
     "tissue",

@@ -31,6 +31,7 @@ READERS = {
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),
     "warp_peri.coupled_solid": ("diffusion.coupled", "load_coupled_solid"),
     "warp_peri.flow_law": ("flow.law_file", "load_law"),
+    "warp_peri.family": ("prediction.members", "load_members"),
 }
 """Module and function that read a JSON file, by the `format` that it names."""
 HDF5 = b"\x89HDF\r\n\x1a\n"

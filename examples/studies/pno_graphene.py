@@ -231,7 +231,7 @@ def train(
 def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) -> dict[str, float]:
     """E_u by the accelerated fixed point of the linear solid, and the share that converged."""
     samples = bonds.samples
-    solver = linear_solver(NonlinearOperator(model, samples), samples, SOLVED)
+    solver = linear_solver(NonlinearOperator(model, samples), samples, len(samples))
     straight = model.linear.on(samples)
     inside, misses, ended = samples.interior, [], 0
     for u, b in zip(samples.u[::every], samples.loads[::every]):
@@ -250,9 +250,9 @@ def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) ->
             return np.asarray((b[inside] - force) / scale)
 
         def correction(residual: np.ndarray, scale: float = scale) -> np.ndarray:
-            return solver(residual * scale)
+            return solver(residual * scale, SOLVED)
 
-        inner, size = anderson(left, correction, solver(right), SOLVED)
+        inner, size = anderson(left, correction, solver(right, SOLVED), SOLVED)
         ended += size <= 100 * SOLVED  # single precision
         misses.append(np.linalg.norm(inner - u[inside]) / np.linalg.norm(u[inside]))
     return {"E_u": float(np.mean(misses)), "converged": ended / len(misses)}

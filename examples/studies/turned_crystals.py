@@ -28,7 +28,7 @@ from tqdm import tqdm
 import warp_peri
 from examples.nonlinear import OUT
 from examples.train_graphene import DATA
-from tools.loads import TEST, UNLOADED_RADIUS, RimLoad
+from tools.loads import TEST, RandomRim, RimLoad
 from tools.make_graphene import graphene_bodies, on_nodes
 from tools.make_strained import solve_strained, strained_file
 from tools.samples import Sample, read_sample
@@ -42,34 +42,10 @@ ANGLES = (0.0, 5.0, 10.0, 17.0, 23.0, 30.0, 45.0)
 are between 0 and 30°."""
 PRINTED = (0.0, 17.0)
 """Of crystals under the printed loads, in all their directions [degrees]."""
-WAVES = 5
-"""Random loads go round the rim up to so many times."""
 DIRECTIONS = 6
 """Of each printed load, along one period of it and the nodes."""
 PERIODS = {1: 90.0, 2: 90.0, 3: 360.0, 4: 360.0}
 STRAIN = 0.02
-
-
-@dataclass(frozen=True)
-class RandomRim:
-    """A random load on the disk outside UNLOADED_RADIUS, of no direction of its own."""
-
-    seed: int
-
-    @property
-    def load_id(self) -> str:
-        return f"rim-{self.seed}"
-
-    def shape(self, positions: np.ndarray, box: tuple[float, float] | None = None) -> np.ndarray:
-        """At positions [Å] of a disk centred on the origin; shapes [A, 2]."""
-        random = np.random.default_rng(self.seed)
-        factors = random.normal(size=(2, WAVES, 2))
-        loaded = np.linalg.norm(positions, axis=1) > UNLOADED_RADIUS
-        angle = np.outer(np.arctan2(*positions[loaded].T[::-1]), np.arange(1, WAVES + 1))
-        field = np.zeros((len(positions), 2))
-        field[loaded] = np.cos(angle) @ factors[0] + np.sin(angle) @ factors[1]
-        field[loaded] -= field[loaded].mean(axis=0)
-        return field
 
 
 @dataclass(frozen=True)

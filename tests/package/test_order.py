@@ -20,7 +20,7 @@ FLOORS = (
     ("transfer",),
     ("statics", "dynamics"),
     ("damage", "tissue", "micromodulus"),
-    ("learning", "diffusion", "neural", "dressed"),
+    ("learning", "diffusion", "neural", "dressed", "prediction"),
     ("choice", "plots", "export", "flow", "problems"),
     ("solving", "storage"),
     ("atoms", "methods", "proofs", "shapes", "transfers"),

@@ -115,8 +115,12 @@ def test_the_method_follows_size_and_shape(monkeypatch):
     module = importlib.import_module("warp_peri.statics.lps")
     monkeypatch.setattr(module, "DIRECT", 30)
     monkeypatch.setattr(module, "LARGEST_LU", 30)
-    assert choose_method(lattice(5, HORIZON), plain=True) == "lu"
-    assert choose_method(lattice(6, HORIZON, angle=0.3), plain=True) == "sine"
+    assert choose_method(lattice(5, HORIZON), plain=True) == "sine"
+    assert choose_method(lattice(5, HORIZON), plain=True, loads=3) == "lu"
+    assert choose_method(lattice(5, HORIZON), plain=True, stiff=True) == "lu"
+    assert choose_method(lattice(6, HORIZON, angle=0.3), plain=True, loads=3) == "sine"
+    assert choose_method(lattice(notched(), HORIZON), plain=True) == "fft"
+    monkeypatch.setattr(module, "FLAT", 20)
     assert choose_method(lattice(notched(), HORIZON), plain=True) == "multigrid"
     assert choose_method(lattice(6, HORIZON), plain=True, stiff=True) == "strip"
     assert choose_method(lattice(6, HORIZON), plain=False) == "gmres"

@@ -118,6 +118,16 @@ def evaluate(command: ArgumentParser) -> None:
     _uncertified(command)
 
 
+def predict(command: ArgumentParser) -> None:
+    """A family, loads, and a tolerance."""
+    command.add_argument("model", type=Path, metavar="FAMILY.json")
+    command.add_argument("data", type=Path, metavar="DATA.h5")
+    command.add_argument("--set", default="test")
+    command.add_argument("--tolerance", type=float, default=0.01, help="a fraction; 0 for the best")
+    _axis(command)
+    _uncertified(command)
+
+
 def solve(command: ArgumentParser) -> None:
     """A model, loads, and a solver."""
     command.add_argument("model", type=Path, metavar="MODEL.json")

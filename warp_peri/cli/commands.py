@@ -284,6 +284,24 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return tables
 
 
+def run_predict(given: argparse.Namespace) -> Result:
+    """Displacement under the loads of a set, each with its likely error."""
+    model = load(given.model)
+    points = _data_for(given, model)[given.set]
+    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+    options = {name: value for name, value in asked.items() if value != (name == "transfer")}
+    problem = warp_peri.Dirichlet(points, points.loads, points.u)
+    answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options)
+    samples = []
+    for answer, truth in zip(answers, points.u[:, points.interior]):
+        told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
+        if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
+            wrong = answer.u[points.interior] - truth
+            told["true"] = float(np.linalg.norm(wrong)) / size
+        samples.append(told)
+    return {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
+
+
 def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, or of a body with an outline, in a file."""
     if given.body is not None or given.data is None:

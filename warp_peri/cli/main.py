@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "certify": ("what is proven of a model", arguments.certify),
     "evaluate": ("errors of a model on data sets", arguments.evaluate),
     "solve": ("displacement from loads", arguments.solve),
+    "predict": ("displacement with its error", arguments.predict),
     "export": ("for ParaView and other codes", arguments.export),
     "sweep": ("choose horizon and degree", arguments.sweep),
     "info": ("what a model or data file holds", arguments.info),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -31,7 +30,8 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.nonlinear import DIRECT, PlacedThirdOrder, linear_solver
+from warp_peri.statics.lps import choose_method
+from warp_peri.statics.nonlinear import SOLVES, Inverse, PlacedThirdOrder, factorised_tangent
 
 _known: dict[tuple[object, ...], ThirdOrderCrystal] = {}
 
@@ -163,13 +163,13 @@ class PlacedCrystal(PlacedThirdOrder):
             self.model, self.points, transfer=False, allow_uncertified=True, radius=radius
         )
 
-    def inverse(self, tolerance: float) -> Callable[[np.ndarray], np.ndarray]:
+    def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of the tensors, of a load on the interior: factorised, or by iteration."""
-        if np.count_nonzero(self.points.interior) <= DIRECT:
-            return linear_solver(self, self.points, tolerance)
+        if choose_method(self.points, plain=True, loads=SOLVES * loads) == "lu":
+            return factorised_tangent(self)
         inside, nothing = self.points.interior, np.zeros_like(self.points.x)
 
-        def solved(right: np.ndarray) -> np.ndarray:
+        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
             b = nothing.copy()
             b[inside] = right
             return np.asarray(solve(self.straight, b, nothing, tolerance=tolerance)[0][inside])

@@ -14,6 +14,17 @@ from warp_peri.errors import InputError
 
 RESIDUAL = 1e-9
 """Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+SYMMETRIC, PIVOT = 1e-12, 0.01
+"""Rounding that symmetry may have; smallest pivot on the diagonal that is kept there."""
+
+
+def factorised(matrix: sp.csc_array) -> Any:
+    """LU of a matrix; of a symmetric one by minimum degree, which has a third of the operations."""
+    apart = abs(matrix - matrix.T)
+    if apart.nnz and apart.max() > SYMMETRIC * abs(matrix).max():
+        return splu(matrix)
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=PIVOT, options=options)
 
 
 class MatrixProblem:
@@ -31,7 +42,7 @@ class MatrixProblem:
         L: sp.csr_array,
         interior: np.ndarray,
         *,
-        factorise: Callable[[sp.csc_array], Any] = splu,
+        factorise: Callable[[sp.csc_array], Any] = factorised,
     ) -> None:
         self.unknown = np.repeat(interior.ravel(), L.shape[1] // interior.size)
         self.factorise, self.left, self.components = factorise, 0.0, L.shape[1] // len(interior)

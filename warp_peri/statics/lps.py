@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -33,8 +34,13 @@ from warp_peri.statics.solution import Solution
 from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.transfer.operator import LPSOperator
 
+T = TypeVar("T")
 DIRECT, LARGEST_LU = 4_000, 40_000
-"""Most unknown nodes that are solved for directly, on lattices and on other point sets."""
+"""Most unknown nodes that are factorised, on lattices and on other point sets."""
+FLAT = 40_000
+"""Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
+LOADS, NODES_A_LOAD = 2, 45
+"""A factorisation pays from 2 + n/45 loads on n nodes; the two were measured together."""
 LARGEST_SOLID = 4_000
 """Most unknown nodes in space, where factors fill up."""
 STIFF = 30.0
@@ -109,15 +115,18 @@ class PlacedLPS(LPSOperator):
         if self.carrier is not None:
             return self._through_lattice(load, field, solver)
         records: list[SolveRecord] = []
-        nodes, method = self.nodes, self._method(solver)
+        nodes = self.nodes
         flat_load, flat = (f.reshape(-1, *nodes.x.shape) for f in (load, field))
-        if isinstance(solver, Krylov) or method not in ("lu", "gmres"):
-            answer = self._iterated(flat_load, flat, method, solver, records)
-        else:
+
+        def solved(method: str) -> np.ndarray:
+            if method not in ("lu", "gmres"):
+                return self._iterated(flat_load, flat, method, solver, records)
             degree = self.quadrature_degree
             if isinstance(solver, Direct):
                 degree = solver.quadrature_degree
-            answer = self._factorised(flat_load, flat, method, degree)
+            return self._factorised(flat_load, flat, method, degree)
+
+        answer, method = self._chosen(solver, len(flat), solved)
         flat[:, nodes.interior] = answer[:, nodes.interior]
         warn_beyond(self.model, lambda: largest_strain(nodes, flat))
         return self._told(field, self.load(load), method, records)
@@ -133,13 +142,25 @@ class PlacedLPS(LPSOperator):
         proven, details = self.proven, tuple(records) or None
         return Solution(u, self.points, self, load, method, count, proven, (), details, measured)
 
-    def _method(self, solver: Solver) -> str:
+    def _chosen(self, solver: Solver, loads: int, solved: Callable[[str], T]) -> tuple[T, str]:
+        """An answer and its method. What iteration refuses, few nodes can be factorised for: the
+        symbol does not prove every definite operator so."""
+        method = self._method(solver, loads)
+        try:
+            return solved(method), method
+        except InputError:
+            few = np.count_nonzero(self.points.interior) <= DIRECT
+            if solver is not None or not few or method == "lu":
+                raise
+        return solved("lu"), "lu"
+
+    def _method(self, solver: Solver, loads: int) -> str:
         """The name of the method; InputError where it does not go with the points."""
-        plain = self.nodes.is_plain_lattice
+        plain = self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE
         if isinstance(solver, Direct):
             return solver.method
         chosen = solver.preconditioner if isinstance(solver, Krylov) else None
-        if isinstance(solver, Krylov) and not (plain and self.quadrature_degree == DEGREE):
+        if isinstance(solver, Krylov) and not plain:
             raise InputError(
                 "solver: Krylov(…) is for lattices without a box and without broken bonds, with "
                 "quadrature of the usual degree; try Direct()"
@@ -147,8 +168,8 @@ class PlacedLPS(LPSOperator):
         if chosen is not None:
             return chosen
         stiff = self.model.lam > STIFF * self.model.mu
-        direct = 0 if isinstance(solver, Krylov) else None
-        return choose_method(self.nodes, plain=plain, stiff=stiff, direct=direct)
+        loads = 0 if isinstance(solver, Krylov) else loads
+        return choose_method(self.nodes, plain=plain, stiff=stiff, loads=loads)
 
     def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
         """The solution of the assembled problem."""
@@ -173,7 +194,7 @@ class PlacedLPS(LPSOperator):
         records: list[SolveRecord],
     ) -> np.ndarray:
         """The solution by conjugate gradients, where they are asked to run."""
-        asked = solver if isinstance(solver, Krylov) else Krylov(device=self.device)
+        asked = solver if isinstance(solver, Krylov) else self._unasked()
         there = known_device(asked.device)
         with torch.no_grad():
             answer = equilibrium(
@@ -187,6 +208,12 @@ class PlacedLPS(LPSOperator):
                 records=records,
             )
         return answer.cpu().numpy()
+
+    def _unasked(self) -> Krylov:
+        """Settings of an iteration that nobody asked for: closer than a factorisation is held to,
+        where one would have been possible."""
+        few = np.count_nonzero(self.points.interior) <= DIRECT
+        return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE, device=self.device)
 
     def _through_lattice(self, load: np.ndarray, u: np.ndarray, solver: Solver) -> Solution:
         """The solution on scattered points by the operator of a certified lattice."""
@@ -206,11 +233,14 @@ class PlacedLPS(LPSOperator):
         b, u = (torch.as_tensor(field) for field in (b, u))
         solid = self.model.solid if parameters is None else parameters
         records: list[SolveRecord] = []
-        tolerance = solver.tolerance if isinstance(solver, Krylov) else TOLERANCE
-        method = self._method(solver)
-        options: dict[str, Any] = {"horizon": self.model.horizon, "method": method}
-        options |= {"tolerance": tolerance, "records": records}
-        answer = equilibrium(self.nodes, b, u, solid, **options)
+        asked = solver if isinstance(solver, Krylov) else self._unasked()
+        options: dict[str, Any] = {"horizon": self.model.horizon, "records": records}
+        options["tolerance"] = asked.tolerance
+
+        def solved(method: str) -> torch.Tensor:
+            return equilibrium(self.nodes, b, u, solid, method=method, **options)
+
+        answer, method = self._chosen(solver, b[..., 0, 0].numel(), solved)
         inside = torch.from_numpy(self.points.interior).to(b.device)
         told = self._told(answer, b[..., inside, :].detach().cpu().numpy(), method, records)
         return told if parameters is None else replace(told, proven=None)
@@ -246,16 +276,14 @@ def checked_fields(
     return load, u
 
 
-def choose_method(
-    points: PointsLike, *, plain: bool, stiff: bool = False, direct: int | None = None
-) -> str:
+def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads: int = 1) -> str:
     """The cheapest method for a point set.
 
     Args:
         points: whose interior nodes are solved for.
         plain: a lattice without a box or broken bonds.
         stiff: λ ≫ μ.
-        direct: most unknown nodes that are factorised; DIRECT by default.
+        loads: how many are solved for; 0 for iteration in any case.
     """
     nodes = int(np.count_nonzero(points.interior))
     if points.x.shape[1] == 3:
@@ -268,14 +296,14 @@ def choose_method(
         return "lu"
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
-    if nodes <= (DIRECT if direct is None else direct):
+    if nodes <= DIRECT and loads and (stiff or loads > LOADS + nodes / NODES_A_LOAD):
         return "lu"
     if stiff:
         return "strip"
-    inside, _ = lattice_steps(
-        Points(points.x[points.interior], np.ones(nodes, bool), points.spacing)
-    )
-    return "sine" if np.prod(inside.max(axis=0) + 1) == nodes else "multigrid"
+    inside = lattice_steps(points)[0][points.interior]
+    if np.prod(np.ptp(inside, axis=0) + 1) == nodes:
+        return "sine"
+    return "fft" if nodes <= FLAT else "multigrid"
 
 
 def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:

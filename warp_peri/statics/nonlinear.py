@@ -10,15 +10,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import NoConvergence, newton_krylov
-from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.models.nonlinear import NonlinearModel, energy_density
@@ -29,22 +28,29 @@ from warp_peri.operator.stencil import stencil
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.statics.direct import factorised
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
-from warp_peri.statics.lps import checked_fields, linear_energy
+from warp_peri.statics.lps import checked_fields, choose_method, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.transfer.nonlinear import nonlinear_for
 
-LINEAR_SHARE = 1e-2
-"""Iterative linear solves are carried to this share of the tolerance."""
+ROUGH, LINEAR_SHARE = 1e-3, 1e-2
+"""Iterative linear solves of the fixed point are carried to this, far below what a step of it
+leaves; those of Newton's method, which differences them, to this share of the tolerance."""
 DIRECT = 4_000
-"""Most unknown nodes whose linear solves are factorised, and whose tangent is."""
+"""Most unknown nodes whose tangent is factorised."""
+SOLVES = 2
+"""What the solves of a fixed point cost at the least, in whole iterative solves."""
 MEMORY = 5
 """Differences that Anderson acceleration mixes."""
 MOST_STEPS, PATIENCE = 60, 8
 """Of the fixed point; it is given up after so many steps without a smaller residual."""
 MOST_NEWTON = 40
+
+Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
+"""An inverse of the linear part: of a load on the interior [I, 2], to a relative residual."""
 
 
 @dataclass
@@ -111,9 +117,9 @@ class PlacedThirdOrder(NonlinearOperator):
             warnings.filterwarnings("ignore", message="spacing: the model is certified")
             return NonlinearOperator(self.model, self.points, radius=radius, allow_uncertified=True)
 
-    def inverse(self, tolerance: float) -> Callable[[np.ndarray], np.ndarray]:
+    def inverse(self, loads: int) -> Inverse:
         """L_LPS⁻¹ of a load on the interior; as linear_solver."""
-        return linear_solver(self, self.points, tolerance)
+        return linear_solver(self, self.points, loads)
 
     def figures(self, solution: Solution) -> dict[str, Any]:
         """What solves took, and whether their answers are the only ones, for `evaluate`."""
@@ -167,12 +173,9 @@ class PlacedThirdOrder(NonlinearOperator):
         refuse_solver(solver, (Newton,), "a nonlinear solid")
         asked = solver if isinstance(solver, Newton) else Newton()
         load, field = checked_fields(self.points, b, u)
-        way, inside, nodes = (
-            _Solver(self, self.points, asked.tolerance),
-            self.points.interior,
-            len(self.points.x),
-        )
+        inside, nodes = self.points.interior, len(self.points.x)
         answers, records = field.reshape(-1, nodes, 2), []
+        way = _Solver(self, self.points, asked.tolerance, len(answers))
         for number, (force, one) in enumerate(zip(load.reshape(-1, nodes, 2), answers)):
             try:
                 one[inside], record = way.solve(force[inside], one)
@@ -200,10 +203,12 @@ class PlacedThirdOrder(NonlinearOperator):
 class _Solver:
     """Solves of one model on one point set."""
 
-    def __init__(self, operator: PlacedThirdOrder, points: PointsLike, tolerance: float) -> None:
+    def __init__(
+        self, operator: PlacedThirdOrder, points: PointsLike, tolerance: float, loads: int
+    ) -> None:
         self.operator, self.tolerance, self.inside = operator, tolerance, points.interior
         self.proven = operator.model.proven_strain(points.spacing)
-        self.linear = operator.inverse(LINEAR_SHARE * tolerance)
+        self.linear = operator.inverse(loads)
 
     @cached_property
     def clipped(self) -> NonlinearOperator:
@@ -229,9 +234,9 @@ class _Solver:
             unbalanced: np.ndarray = (load - operator(field)) / scale
             return unbalanced
 
-        def correction(residual: np.ndarray) -> np.ndarray:
+        def correction(residual: np.ndarray, to: float = ROUGH) -> np.ndarray:
             record.solves += 1
-            return self.linear(residual * scale)
+            return self.linear(residual * scale, to)
 
         inner = correction(right / scale)
         inner, record.residual = anderson(
@@ -249,7 +254,8 @@ class _Solver:
             inner = near
         if record.residual > self.tolerance:
             record.method = "newton"
-            inner = self._newton(lambda v: left(self.operator, v), correction, inner)
+            exact = partial(correction, to=LINEAR_SHARE * self.tolerance)
+            inner = self._newton(lambda v: left(self.operator, v), exact, inner)
             record.residual = float(np.linalg.norm(left(self.operator, inner)))
         if not record.residual <= self.tolerance:
             raise InputError(
@@ -339,28 +345,39 @@ def anderson(
     return best
 
 
-def linear_solver(
-    operator: NonlinearOperator, points: PointsLike, tolerance: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """L_LPS⁻¹ of a load on the interior [I, 2]: factorised, or by preconditioned iteration.
+def linear_solver(operator: NonlinearOperator, points: PointsLike, loads: int) -> Inverse:
+    """L_LPS⁻¹ of a load on the interior [I, 2], to a relative residual: factorised, or iterated.
 
-    Raises InputError for a linear part that is not positive definite.
+    `loads` is the number of samples it is for. Raises InputError for a linear part that is not
+    positive definite.
     """
-    if np.count_nonzero(points.interior) <= DIRECT:
-        factors = splu(sp.csc_array(_unknown_columns(operator, operator.tangent(0 * points.x))))
-        return lambda right: factors.solve(right.ravel()).reshape(-1, 2)
     nodes = on_nominal_lattice(operator.model.linear, points)
+    method = choose_method(nodes, plain=True, loads=SOLVES * loads)
+    if method == "lu":
+        return factorised_tangent(operator)
     where = domain(nodes, operator.model.horizon, device=torch.device("cpu"))
     with torch.no_grad():
         A = stencil(where.classes, operator.model.linear.solid)
-    system = Dirichlet(where, A, "sine" if where.is_rectangle else "multigrid")
+    try:
+        system = Dirichlet(where, A, method)
+    except InputError:  # the symbol does not prove every definite operator so
+        if len(where.free) > DIRECT:
+            raise
+        return factorised_tangent(operator)
 
-    def solved(right: np.ndarray) -> np.ndarray:
+    def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
         field, _ = system.solve(where.gather_free(torch.from_numpy(right)), tolerance)
         free: np.ndarray = where.scatter_free(field).numpy()
         return free
 
     return solved
+
+
+def factorised_tangent(operator: NonlinearOperator) -> Inverse:
+    """The inverse of the tangent at rest on the interior."""
+    tangent = operator.tangent(np.zeros((operator.sweeps.nodes, 2)))
+    factors = factorised(sp.csc_array(_unknown_columns(operator, tangent)))
+    return lambda right, tolerance: factors.solve(right.ravel()).reshape(-1, 2)
 
 
 def _unknown_columns(operator: NonlinearOperator, matrix: sp.csr_array) -> sp.csr_array:

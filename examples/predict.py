@@ -1,0 +1,256 @@
+"""A tolerance in, an answer with its error out: how often the error is right, against atoms.
+
+Learns a family from the main job's data and predicts scenes that no constant of it has seen, at
+strains from 1 to 10 %. Makes the data it lacks with LAMMPS, once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+import warp_peri as wp
+from examples.train_graphene import DATA, make_data
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import locked, whole_file, write_json
+from warp_peri.launch import set_threads
+from warp_peri.methods import Optimum, Smoothing
+from warp_peri.prediction import Answer, Family, Members, PlacedMembers, strain
+
+OUT = ROOT / "runs" / "predict"
+TOLERANCES = (0.005, 0.01, 0.02, 0.05, 0.10)
+LINE = (-30.0, -15.0, 0.0, 15.0, 30.0)
+"""Strain is looked at where these cross [Å], if that is inside."""
+LARGE = 200
+"""Nodes a side where costs are measured."""
+
+
+def rich_law() -> wp.ThirdOrder:
+    """The best law that this data bear."""
+    kernel = wp.Bernstein(15, two_functions=True)
+    linear = wp.LPS(25.0, kernel, method=Optimum(moduli="isotropic"), normalise=True)
+    return wp.ThirdOrder(linear, Smoothing(10.0))
+
+
+def family(given: argparse.Namespace) -> Members:
+    """The family, learned once and kept in the folder of results."""
+    path = given.out / "family.json"
+    if path.exists() and not given.refit:
+        return wp.load(path)
+    data = wp.load(given.data or make_data(-1, 10.0))
+    material = wp.fit(data["train"], Family(rich_law()), held_out=data["val"]).material
+    wp.save(path, material)
+    return material
+
+
+def scenes(given: argparse.Namespace) -> dict[str, wp.Samples]:
+    """Sets with truth from atoms, by name."""
+    path = given.scenes or DATA.with_name("graphene_0K_scenes.h5")
+    if not path.exists():
+        from tools.make_scenes import make_scenes
+
+        print("making scenes with LAMMPS (once)", file=sys.stderr)
+        make_scenes(path)
+    return dict(wp.load(path).sets)
+
+
+def relative(u: np.ndarray, truth: np.ndarray, inside: np.ndarray) -> float:
+    """Error of a displacement on the interior, over the displacement."""
+    return float(np.linalg.norm((u - truth)[inside]) / np.linalg.norm(truth[inside]))
+
+
+def timed(run: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of the processor, and what came out."""
+    start = time.process_time()
+    result = run()
+    return time.process_time() - start, result
+
+
+def one_scene(
+    placed: PlacedMembers, points: Any, b: np.ndarray, truth: np.ndarray
+) -> dict[str, Any]:
+    """Errors, bars and costs of one load."""
+    inside = placed.points.interior
+    problem = wp.Dirichlet(points, b, np.where(inside[:, None], 0.0, truth))
+    found: dict[str, Any] = {"rms_gradient": placed.gradient(truth)}
+    found["ways"] = ways(placed, problem, truth)
+    for tolerance in (*TOLERANCES, None):
+        seconds, answer = timed(partial(wp.predict, placed, problem, tolerance))
+        row = {"error": answer.error, "true": relative(answer.u, truth, inside)}
+        row |= {"kept": answer.kept, "seconds": seconds, "why": answer.why, "parts": answer.parts}
+        found["best" if tolerance is None else f"{tolerance:g}"] = row
+    first: Any = wp.predict(placed, problem, 1.0)
+    found["strain"] = strains(first, truth)
+    return found
+
+
+def ways(placed: PlacedMembers, problem: wp.Dirichlet, truth: np.ndarray) -> list[list[float]]:
+    """Seconds and true error of the linear answer and of each correction: the oracle's choice."""
+    inside = placed.points.interior
+    load, u = placed.load(problem.b), problem.u.copy()
+    seconds, u[inside] = timed(lambda: placed.inverse(load - placed.straight(u), 3e-3))
+    found = [[seconds, relative(u, truth, inside)]]
+    for _ in range(5):
+        more, e = timed(lambda: placed.correction(load, u))
+        u[inside] += e
+        seconds += more
+        found.append([seconds, relative(u, truth, inside)])
+    return found
+
+
+def strains(answer: Answer, truth: np.ndarray) -> list[list[float]]:
+    """Error of the strain of the linear answer and its correction, over its root mean square."""
+    placed = answer.operator
+    assert placed is not None
+    at = np.stack(np.meshgrid(LINE, LINE), axis=-1).reshape(-1, 2)
+    inside = placed.points.x[placed.points.interior]
+    near = np.linalg.norm(inside[:, None] - at, axis=-1).min(axis=0) <= placed.points.spacing
+    of = strain(placed.points, at[near])
+    pick = (slice(None), [0, 1, 0], [0, 1, 1])
+    exact, quantity = of(truth)[pick], answer.of(of)
+    size = np.sqrt((exact**2).sum(axis=1).mean())
+    wrong = (exact - quantity.value[pick]) / size
+    return [wrong.ravel().tolist(), (quantity.correction[pick] / size).ravel().tolist()]
+
+
+def costs(material: Members) -> dict[str, float]:
+    """On 200² nodes: a correction over a linear solve, an answer at 1 % over a nonlinear solve."""
+    pad = 10
+    x = 5.0 * np.argwhere(np.ones((LARGE + 2 * pad,) * 2)).astype(float)
+    grid = np.rint(x / 5).astype(int) - pad
+    inside = np.asarray(((grid >= 0) & (grid < LARGE)).all(axis=1))
+    points = wp.Points(x, inside, 5.0, axis=0.0)
+    k = np.array([[0.02, 0.01], [-0.008, 0.024]])
+    problem = wp.Dirichlet(points, 1e-4 * np.cos(x @ k), 0.5 * np.sin(x @ k))
+    placed = PlacedMembers(material, points)
+    linear, nonlinear = material.linear.on(points), material.on(points)
+    predicted = [timed(lambda: wp.predict(placed, problem, 0.01)) for _ in range(2)][1]
+    load, answer = placed.load(problem.b), predicted[1]
+    correction = min(timed(lambda: placed.correction(load, answer.u))[0] for _ in range(3))
+    with warnings.catch_warnings(action="ignore"):
+        solved = min(timed(lambda: wp.solve(linear, problem))[0] for _ in range(2))
+        whole = min(timed(lambda: wp.solve(nonlinear, problem))[0] for _ in range(2))
+    return {
+        "correction": correction / solved,
+        "answer": predicted[0] / whole,
+        "linear_solve_seconds": solved,
+        "nonlinear_solve_seconds": whole,
+    }
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the error is worth, over all scenes."""
+    numbers: dict[str, Any] = {"scenes": len(rows), "tolerances": {}, "oracle": {}}
+    ratios = []
+    for tolerance in TOLERANCES:
+        told = [row[f"{tolerance:g}"] for row in rows]
+        ratio = [one["error"] / one["true"] for one in told]
+        ratios += ratio
+        kept = [one for one in told if one["kept"]]
+        easy = [one for one, row in zip(told, rows) if row["best"]["true"] <= tolerance / 2]
+        numbers["tolerances"][f"{tolerance:g}"] = {
+            "scenes": len(told),
+            "kept": len(kept),
+            "true": sum(one["true"] <= tolerance for one in kept),
+            "coverage": float(np.mean(np.array(ratio) >= 1)),
+            "within_half": len(easy),
+            "of_them_kept": sum(one["kept"] for one in easy),
+        }
+        over = []
+        for one, row in zip(told, rows):
+            good = [seconds for seconds, true in row["ways"] if true <= tolerance]
+            if one["kept"] and good:
+                over.append(one["seconds"] / min(good))
+        numbers["oracle"][f"{tolerance:g}"] = float(np.median(over)) if over else None
+    best = [row["best"]["error"] / row["best"]["true"] for row in rows]
+    numbers["best"] = {"coverage": float(np.mean(np.array(best) >= 1)), **spread(best)}
+    numbers["coverage"] = float(np.mean(np.array(ratios) >= 1))
+    numbers["bar_over_true"] = spread(ratios)
+    wrong, corrected = (np.concatenate([row["strain"][n] for row in rows]) for n in (0, 1))
+    seen = np.abs(wrong) > 0.01
+    share = corrected[seen] / wrong[seen]
+    numbers["strain"] = {
+        "within": float(np.mean((share > 0.8) & (share < 1.2))),
+        "corrected_over_first": float(np.linalg.norm(wrong - corrected) / np.linalg.norm(wrong)),
+    }
+    return numbers
+
+
+def spread(ratios: list[float]) -> dict[str, float]:
+    """Median and smallest."""
+    return {"median": float(np.median(ratios)), "smallest": float(np.min(ratios))}
+
+
+def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
+    """What was said against what is true; and where one answer is likely wrong."""
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for name, mark in (("0.01", "o"), ("best", ".")):
+        told = np.array([[row[name]["true"], row[name]["error"]] for row in rows])
+        left.loglog(*100 * told.T, mark, ms=4, alpha=0.6, label={"best": "best"}.get(name, "1 %"))
+    ends = np.array([0.03, 30])
+    left.loglog(ends, ends, "k-", lw=0.8)
+    left.set(xlabel="true error [%]", ylabel="likely error [%]", title="unseen scenes")
+    left.legend(title="tolerance")
+    answer.plot(ax=right)
+    right.set_title(f"likely error {100 * answer.error:.2g} %")
+    right.set(xlabel="x [Å]", ylabel="y [Å]")
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=150, format="png")
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """Every scene; what metrics.json holds."""
+    set_threads(1)
+    torch.set_num_threads(1)
+    material = family(given)
+    rows, shown = [], None
+    for name, samples in scenes(given).items():
+        placed = PlacedMembers(material, samples.points)
+        for number, (b, truth) in enumerate(zip(samples.loads, samples.u)):
+            rows.append({"scene": f"{name} {number}"} | one_scene(placed, samples, b, truth))
+        if shown is None or name == "disk_5":
+            shown = wp.predict(placed, wp.Dirichlet(samples, samples.loads[0], samples.u[0]), 0.02)
+        print(name, file=sys.stderr)
+    assert isinstance(shown, Answer)
+    draw(given.out / "predict.png", rows, shown)
+    factors = {"factors": vars(material.factors)}
+    return summary(rows) | {"cost": costs(material)} | factors | {"rows": rows}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add_argument("--scenes", type=Path, help="scenes with truth (made if not there)")
+    parser.add_argument("--refit", action="store_true", help="learn the family anew")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args(arguments)
+    with locked(given.out):
+        given.out.mkdir(parents=True, exist_ok=True)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="strain:")
+            numbers = run(given)
+        write_json(given.out / "metrics.json", numbers)
+    told = {name: value for name, value in numbers.items() if name != "rows"}
+    print(json.dumps(told) if given.json else json.dumps(told, indent=2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))

@@ -1,0 +1,253 @@
+"""An answer with its error, held to errors that were planted."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.support.nonlinear import solid
+from tests.support.problems import kernel, lattice, manufactured, noise, smooth
+from warp_peri.cli.main import main
+from warp_peri.points import axis
+from warp_peri.points.unit_names import factors
+from warp_peri.prediction import (
+    Factors,
+    Family,
+    Members,
+    PlacedMembers,
+    force,
+    mean,
+    strain,
+    stress,
+)
+from warp_peri.prediction.spectrum import Record, shares
+from warp_peri.proofs import certify, uniqueness
+
+pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
+HORIZON, APART = 3.0, 0.02
+
+
+def scaled(model, share):
+    """The same law, stiffer by a share: its answers to loads are smaller by as much."""
+    linear = model.linear
+    linear = replace(linear, lam=linear.lam * (1 + share), mu=linear.mu * (1 + share))
+    cubic = {name: getattr(model, name) * (1 + share) for name in ("t3", "tq2", "q3")}
+    return replace(model, linear=linear, **cubic)
+
+
+@pytest.fixture(scope="module")
+def family():
+    """A rich member, a second 1 % stiffer, and halves 2 % to either side."""
+    model = solid("filtered")
+    linear = replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0])
+    proof = {"1": certify(linear, spacing=1.0).figures()}
+    linear = replace(linear, certificate=proof)
+    rich = replace(model, linear=linear)
+    rich = replace(rich, proven={"1": uniqueness(rich, spacing=1.0).figures()})
+    halves = scaled(rich, APART), scaled(rich, -APART)
+    record = Record(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
+    return Members(rich, scaled(rich, 0.01), halves, record, Factors(1.2, 1.48, 2.0, 0.001))
+
+
+def problem(family, size, interior=9):
+    """Nodes, a field, and the load that holds the rich member there; no load on the collar."""
+    points = lattice(interior, HORIZON)
+    u = size * smooth(points.x, 1, 0, wave_number=0.3)[0]
+    b = np.zeros_like(u)
+    b[points.interior] = family.on(points)(u)
+    return points, u, b
+
+
+def far(u, truth, points):
+    inside = points.interior
+    return np.linalg.norm((u - truth)[inside]) / np.linalg.norm(truth[inside])
+
+
+def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
+    points, u, b = problem(family, 0.01)
+    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    rough = wp.predict(family, given, 0.5)
+    best = wp.predict(family, given, None)
+    assert rough.corrections == 0
+    assert rough.known is None, "a loose tolerance asks for no correction"
+    assert best.corrections > 0
+    assert far(best.u, u, points) < 0.1 * far(rough.u, u, points)
+    moved = rough.corrected - rough.u
+    true = u - rough.u
+    inside = points.interior
+    assert np.linalg.norm((moved - true)[inside]) < 0.25 * np.linalg.norm(true[inside])
+    assert set(best.parts) >= {"left", "waves", "data", "strain", "noise"}
+    assert best.error == pytest.approx(np.sqrt(sum(v**2 for v in best.parts.values())))
+    assert best.map()[inside].min() > 0
+    assert not best.map()[~inside].any()
+    root = np.linalg.norm(best.map()[inside]) / np.linalg.norm(best.u[inside])
+    planted = {name: value for name, value in best.parts.items() if name != "waves"}
+    assert root >= 0.99 * np.sqrt(sum(v**2 for v in planted.values()))
+
+
+def test_a_part_is_as_large_as_what_was_planted(family):
+    """Without a collar that moves, a law stiffer by a share answers with less by that share."""
+    points, _, _ = problem(family, 1.0)
+    b = np.zeros_like(points.x)
+    b[:, 0] = 1e-4
+    family = replace(family, record=None)
+    answer = wp.predict(family, wp.Dirichlet(points, b, 0 * b), None)
+    floor = family.factors.floor / np.sqrt(2)
+    assert answer.parts["data"] == pytest.approx(floor * np.sqrt(2) * APART, rel=0.1)
+    family = replace(family, factors=replace(family.factors, typical=1.0))  # no screen
+    assert answer.parts["waves"] == pytest.approx(floor * 0.01, rel=0.1)
+    tight = wp.predict(family, wp.Dirichlet(points, b, 0 * b), 0.01)
+    loose = wp.predict(family, wp.Dirichlet(points, b, 0 * b), 0.04)
+    assert not tight.kept
+    assert "1 % is not kept" in tight.why
+    assert loose.kept
+    assert "most of it data" in loose.why
+
+
+def test_quantities_come_with_a_signed_correction(family):
+    points, u, b = problem(family, 0.01)
+    rough = wp.predict(family, wp.Dirichlet(points, b, u), 0.5)
+    at = [(4.0, 4.0), (2.0, 5.0)]
+    for quantity in (
+        strain(points, at),
+        stress(rough.operator, at),
+        mean(points.interior),
+        force(rough.operator, (2.0, 4.0), (6.0, 4.0)),
+    ):
+        found = rough.of(quantity)
+        wrong = np.asarray(quantity(u)) - found.value
+        size = np.abs(wrong).max()
+        assert np.abs(wrong - found.correction).max() < 0.3 * size
+        assert (found.bar >= 0.99 * np.abs(found.correction)).all()
+
+
+@pytest.mark.parametrize("size", [0.0005, 0.001])
+def test_the_guarantee_holds_planted_errors(family, size):
+    points, u, b = problem(family, size)
+    inside = points.interior
+    wrong = np.zeros_like(u)
+    wrong[inside] = 0.02 * np.abs(u).max() * noise(points)[inside]
+    answer = wp.predict(family, wp.Dirichlet(points, b, u), None)
+    answer = replace(answer, u=u + wrong)
+    proof = answer.guarantee
+    assert proof is not None
+    straight = PlacedMembers(family, points).straight
+    true = np.sqrt((wrong[inside] * straight(wrong)).sum())
+    assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
+    assert 0 < proof.contraction < 1
+    assert proof.energy <= proof.without_solve
+    assert far(u + wrong, u, points) <= proof.displacement
+    assert "energy norm" in proof.statement
+
+
+def test_no_guarantee_beyond_the_proven_strain(family):
+    points, u, b = problem(family, 0.05)
+    assert wp.predict(family, wp.Dirichlet(points, b, u), None).guarantee is None
+
+
+def test_a_linear_family_is_bounded_without_a_contraction(family):
+    linear = Members(family.linear, family.second.linear, tuple(h.linear for h in family.halves))
+    points = lattice(6, HORIZON)
+    b = np.zeros_like(points.x)
+    b[:, 0] = 1e-4
+    answer = wp.predict(linear, wp.Dirichlet(points, b, 0 * b), 0.1)
+    wrong = np.where(points.interior[:, None], 1e-4 * noise(points), 0.0)
+    proof = replace(answer, u=answer.u + wrong).guarantee
+    assert proof.contraction == 0
+    true = np.sqrt((wrong[points.interior] * linear.on(points)(wrong)).sum())
+    assert true <= proof.energy <= 1.001 * true
+
+
+def test_what_is_not_known_is_named(family, monkeypatch):
+    points, u, b = problem(family, 0.01)
+    unstated = replace(points, axis=None)
+    monkeypatch.setattr(axis, "_said", [])
+    with pytest.warns(UserWarning, match="axis"):
+        answer = wp.predict(family, wp.Dirichlet(unstated, b, u), 0.01)
+    assert any("axis" in one for one in answer.uncovered)
+    assert answer.parts["axis"] > 0
+    assert "not covered: axis" in answer.why
+    stated = wp.predict(family, wp.Dirichlet(points, b, u), 0.01)
+    assert stated.uncovered == ()
+    warm = wp.Samples(points, u[None], b[None], {"temperature": np.array([300.0])})
+    (answer,) = wp.predict(replace(family, temperature=0.0), wp.Dirichlet(warm, warm.b, warm.u))
+    assert not answer.kept
+    assert "temperature" in answer.why
+
+
+def test_a_family_is_one_file_in_any_units(family, tmp_path, capsys):
+    points, u, b = problem(family, 0.01)
+    path = tmp_path / "family.json"
+    wp.save(path, family)
+    again = wp.load(path)
+    expected = wp.predict(family, wp.Dirichlet(points, b, u), 0.01)
+    answer = wp.predict(again, wp.Dirichlet(points, b, u), 0.01)
+    np.testing.assert_array_equal(answer.u, expected.u)
+    assert answer.parts == expected.parts
+    units = ("nm", "GPa")
+    length, stress_unit = factors(family.units, units)
+    moved = replace(points, x=points.x * length, spacing=length, units=units)
+    there = wp.predict(
+        wp.load(path, units=units),
+        wp.Dirichlet(moved, b * stress_unit / length, u * length),
+        0.01,
+    )
+    assert there.error == pytest.approx(expected.error, rel=1e-4)
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"strain": 1.0}))
+    with pytest.raises(wp.InputError, match="sha256"):
+        wp.load(path)
+
+
+def test_the_command_says_error_and_truth(family, tmp_path, capsys):
+    points, u, b = problem(family, 0.01)
+    wp.save(tmp_path / "family.json", family)
+    data = wp.Dataset({"set": wp.Samples(points, u[None], b[None])}, 3.35, 2200.0)
+    wp.save(tmp_path / "data.h5", data)
+    files = [str(tmp_path / name) for name in ("family.json", "data.h5")]
+    assert main(["predict", *files, "--set", "set", "--tolerance", "0.05", "--json"]) == 0
+    (sample,) = json.loads(capsys.readouterr().out)["samples"]
+    assert sample["kept"]
+    assert 0 < sample["true"] < sample["error"] < 0.05
+    assert "data" in sample["parts"]
+
+
+def test_wrong_input_is_refused(family):
+    points, u, b = problem(family, 0.01)
+    given = wp.Dirichlet(points, b, u)
+    with pytest.raises(wp.InputError, match="knows nothing of its error"):
+        wp.predict(family.rich, given)
+    with pytest.raises(wp.InputError, match="tolerance: expected a fraction > 0, or None, got 0"):
+        wp.predict(family, given, 0)
+    with pytest.raises(wp.InputError, match="predict: expected a problem"):
+        wp.predict(family, points)
+    with pytest.raises(wp.InputError, match="at least four samples"):
+        wp.fit(wp.Samples(points, u[None], b[None]), Family(wp.LPS(3.0)))
+
+
+def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
+    points = lattice(8, HORIZON)
+    samples = manufactured(kernel("positive", HORIZON), points, 8, wave_number=1.0)
+    fit = wp.fit(samples, Family(wp.Micromodulus(HORIZON, "4mm")), progress=False)
+    assert fit.certificate.holds
+    assert fit.material.second.horizon < fit.material.horizon
+    assert 0 < fit.material.strain < 10
+    wp.save(tmp_path / "family.json", fit.material)
+    family = wp.load(tmp_path / "family.json")
+    held = manufactured(kernel("positive", HORIZON), points, 4, seed=9, wave_number=0.5)
+    answers = wp.predict(family, wp.Dirichlet(held, held.b, held.u), None)
+    ratios = [answer.error / far(answer.u, u, points) for answer, u in zip(answers, held.u)]
+    assert 0.5 < np.median(ratios) < 3
+    assert answers[0].guarantee.contraction == 0
+
+
+def test_shares_find_the_wavelength():
+    points = lattice(40, 0.5)
+    knots = np.array([4.0, 8.0, 16.0])
+    u = np.stack([np.cos(2 * np.pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
+    found = shares(points, u, knots)
+    assert found.argmax() == 1
+    assert found.sum() == pytest.approx(1, abs=0.02)
+    assert Record(knots, np.array([0.0, 0.1, 0.0])).of(points, u) == pytest.approx(0.1, rel=0.15)

@@ -1,0 +1,106 @@
+"""Scenes that no constant of `predict` has seen, with truth from atoms: a data set of its own.
+
+    python tools/make_scenes.py
+
+Sums of many waves on the sheet and random loads round the disk, at bond strains from 1 to 10 %, on
+the nodes of the data set, on other shapes of the interior, and on nodes turned against the crystal.
+The loads were written down before any of them was looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import numpy as np
+
+from tools import make_graphene as base
+from tools.loads import Load, MixedLoad, RandomRim
+from tools.make_strained import SPACING, _solve_missing, strained_file
+from tools.samples import Piece, Sample, read_sample
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import locked
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.samples import Samples
+
+OUT = Path("data/graphene_0K_scenes.h5")
+STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
+"""Largest bond strains."""
+SHEET = (MixedLoad(41, 30.0), MixedLoad(42, 45.0), MixedLoad(43, 70.0))
+DISK = (RandomRim(301), RandomRim(302), RandomRim(303))
+TURN = 17.0
+"""Angle of the crystal to the nodes of the turned sets [degrees]."""
+
+
+def shape(points: Samples, name: str) -> Samples:
+    """The samples with another interior: an L, or a rectangle of half the height."""
+    x, y = points.x.T
+    kept = (x < 0) | (y < 0) if name == "L" else np.abs(y) <= 25
+    return dataclasses.replace(
+        points, points=dataclasses.replace(points.points, interior=points.interior & kept)
+    )
+
+
+def turned(body: Piece, samples: Sequence[Sample]) -> Samples:
+    """Samples on nodes that the crystal is turned against."""
+    c, s = np.cos(np.deg2rad(TURN)), np.sin(np.deg2rad(TURN))
+    turn = np.array([[c, s], [-s, c]])
+    fields = (np.stack([getattr(one, n) for one in samples]) for n in ("displacement", "force"))
+    nodes = base.on_nodes(
+        body, samples[0].reference @ turn, *(f @ turn for f in fields), spacing=SPACING
+    )
+    return dataclasses.replace(nodes, points=dataclasses.replace(nodes.points, axis=TURN))
+
+
+def make_scenes(path: Path = OUT, *, jobs: int = -1, progress: bool = True) -> Path:
+    """Write the sets, named `<shape>_<percent>`; finished samples stay beside the file."""
+    cache = path.with_suffix(".cache")
+    with locked(path), locked(cache):
+        cache.mkdir(parents=True, exist_ok=True)
+        sheet, disk = base.graphene_bodies()
+        groups: dict[str, tuple[Piece, Sequence[Load]]] = {
+            "sheet": (sheet, SHEET),
+            "disk": (disk, DISK),
+        }
+        _solve_missing(groups.values(), STRAINS, cache, jobs, progress)
+        sets: dict[str, Samples] = {}
+        for strain in STRAINS:
+            for name, (body, loads) in groups.items():
+                found = [read_sample(strained_file(cache, body, one, strain)) for one in loads]
+                samples = [sample for sample in found if sample is not None]
+                percent = f"{100 * strain:g}"
+                nodes = base.point_set(body, loads, samples, spacing=SPACING)
+                sets[f"{name}_{percent}"] = nodes
+                other = "rectangle" if body.cells else "L"
+                sets[f"{other}_{percent}"] = shape(nodes, other)
+                if not body.cells:
+                    sets[f"turned_{percent}"] = turned(body, samples)
+        given = {"source": "tools/make_scenes.py", "temperature": 0.0, "strains": list(STRAINS)}
+        save_dataset(path, Dataset(sets, base.THICKNESS, base.mass_density(sheet.bond), given))
+    return path
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=OUT, metavar="FILE")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one for each core")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    given = parser.parse_args(arguments)
+    warnings.showwarning = base.short_warning
+
+    def work() -> None:
+        print(make_scenes(given.out, jobs=given.jobs, progress=not given.quiet))
+
+    return exit_status(work, "finished samples are kept", name="make_scenes")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

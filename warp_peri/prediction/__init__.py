@@ -1,0 +1,25 @@
+"""An answer with its error: the richest model is evaluated, and corrects (theory.md, Q1–Q10)."""
+
+from warp_peri.prediction.answer import Answer, Quantity
+from warp_peri.prediction.guarantee import Guarantee
+from warp_peri.prediction.learning import Family
+from warp_peri.prediction.loads import design_loads, mixed_waves
+from warp_peri.prediction.members import Factors, Members
+from warp_peri.prediction.placed import PlacedMembers
+from warp_peri.prediction.quantities import force, mean, strain, stress
+
+__all__ = [
+    "Answer",
+    "Factors",
+    "Family",
+    "Guarantee",
+    "Members",
+    "PlacedMembers",
+    "Quantity",
+    "design_loads",
+    "force",
+    "mean",
+    "mixed_waves",
+    "strain",
+    "stress",
+]

@@ -1,0 +1,159 @@
+"""A family on points: residuals of its members, and the solve that makes errors of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.points import Points
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.prediction.members import Members
+from warp_peri.prediction.spectrum import shares
+
+ROUGH = 0.05
+"""Relative residual of the solves that give errors, not answers."""
+STRETCHED = 0.1
+"""By how much more the answer is strained where the cubic part of the force is asked for."""
+HALF_PERIOD = 30.0
+"""Degrees between the directions of a crystal that differ most in their third-order constants."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Fields of errors on the interior nodes [length], each of shape [I, d] (Q1–Q3).
+
+    Attributes:
+        left: the correction that is left.
+        waves: by the second member.
+        data: by the halves.
+        strain: what the force has beyond the square of the strain, tenfold; and what its orders
+            would go on to as a series, the nonlinear part times the gradient.
+        axis: by the crystal at its other extreme, where its axis is not stated.
+    """
+
+    left: np.ndarray
+    waves: np.ndarray
+    data: np.ndarray
+    strain: tuple[np.ndarray, np.ndarray] | None = None
+    axis: np.ndarray | None = None
+
+
+class PlacedMembers:
+    """The members of a family on the points of a problem.
+
+    Args:
+        family: what was learned.
+        points: a lattice, or for a linear rich member any points it goes on.
+        options: of its `on`.
+    """
+
+    def __init__(self, family: Members, points: PointsLike, **options: Any) -> None:
+        nodes = nodes_of(points)
+        self.family, self.points, self.options = family, nodes, options
+        linear = getattr(family.rich, "linear", family.rich)
+        scattered = nodes.spacing == 0
+        self.rich = (linear if scattered else family.rich).on(nodes, **options)
+        self.nonlinear = hasattr(self.rich, "straight")
+
+    def straight(self, u: np.ndarray) -> np.ndarray:
+        """The linear part of the rich member at u."""
+        return np.asarray((self.rich.straight if self.nonlinear else self.rich)(u))
+
+    @cached_property
+    def others(self) -> tuple[Any, Any, Any]:
+        """The second member's linear part and the halves, placed when they are first asked for."""
+        second, halves = self.family.second, self.family.halves
+        rich = halves if self.nonlinear else tuple(getattr(m, "linear", m) for m in halves)
+        placed = [one.on(self.points, **self.options) for one in (second, *rich)]
+        straight = getattr(placed[0], "straight", placed[0])
+        return straight, placed[1], placed[2]
+
+    @cached_property
+    def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
+        """S: L⁻¹ of a load on the interior, to a relative residual."""
+        if hasattr(self.rich, "inverse"):
+            return self.rich.inverse(1)  # type: ignore[no-any-return]
+        inside, zero = self.points.interior, np.zeros(self.points.x.shape)
+
+        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+            b = zero.copy()
+            b[inside] = right
+            return np.asarray(self.rich.rest(b, zero).u[inside])
+
+        return solved
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """What the operator equals in equilibrium, shape [I, d]."""
+        return np.asarray(self.rich.load(b))
+
+    def gradient(self, u: np.ndarray) -> float:
+        """Root mean square of |H| near the unknowns."""
+        H, _ = self.rich.gradients(u)
+        return float(np.sqrt((H**2).sum(axis=(-2, -1)).mean()))
+
+    def waves(self, u: np.ndarray) -> float:
+        """The relative error that the record gives a field; 0 without one."""
+        if self.family.record is None or self.points.spacing == 0:
+            return 0.0
+        return self.family.record.of(self.points, u)
+
+    def spectrum(self, u: np.ndarray, wavelength: np.ndarray) -> np.ndarray:
+        """Shares of a field by wavelength."""
+        return shares(self.points, u, wavelength)
+
+    @cached_property
+    def turned(self) -> Any:
+        """The rich member with the crystal at its other extreme; None where its axis is stated or
+        it has none."""
+        has_axis = any(getattr(self.rich.model, name, 0.0) for name in ("q3",))
+        if self.points.axis is not None or not has_axis:
+            return None
+        from dataclasses import replace
+
+        return self.family.rich.on(replace(self.points, axis=HALF_PERIOD), **self.options)
+
+    def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""
+        return self.inverse(load - self.rich(u), ROUGH)
+
+    def series(self, u: np.ndarray, bent: np.ndarray) -> np.ndarray:
+        """What orders go on to, of S N(u), shape [I, d] (Q3)."""
+        gradient = self.gradient(u)
+        size = float(np.linalg.norm(u[self.points.interior]))
+        own = float(np.linalg.norm(bent)) / size if size > 0 else 0.0
+        ratio = self.family.factors.screen * gradient
+        return ratio * max(1.0, gradient / own if own > 0 else 0.0) * bent
+
+    def doubts(self, u: np.ndarray, left: np.ndarray, first: np.ndarray) -> Parts:
+        """Fields of what the members do not know of u, [N, d], that began as the linear answer
+        `first`; `left` is its correction."""
+        second, *halves = self.others
+        lin, rough = self.straight(u), 2 * ROUGH
+        waves = self.inverse(lin - second(u), rough)
+        data = self.inverse(halves[0](u) - halves[1](u), rough) / np.sqrt(2)
+        strain = axis = None
+        if self.nonlinear or self.turned is not None:
+            non = self.rich(u)
+        if self.nonlinear:
+            t = 1 + STRETCHED
+            more = (self.rich(t * u) - t * lin) / t**2 - (non - lin)
+            bent = (first - u)[self.points.interior] - left
+            strain = self.inverse(more / STRETCHED, rough), self.series(u, bent)
+        if self.turned is not None:
+            axis = self.inverse(non - self.turned(u), rough)
+        return Parts(left, waves, data, strain, axis)
+
+
+def placed_members(family: Any, points: Points, **options: Any) -> PlacedMembers:
+    """A family on points; InputError for what is no family."""
+    if not isinstance(family, Members):
+        raise InputError(
+            "predict: expected what fit(samples, Family(…)).material is, got "
+            f"{type(family).__name__}; one law alone knows nothing of its error"
+        )
+    return PlacedMembers(family, points, **options)

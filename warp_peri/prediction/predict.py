@@ -1,0 +1,255 @@
+"""A tolerance in, an answer with its error out (theory.md, Q1–Q5).
+
+The cheapest member is solved, the richest is evaluated, never solved: what its residual asks for is
+both the estimate and the improvement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warp_peri.contract import offered
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import is_positive
+from warp_peri.points.samples import Samples
+from warp_peri.prediction.answer import WORDS, Answer, combined
+from warp_peri.prediction.members import Members
+from warp_peri.prediction.placed import Parts, PlacedMembers, placed_members
+from warp_peri.statics.lps import checked_fields
+
+SOLVED, SHARE = 3e-3, 0.1
+"""The first linear solve goes to this relative residual, or to this share of the tolerance."""
+MOST = 8
+"""Corrections at most."""
+SETTLED = 0.1
+"""Without a tolerance corrections end where what is left is this share of all other parts."""
+STALLED = 0.9
+"""A correction larger than this times the one before does not lead on."""
+SURE = 2.0
+"""Times that the series is taken where the cubic part beside it was not computed."""
+FREE_EDGE = "free edges: the family was learned inside a body, and atoms at an edge are other ones"
+BROKEN = "broken bonds: the family knows none"
+AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
+
+
+@dataclass
+class _Stage:
+    """One displacement and what is known of it."""
+
+    u: np.ndarray
+    parts: dict[str, float]
+    fields: Parts | None
+    corrections: int
+
+    @property
+    def error(self) -> float:
+        return float(np.sqrt(sum(part**2 for part in self.parts.values())))
+
+
+def predict(
+    material: Any, problem: Any, tolerance: float | None = 0.01, **options: Any
+) -> Answer | tuple[Answer, ...]:
+    """The cheapest answer that keeps a tolerance, and how wrong it is.
+
+    Args:
+        material: a family, from fit(samples, prediction.learning.Family(…)), or the PlacedMembers
+            of one where the same points are asked again.
+        problem: Dirichlet(points, b, u), or Body(mesh, …) for the linear part.
+        tolerance: largest displacement error, relative to the displacement of the interior; None
+            for the best answer, with its error.
+        options: of the material's `on`: transfer, allow_uncertified.
+
+    Returns:
+        An answer, or one for each of several loads. One whose tolerance is not kept says so.
+
+    Raises InputError for a material that is no family, a problem of another kind, a tolerance that
+    is no number above zero, and whatever `solve` refuses.
+    """
+    if tolerance is not None and not is_positive(tolerance):
+        raise InputError(f"tolerance: expected a fraction > 0, or None, got {tolerance!r:.40}")
+    if hasattr(problem, "mesh"):
+        return _of_body(material, problem, tolerance, options)
+    kinds = "a problem: Dirichlet(points, b, u) or Body(mesh, …)"
+    points = offered(problem, "points", "predict", kinds) if hasattr(problem, "points") else None
+    if points is None or not (hasattr(problem, "b") and hasattr(problem, "u")):
+        raise InputError(f"predict: expected {kinds}, got {type(problem).__name__}")
+    placed = material
+    if not isinstance(material, PlacedMembers):
+        placed = placed_members(material, points, **options)
+    load, field = checked_fields(placed.points, problem.b, problem.u)
+    uncovered = _uncovered(placed, problem)
+    flat = (each.reshape(-1, *placed.points.x.shape) for each in (load, field))
+    noise = _noise(points, len(field) if field.ndim == 3 else 1)
+    answers = tuple(
+        _predict(placed, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
+    )
+    return answers if load.ndim == 3 else answers[0]
+
+
+def _predict(
+    placed: PlacedMembers,
+    b: np.ndarray,
+    given: np.ndarray,
+    tolerance: float | None,
+    uncovered: tuple[str, ...],
+    noise: float,
+) -> Answer:
+    """The answer for one load."""
+    inside, load = placed.points.interior, placed.load(b)
+    u = np.where(inside[:, None], 0.0, given)
+    share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
+    u[inside] = placed.inverse(load - placed.straight(u), share)
+    screened = _screened(placed, u, placed.family.factors.screen, 0.0, noise)
+    if tolerance is not None and _size(screened) <= tolerance:
+        stage = _Stage(u, screened, None, 0)
+    else:
+        stage = _corrected(placed, load, u, tolerance, noise)
+    error = stage.error
+    kept = tolerance is None or error <= tolerance
+    why = _reason(stage, tolerance, kept, uncovered)
+    only_axis = all(one == AXIS for one in uncovered)
+    known = stage.fields
+    return Answer(
+        stage.u, error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
+        tolerance, placed, load, known, u,
+    )  # fmt: skip
+
+
+def _screened(
+    placed: PlacedMembers, u: np.ndarray, slope: float, left: float, noise: float
+) -> dict[str, float]:
+    """Parts of an answer that nothing is solved for (Q5).
+
+    `slope` is what is left of the gradient, beside what is `left` as it is.
+    """
+    factors = placed.family.factors
+    if not placed.nonlinear or placed.turned is not None:
+        return {"left": np.inf}
+    gradient = placed.gradient(u)
+    parts = {"left": slope * gradient + left, "waves": placed.waves(u), "data": factors.typical}
+    series = factors.screen * gradient * max(left / factors.left, gradient)
+    return parts | {"strain": 0.0 if slope else SURE * factors.floor * series, "noise": noise}
+
+
+def _corrected(
+    placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
+) -> _Stage:
+    """Correct until the tolerance is kept, or cannot be."""
+    goal, factors, first = tolerance, placed.family.factors, u
+    fields: Parts | None = None
+    before, done = np.inf, 0
+    while True:
+        size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
+        left = placed.correction(load, u)
+        moved = float(np.linalg.norm(left)) / size
+        if goal is not None and done == 0 and factors.left * moved <= goal:
+            parts = _screened(placed, u, 0.0, factors.left * moved, noise)
+            if _size(parts) <= goal:
+                return _Stage(u, parts, None, 0)
+        last = done >= MOST or moved > STALLED * before
+        if goal is None or factors.left * moved <= goal or last:
+            if fields is None or done < 2:
+                fields = placed.doubts(u, left, first)
+            fields = Parts(left, fields.waves, fields.data, fields.strain, fields.axis)
+            parts = _parts(placed, u, fields, size, noise)
+            floor = _size({name: part for name, part in parts.items() if name != "left"})
+            reached = SETTLED * floor if goal is None else goal
+            enough = parts["left"] <= reached if goal is None else _size(parts) <= goal
+            hopeless = goal is not None and floor > goal and done > 0
+            if enough or hopeless or last or not placed.nonlinear:
+                return _Stage(u, parts, fields, done)
+        u = u.copy()
+        u[placed.points.interior] += left
+        before, done = moved, done + 1
+
+
+def _parts(
+    placed: PlacedMembers, u: np.ndarray, fields: Parts, size: float, noise: float
+) -> dict[str, float]:
+    """Likely errors over u by origin."""
+    factors = placed.family.factors
+    found = combined(fields, factors, lambda part: float(np.linalg.norm(part)) / size)
+    found["waves"] = np.hypot(found["waves"], placed.waves(u))
+    parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
+    parts["noise"] = noise
+    return parts | ({"axis": float(found["axis"])} if "axis" in found else {})
+
+
+def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]) -> str:
+    """One sentence."""
+    n = stage.corrections
+    way = "linear" + (f" and {n or 'no'} nonlinear correction{'s' * (n != 1)}" if n else "")
+    way = way.replace(" 1 ", " one ")
+    largest = max(stage.parts, key=lambda name: stage.parts[name])
+    told = f"{way}; {100 * stage.error:.2g} %, most of it {WORDS[largest]}"
+    if tolerance is not None and not kept:
+        told += f"; {100 * tolerance:g} % is not kept"
+    return told + "".join(f"; not covered: {one.split(':')[0]}" for one in uncovered)
+
+
+def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
+    """What the error of a problem does not speak of."""
+    found = []
+    if placed.points.outside is not None:
+        found += [FREE_EDGE, BROKEN]
+    if placed.turned is not None:
+        found.append(AXIS)
+    there = getattr(problem.points, "arrays", {}).get("temperature")
+    mine = placed.family.temperature
+    if there is not None and mine is not None and not np.allclose(there, mine):
+        found.append(f"temperature: learned at {mine:g} K, asked at {np.max(there):g} K")
+    return tuple(found)
+
+
+def _noise(points: Any, count: int) -> list[float]:
+    """Noise of the displacement that is given, over it, of each sample."""
+    if isinstance(points, Samples) and "snr" in points.arrays and len(points) == count:
+        return [float(1 / value) if value > 0 else 0.0 for value in points.arrays["snr"]]
+    return [0.0] * count
+
+
+def _size(parts: dict[str, float]) -> float:
+    return float(np.sqrt(sum(part**2 for part in parts.values())))
+
+
+def _of_body(
+    material: Any, problem: Any, tolerance: float | None, options: dict[str, Any]
+) -> Answer:
+    """The linear answer of a body, by solves of the members; the nonlinear part by its screen."""
+    if not isinstance(material, Members):
+        raise InputError("predict: expected a family, from fit(samples, Family(…)), for a body")
+    family = material
+    rich, second, *halves = (
+        getattr(one, "linear", one) for one in (family.rich, family.second, *family.halves)
+    )
+    solution = problem.solved(rich, None, dict(options))
+    u = np.asarray(solution.u)
+    size = float(np.linalg.norm(u)) or 1.0
+    doubts = [
+        float(np.linalg.norm(np.asarray(problem.solved(one, None, dict(options)).u) - u)) / size
+        for one in (second, *halves)
+    ]
+    share, factors = family.factors.floor / np.sqrt(2), family.factors
+    mesh = problem.mesh
+    corners = u[mesh.triangles]
+    edges = mesh.x[mesh.triangles]
+    pairs = [edges[:, k] - edges[:, 0] for k in (1, 2)]
+    slopes = np.linalg.solve(
+        np.stack(pairs, axis=1), np.stack([corners[:, k] - corners[:, 0] for k in (1, 2)], axis=1)
+    )
+    gradient = float(np.sqrt((slopes**2).sum(axis=(1, 2)).mean()))
+    parts = {
+        "left": factors.screen * gradient,
+        "waves": share * doubts[0],
+        "data": share * float(np.sqrt((doubts[1] ** 2 + doubts[2] ** 2) / 2)),
+        "strain": 0.0,
+        "noise": 0.0,
+    }
+    error = _size(parts)
+    stage = _Stage(u, parts, None, 0)
+    within = tolerance is None or error <= tolerance
+    why = _reason(stage, tolerance, within, (FREE_EDGE,))
+    return Answer(u, error, parts, False, why, (FREE_EDGE,), 0, tolerance)
