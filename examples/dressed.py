@@ -149,7 +149,7 @@ def crystal(name: str, with_ball: bool) -> dict[str, Any]:
 
 def cost(solid: DressedSolid, side: int = 1000) -> float:
     """Nanoseconds a node of L u by rows on one thread, the best of five."""
-    wp.set_threads(1)
+    wp.launch.set_threads(1)
     operator = solid.on(wp.Points.sheet((side, side), solid.spacing))
     planes = np.random.default_rng(0).normal(size=(1, 2, *operator.nodes.wide))
     times = []

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from warp_peri import dressed as dressed
     from warp_peri import export as export
     from warp_peri import flow as flow
+    from warp_peri import launch as launch
     from warp_peri import methods as methods
     from warp_peri import micromodulus as micromodulus
     from warp_peri import neural as neural
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from warp_peri.dressed.laws import Dressed
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
-    from warp_peri.launch import set_threads
     from warp_peri.learning.diagnosis import diagnose
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, ThirdOrder, fit
@@ -86,7 +86,6 @@ __all__ = [
     "move",
     "predict",
     "save",
-    "set_threads",
     "solve",
 ]
 
@@ -96,7 +95,6 @@ _NAMES = {
     "dressed.laws": ("Dressed",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
-    "launch": ("set_threads",),
     "learning.diagnosis": ("diagnose",),
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "ThirdOrder", "fit"),
@@ -124,6 +122,7 @@ _MODULES = (
     "dressed",
     "export",
     "flow",
+    "launch",
     "methods",
     "micromodulus",
     "neural",
@@ -173,6 +172,7 @@ _NOW = {
     "one_kernel": "transfers.one_kernel",
     "onto_lattice": "transfers.onto_lattice",
     "save_dataset": "save",
+    "set_threads": "launch.set_threads",
     "smoothing_matrix": "atoms.smoothing_matrix",
     "solvability": "proofs.solvability",
     "solve_body": "solve(model, Body(mesh, …))",

@@ -395,11 +395,11 @@ def test_threads_change_no_bit(law, monkeypatch):
     before, found = launch.threads(), []
     try:
         for count in (1, 2):
-            wp.set_threads(count)
+            launch.set_threads(count)
             fresh = law.material().on(points)
             found.append([fresh(u), fresh.product(u, v), fresh.stress(u), fresh.energy(u)])
     finally:
-        wp.set_threads(before)
+        launch.set_threads(before)
     for one, two in zip(*found):
         assert np.array_equal(one, two)
 

@@ -10,8 +10,8 @@ import warp as wp
 
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
-from warp_peri import InputError, set_threads
-from warp_peri.launch import threads
+from warp_peri import InputError
+from warp_peri.launch import set_threads, threads
 from warp_peri.methods import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import evaluate

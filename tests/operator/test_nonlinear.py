@@ -10,8 +10,8 @@ import torch
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri import InputError, Points, set_threads
-from warp_peri.launch import threads
+from warp_peri import InputError, Points
+from warp_peri.launch import set_threads, threads
 from warp_peri.operator.nonlinear import (
     GradientSweeps,
     NonlinearOperator,

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from tools import benchmark, rivals
-from warp_peri import set_threads
-from warp_peri.launch import threads
+from warp_peri.launch import set_threads, threads
 from warp_peri.operator.bonds import Bonds
 
 

@@ -13,8 +13,7 @@ import pytest
 from tests.support.jobs import problem
 from tests.support.problems import kernel, lattice, noise
 from tests.support.solving import solve
-from warp_peri import set_threads
-from warp_peri.launch import threads
+from warp_peri.launch import set_threads, threads
 from warp_peri.transfer.operator import LPSOperator
 
 ROOT = Path(__file__).parent.parent.parent

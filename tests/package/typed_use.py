@@ -176,7 +176,7 @@ def coarse(atoms: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def main(folder: Path) -> None:
-    warp_peri.set_threads(1)
+    warp_peri.launch.set_threads(1)
     learn(folder)
     model: warp_peri.Model = warp_peri.load(folder / "model.json")
     data: warp_peri.Dataset = warp_peri.load(folder / "data.h5")
