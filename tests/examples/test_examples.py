@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from examples import train_graphene, validate_disks
+from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
 from warp_peri.models.lps import load_model
 from warp_peri.points.dataset_file import load_dataset
@@ -117,8 +118,10 @@ def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
     assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
 
 
-def test_evaluate_exits_2_for_an_uncertified_set_by_name(main_run, graphene, capsys):
-    arguments = ["evaluate", str(main_run / "model.json"), str(graphene), "--set", "test_fine"]
+def test_evaluate_exits_2_for_an_uncertified_set_by_name(graphene, tmp_path, capsys):
+    law = LPS(12.5, Bernstein(4))
+    save(tmp_path / "model.json", fit(load_dataset(graphene)["train"], law).material)
+    arguments = ["evaluate", str(tmp_path / "model.json"), str(graphene), "--set", "test_fine"]
     assert command([*arguments, "--json", "--no-transfer"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""

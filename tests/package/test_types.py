@@ -74,7 +74,7 @@ def test_the_script_runs(tmp_path):
         check=False,
     )
     assert run.returncode == 0, run.stderr
-    error, *_, method, refusal = run.stdout.splitlines()
+    _, error, *_, method, refusal = run.stdout.splitlines()
     assert float(error) < 1e-6  # the model that made the data is found again
     assert method == "lu"
     assert "none.json" in refusal

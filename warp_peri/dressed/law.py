@@ -21,6 +21,7 @@ from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors
+from warp_peri.shown import as_table, in_rows
 
 FORMAT, VERSION = "warp_peri.dressed", 1
 
@@ -134,6 +135,20 @@ class DressedSolid:
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Elastic constants by name, as of a Crystal; InputError for a unit not known."""
         return self.crystal.moduli(unit)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, those of the even solid last."""
+        parts = ", ".join(self.parts.names)
+        base = ("base", f"{self.base}: {parts}")
+        dressing = ("dressing", f"{2 * len(self.steps)} neighbours, {len(self.tensors)} G")
+        proven = "nothing" if self.certificate is None else self.certificate.statement
+        return [base, dressing, *self.crystal.rows()[:-1], ("proven", proven)]
+
+    def __repr__(self) -> str:
+        return in_rows("DressedSolid", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     def certified(self) -> DressedSolid:
         """The law with its certificate; `certificate.holds` says whether one was found."""

@@ -85,7 +85,8 @@ def fit_maps(
     alpha = min(left, key=lambda one: left[one])
     H = sum(grams) + alpha * penalty
     x = np.linalg.solve(H, sum(sides))
-    residual = max(len(size) - 2 * x @ sum(sides) + x @ sum(grams) @ x, 0.0)
+    rounding = len(size) * np.finfo(float).eps  # what the difference of large numbers cannot tell
+    residual = max(len(size) - 2 * x @ sum(sides) + x @ sum(grams) @ x, rounding)
     cover = residual / right.size * np.diag(np.linalg.inv(H))
     below = float((x < 0).mean())
     values, spread = (

@@ -35,6 +35,7 @@ from warp_peri.points.unit_names import (
     factors,
     symbols,
 )
+from warp_peri.shown import as_table, in_rows
 
 SAME_AXIS = 1e-3
 """Of the directions of a crystal, as rotations, that count as one."""
@@ -196,6 +197,25 @@ class Crystal:
         In the plane C44 is the shear modulus, as for the other laws.
         """
         return elastic.named_moduli(self.tensor() * self._stress(unit))
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length, stress = symbols(self.units)
+        named = self.symmetry if isinstance(self.symmetry, str) else "rotations"
+        constants = (f"{name} {value:.4g}" for name, value in self.moduli().items())
+        return [
+            ("symmetry", f"{named or 'none'}, {self.dimension} dimensions"),
+            ("moduli", f"{', '.join(constants)} {stress}"),
+            ("bonds", f"{self.bonds}, up to {self.horizon:.4g} {length}"),
+            ("nodes", f"{self.spacing:g} {length} apart"),
+            ("proven", "nothing" if self.certificate is None else self.certificate.statement),
+        ]
+
+    def __repr__(self) -> str:
+        return in_rows("Crystal", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     def describe(self, unit: str | None = None) -> dict[str, Any]:
         """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν."""

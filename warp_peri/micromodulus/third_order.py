@@ -20,7 +20,8 @@ from warp_peri.models.smoothing import Smoothing, fitted_weights
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import Units, factors
+from warp_peri.points.unit_names import Units, factors, symbols
+from warp_peri.shown import as_table, in_rows
 
 if TYPE_CHECKING:
     from warp_peri.micromodulus.third_order_operator import PlacedCrystal
@@ -81,6 +82,21 @@ class ThirdOrderCrystal:
                 f"linear: third-order constants are for isotropic long waves, got C11, C22, C16 or "
                 f"C26 off by {miss / shear:.1e} of the shear modulus; symmetry='isotropic' has them"
             )
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, those of the tensors last."""
+        stress = symbols(self.units)[1]
+        constants = ", ".join(f"{getattr(self, name):.4g}" for name in CUBIC)
+        rows = [("form", self.form), (", ".join(CUBIC), f"{constants} {stress}")]
+        if self.proven.get("strain"):
+            rows.append(("proven", f"one solution up to |H| = {self.proven['strain']:.2%}"))
+        return rows + self.linear.rows()
+
+    def __repr__(self) -> str:
+        return in_rows("ThirdOrderCrystal", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     @property
     def dimension(self) -> int:
