@@ -166,7 +166,7 @@ def rows(scalar):
         mat=wp.types.matrix((2, 2), scalar),
         state=state_of(scalar, wp.types.vector(6, scalar), forward),
         state_adjoint=_state_adjoint(scalar, backward),
-        force=_force(scalar, native(FORCE, scalar)),
+        force=force_of(scalar, wp.types.vector(6, scalar), native(FORCE, scalar)),
         tangents=_tangents(scalar, native(UNIT, scalar)),
     )
 
@@ -246,8 +246,10 @@ def _state_adjoint(scalar, body):
     return state_adjoint
 
 
-def _force(scalar, body):
-    pair, vec = wp.types.vector(6, scalar), wp.types.vector(2, scalar)
+def force_of(scalar, pair, body):
+    """The force from a body in C++, bonds in pairs of this type; one that has no dilatation does
+    not read `bulk`."""
+    vec = wp.types.vector(2, scalar)
 
     @wp.func_native(body)
     def piecewise(

@@ -10,7 +10,16 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.nonlinear.law import CLIP, CLIPPED, STRESS
-from warp_peri.kernels.nonlinear.rows import HERE, KEPT, OF_FIELD, PAIR, native, rows, state_of
+from warp_peri.kernels.nonlinear.rows import (
+    HERE,
+    KEPT,
+    OF_FIELD,
+    PAIR,
+    force_of,
+    native,
+    rows,
+    state_of,
+)
 
 STATE = (
     HERE
@@ -99,38 +108,6 @@ def tensor_rows(scalar):
         vec=of.vec,
         mat=of.mat,
         state=state_of(scalar, pair, native(STATE, scalar)),
-        force=_force(scalar, pair, of.vec, native(FORCE, scalar)),
+        force=force_of(scalar, pair, native(FORCE, scalar)),
         tangents=of.tangents,
     )
-
-
-def _force(scalar, pair, vec, body):
-    @wp.func_native(body)
-    def piecewise(
-        s: wp.int32,
-        piece: wp.vec3i,
-        offset: wp.array(dtype=wp.int32),
-        bonds: wp.array(dtype=pair),
-        column: wp.int32,
-        planes: wp.array2d(dtype=scalar),
-        states: wp.array2d(dtype=scalar),
-        vectors: wp.array2d(dtype=vec),
-    ): ...
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def force(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec3i),
-        offset: wp.array(dtype=wp.int32),
-        bonds: wp.array(dtype=pair),
-        column: wp.int32,
-        bulk: scalar,
-        planes: wp.array2d(dtype=scalar),
-        states: wp.array2d(dtype=scalar),
-        vectors: wp.array2d(dtype=vec),
-    ):
-        """L u; `bulk` stands where the LPS has one, and is not read."""
-        s, t = wp.tid()
-        piecewise(s, pieces[first + t], offset, bonds, column, planes, states, vectors)
-
-    return force

@@ -54,7 +54,7 @@ def test_the_check_sees_bonds_that_resist_a_turn():
     law = solid()
     body = law.on(nodes(2, 10), edges=True)
     steps, tensors = law.crystal.steps, law.crystal.tensors
-    place = body._places.at(steps)
+    place = body._neighbours(steps)
     L = np.zeros((100, 2, 100, 2))
     for near, C in zip(place.T, tensors):
         own = np.flatnonzero(near >= 0)

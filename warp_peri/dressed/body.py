@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.statics.direct import MatrixProblem
@@ -50,6 +50,7 @@ class Body:
         strains: B/h of all sites, those left out zero, [N S, d N].
         dressings: G, one or one for each part, [d N, d N].
         factors: modulus of each part over that of the even solid at each site, [A, N].
+        grid, sides: steps of the nodes, [N, d], and of the box or the period around them.
         L: [d N, d N], symmetric, [stress/length²]; vectors are along the nodes' axes.
     """
 
@@ -63,20 +64,32 @@ class Body:
         broken: ArrayLike | None = None,
     ) -> None:
         self.points, self.model = solid.crystal.fitting(points), solid
-        grid, self.axes = lattice_steps(self.points)
+        self.grid, self.axes = lattice_steps(self.points)
+        self.sides = tuple((self.grid.max(axis=0) + 1).tolist())
+        if self.points.box is not None:
+            period = np.rint(np.asarray(self.points.box) / self.points.spacing)
+            self.sides = tuple(period.astype(int).tolist())
         self._steps = np.concatenate([solid.steps, -solid.steps])
-        self._places = _Places(grid, self.points)
         base = solid.parts
-        self._corner = self._places.at(base.corners)
-        self.share = self._inside(edges) if callable(edges) else np.ones(len(grid))
+        self._corner = self._neighbours(base.corners)
+        count = len(self.grid)
+        self.share = self._inside(edges) if callable(edges) else np.ones(count)
         self.factors = self._factors(maps or {}) * self.share
-        torn = self._places.pairs(broken)
+        torn = _pairs(broken, count)
         there, self._linked = self._sites(torn)
         if not edges:
             self._refuse_edges()
         self.strains = self._strains(there)
         self.dressings = [self._dressing(g) for g in solid.tensors]
         self.L = self._assembled()
+
+    def _neighbours(self, steps: np.ndarray) -> np.ndarray:
+        """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
+        period = None if self.points.box is None else np.array(self.sides)
+        found = neighbour_table(self.grid, steps, period).astype(int)
+        if self.points.outside is not None:
+            found[np.append(self.points.outside, False)[found]] = -1
+        return found
 
     def _inside(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Share of each element that lies inside the body, [N]."""
@@ -149,14 +162,14 @@ class Body:
         for first, start in self._linked.items():
             second = tuple((step - first).tolist())
             if second in self._linked:
-                middle = self._places.at(np.array([first]))[:, 0]
+                middle = self._neighbours(np.array([first]))[:, 0]
                 whole &= start & self._linked[second][middle] & (middle >= 0)
         return whole
 
     def _refuse_edges(self) -> None:
         """Raise InputError where an interior node lacks one that L leads to."""
         steps = self.model.crystal.steps
-        there = self._places.at(np.concatenate([steps, -steps])) >= 0
+        there = self._neighbours(np.concatenate([steps, -steps])) >= 0
         lacking = int((~there.all(axis=1) & self.points.interior).sum())
         if lacking:
             raise InputError(
@@ -178,7 +191,7 @@ class Body:
     def _dressing(self, tensors: np.ndarray) -> sp.csr_array:
         """G: a row is the identity where a neighbour is not there; torn pairs ±ξ are left out."""
         count, d = self.points.x.shape
-        neighbour = self._places.at(self._steps)
+        neighbour = self._neighbours(self._steps)
         full = np.array((neighbour >= 0).all(axis=1), bool)
         full[self._corner[self.share < 1].ravel()] = False  # which an outline cuts
         half = len(tensors)
@@ -355,41 +368,17 @@ def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
     return np.stack([node, other], axis=1)[node < other]
 
 
-class _Places:
-    """Where nodes are in their box, to find neighbours by."""
-
-    def __init__(self, grid: np.ndarray, points: Points) -> None:
-        self.grid = grid - grid.min(axis=0)
-        self.period = None
-        if points.box is not None:
-            self.period = np.rint(np.asarray(points.box) / points.spacing).astype(int)
-        self.shape = self.grid.max(axis=0) + 1 if self.period is None else self.period
-        self.number = np.full(tuple(self.shape), -1)
-        self.number[tuple(self.grid.T)] = np.arange(len(grid))
-        if points.outside is not None:
-            self.number[tuple(self.grid[points.outside].T)] = -1
-
-    def at(self, steps: np.ndarray) -> np.ndarray:
-        """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
-        to = self.grid[:, None] + steps
-        if self.period is not None:
-            return np.asarray(self.number[tuple(np.moveaxis(to % self.period, -1, 0))])
-        inside = ((to >= 0) & (to < self.shape)).all(axis=-1)
-        to = np.where(inside[..., None], to, 0)
-        return np.where(inside, self.number[tuple(np.moveaxis(to, -1, 0))], -1)
-
-    def pairs(self, broken: ArrayLike | None) -> np.ndarray:
-        """Pairs of nodes as one number each, whichever stands first."""
-        if broken is None:
-            return np.zeros(0, int)
-        given = checked("broken", broken, float)
-        count = len(self.grid)
-        whole = given.astype(int)
-        if given.ndim != 2 or given.shape[1] != 2 or (whole != given).any():
-            raise InputError(f"broken: expected pairs of nodes [n, 2], got {list(given.shape)}")
-        if len(given) and not (whole.min() >= 0 and whole.max() < count):
-            raise InputError(f"broken: expected numbers of nodes below {count}")
-        return np.unique(_key(whole[:, 0], whole[:, 1], count))
+def _pairs(broken: ArrayLike | None, count: int) -> np.ndarray:
+    """Pairs of nodes as one number each, whichever stands first."""
+    if broken is None:
+        return np.zeros(0, int)
+    given = checked("broken", broken, float)
+    whole = given.astype(int)
+    if given.ndim != 2 or given.shape[1] != 2 or (whole != given).any():
+        raise InputError(f"broken: expected pairs of nodes [n, 2], got {list(given.shape)}")
+    if len(given) and not (whole.min() >= 0 and whole.max() < count):
+        raise InputError(f"broken: expected numbers of nodes below {count}")
+    return np.unique(_key(whole[:, 0], whole[:, 1], count))
 
 
 def _key(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:

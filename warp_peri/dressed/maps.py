@@ -139,7 +139,7 @@ def _design(body: Body, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int
 
 def _hats(body: Body, coarse: int) -> tuple[sp.csr_array, np.ndarray]:
     """Values every so many nodes to all nodes, linear between; and the sum of squared steps."""
-    sides = body._places.shape
+    sides = body.sides
     if any(n % coarse for n in sides):
         raise InputError(f"coarse: expected a divisor of {', '.join(map(str, sides))} nodes")
     lines, steps = [], []
@@ -155,7 +155,7 @@ def _hats(body: Body, coarse: int) -> tuple[sp.csr_array, np.ndarray]:
     for line, step in zip(lines[1:], steps[1:]):
         whole = sp.kron(whole, line)
         bend = np.kron(bend, np.eye(len(step))) + np.kron(np.eye(len(bend)), step)
-    order = np.ravel_multi_index(tuple(body._places.grid.T), tuple(sides))
+    order = np.ravel_multi_index(tuple(body.grid.T), sides)
     return sp.csr_array(whole)[order], bend
 
 
@@ -163,8 +163,8 @@ class _Weight:
     """D^(−1/2) of the even solid on a period, on columns [d N, n]."""
 
     def __init__(self, body: Body) -> None:
-        self.sides, h = tuple(body._places.shape), body.points.spacing
-        self.place = np.ravel_multi_index(tuple(body._places.grid.T), self.sides)
+        self.sides, h = body.sides, body.points.spacing
+        self.place = np.ravel_multi_index(tuple(body.grid.T), self.sides)
         waves = np.meshgrid(*[2 * np.pi * np.fft.fftfreq(n, h) for n in self.sides], indexing="ij")
         D = body.model.symbol(np.stack(waves, axis=-1))
         value, vector = np.linalg.eigh(D)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -110,11 +110,8 @@ class PlacedMembers:
     def turned(self) -> Any:
         """The rich member with the crystal at its other extreme; None where its axis is stated or
         it has none."""
-        has_axis = any(getattr(self.rich.model, name, 0.0) for name in ("q3",))
-        if self.points.axis is not None or not has_axis:
+        if self.points.axis is not None or not getattr(self.rich.model, "q3", 0.0):
             return None
-        from dataclasses import replace
-
         return self.family.rich.on(replace(self.points, axis=HALF_PERIOD), **self.options)
 
     def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
