@@ -136,7 +136,7 @@ def costs(material: Members) -> dict[str, float]:
     points = wp.Points(x, inside, 5.0, axis=0.0)
     k = np.array([[0.02, 0.01], [-0.008, 0.024]])
     problem = wp.Dirichlet(points, 1e-4 * np.cos(x @ k), 0.5 * np.sin(x @ k))
-    placed = PlacedMembers(material, points)
+    placed = material.with_doubts(points)
     linear, nonlinear = material.linear.on(points), material.on(points)
     predicted = [timed(lambda: wp.predict(placed, problem, 0.01)) for _ in range(2)][1]
     load, answer = placed.load(problem.b), predicted[1]
@@ -220,7 +220,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     material = family(given)
     rows, shown = [], None
     for name, samples in scenes(given).items():
-        placed = PlacedMembers(material, samples.points)
+        placed = material.with_doubts(samples.points)
         for number, (b, truth) in enumerate(zip(samples.loads, samples.u)):
             rows.append({"scene": f"{name} {number}"} | one_scene(placed, samples, b, truth))
         if shown is None or name == "disk_5":

@@ -156,6 +156,8 @@ TRAINING = [
     for p2 in range(6)
     if (p1, p2) != (0, 0)
 ]
+DESIGNED = [MixedLoad(seed, 20.0) for seed in range(2)]
+"""In place of TRAINING: one tells a law whose moduli are known, two one that is to find them."""
 VALIDATION = [
     PatchLoad(case, axis, edge, radius)
     for case, (axis, edge, radius) in enumerate(

@@ -30,8 +30,9 @@ SIDES = (10, 16, 24, 34, 48, 61, 100, 200)
 SHAPES = {"rectangle": "square", "disk": "disk", "L": "L"}
 MOST_LU = 61
 """Side from which a factorisation is too slow to be waited for."""
-MANY = 32
-"""Loads of the second column, up to 34² nodes; 4 beyond."""
+LOADS = (1, 2, 4, 8, 32)
+"""At once; up to FEW beyond 34² nodes."""
+FEW = 4
 CONSTANTS: dict[str, Any] = {"t3": -0.36, "tq2": -5.6, "q3": 0.84}
 """Third-order constants [TPa] as an energy form finds them in graphene."""
 
@@ -69,7 +70,7 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
             }
             if side <= MOST_LU:
                 ways["lu"] = Direct()
-            for count in (1, MANY if side <= 34 else 4):
+            for count in LOADS if side <= 34 else (1, FEW):
                 given = Dirichlet(points, *fields(points, count))
                 solved = solve(model, given)
                 seconds = {

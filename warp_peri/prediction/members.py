@@ -15,6 +15,7 @@ from warp_peri.models.lps import content_hash, model_from, read_content
 from warp_peri.models.nonlinear import nonlinear_from
 from warp_peri.points.arrays import is_number
 from warp_peri.points.unit_names import Units, factors
+from warp_peri.prediction.placed import PlacedMembers
 from warp_peri.prediction.spectrum import Record
 from warp_peri.shown import as_table, in_rows
 
@@ -100,6 +101,10 @@ class Members:
     def on(self, points: PointsLike, **options: Any) -> Any:
         """The rich member on points."""
         return self.rich.on(points, **options)
+
+    def with_doubts(self, points: PointsLike, **options: Any) -> PlacedMembers:
+        """All members on points, with what they do not know there; options of `on`."""
+        return PlacedMembers(self, points, **options)
 
     def in_units(self, units: Units) -> Members:
         """The same in other units."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.prediction.members import Members
 from warp_peri.prediction.spectrum import shares
+
+if TYPE_CHECKING:
+    from warp_peri.prediction.members import Members
 
 ROUGH = 0.05
 """Relative residual of the solves that give errors, not answers."""
@@ -144,13 +144,3 @@ class PlacedMembers:
         if self.turned is not None:
             axis = self.inverse(non - self.turned(u), rough)
         return Parts(left, waves, data, strain, axis)
-
-
-def placed_members(family: Any, points: Points, **options: Any) -> PlacedMembers:
-    """A family on points; InputError for what is no family."""
-    if not isinstance(family, Members):
-        raise InputError(
-            "predict: expected what fit(samples, Family(…)).material is, got "
-            f"{type(family).__name__}; one law alone knows nothing of its error"
-        )
-    return PlacedMembers(family, points, **options)

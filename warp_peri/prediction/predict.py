@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import offered
+from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined
-from warp_peri.prediction.members import Members
-from warp_peri.prediction.placed import Parts, PlacedMembers, placed_members
+from warp_peri.prediction.placed import Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
 SOLVED, SHARE = 3e-3, 0.1
@@ -30,6 +29,9 @@ STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
 SURE = 2.0
 """Times that the series is taken where the cubic part beside it was not computed."""
+FAMILY = (
+    "a family, as fit(samples, Family(…)).material is: one law alone knows nothing of its error"
+)
 FREE_EDGE = "free edges: the family was learned inside a body, and atoms at an edge are other ones"
 BROKEN = "broken bonds: the family knows none"
 AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
@@ -76,15 +78,14 @@ def predict(
     points = offered(problem, "points", "predict", kinds) if hasattr(problem, "points") else None
     if points is None or not (hasattr(problem, "b") and hasattr(problem, "u")):
         raise InputError(f"predict: expected {kinds}, got {type(problem).__name__}")
-    placed = material
-    if not isinstance(material, PlacedMembers):
-        placed = placed_members(material, points, **options)
-    load, field = checked_fields(placed.points, problem.b, problem.u)
-    uncovered = _uncovered(placed, problem)
-    flat = (each.reshape(-1, *placed.points.x.shape) for each in (load, field))
+    asked = {"verb": "predict", "by": "with_doubts", "has": "doubts", "kinds": FAMILY}
+    members = placed(material, nodes_of(points), **asked, **options)
+    load, field = checked_fields(members.points, problem.b, problem.u)
+    uncovered = _uncovered(members, problem)
+    flat = (each.reshape(-1, *members.points.x.shape) for each in (load, field))
     noise = _noise(points, len(field) if field.ndim == 3 else 1)
     answers = tuple(
-        _predict(placed, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
+        _predict(members, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
     )
     return answers if load.ndim == 3 else answers[0]
 
@@ -219,8 +220,7 @@ def _of_body(
     material: Any, problem: Any, tolerance: float | None, options: dict[str, Any]
 ) -> Answer:
     """The linear answer of a body, by solves of the members; the nonlinear part by its screen."""
-    if not isinstance(material, Members):
-        raise InputError("predict: expected a family, from fit(samples, Family(…)), for a body")
+    offered(material, "with_doubts", "predict", FAMILY)
     family = material
     rich, second, *halves = (
         getattr(one, "linear", one) for one in (family.rich, family.second, *family.halves)
