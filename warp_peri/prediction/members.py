@@ -38,13 +38,11 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
-        typical: what waves and data miss together on nine of ten samples, a fraction.
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
-    typical: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():

@@ -6,7 +6,7 @@ both the estimate and the improvement.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined
+from warp_peri.prediction.members import Factors
 from warp_peri.prediction.placed import Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
@@ -27,6 +28,8 @@ SETTLED = 0.1
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
+MOVED = 0.02
+"""By how much more of it an answer was corrected since, what members do not know is asked again."""
 SURE = 2.0
 """Times that the series is taken where the cubic part beside it was not computed."""
 FAMILY = (
@@ -103,11 +106,7 @@ def _predict(
     u = np.where(inside[:, None], 0.0, given)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     u[inside] = placed.inverse(load - placed.straight(u), share)
-    screened = _screened(placed, u, placed.family.factors.screen, 0.0, noise)
-    if tolerance is not None and _size(screened) <= tolerance:
-        stage = _Stage(u, screened, None, 0)
-    else:
-        stage = _corrected(placed, load, u, tolerance, noise)
+    stage = _corrected(placed, load, u, tolerance, noise)
     error = stage.error
     kept = tolerance is None or error <= tolerance
     why = _reason(stage, tolerance, kept, uncovered)
@@ -120,60 +119,61 @@ def _predict(
 
 
 def _screened(
-    placed: PlacedMembers, u: np.ndarray, slope: float, left: float, noise: float
+    placed: PlacedMembers, u: np.ndarray, moved: float, bent: float, told: float | None
 ) -> dict[str, float]:
-    """Parts of an answer that nothing is solved for (Q5).
+    """Parts of an answer whose members are not asked, but for their record (Q5).
 
-    `slope` is what is left of the gradient, beside what is `left` as it is.
+    `moved` is the size of the correction that is left, `bent` that of all so far.
     """
-    factors = placed.family.factors
-    if not placed.nonlinear or placed.turned is not None:
-        return {"left": np.inf}
-    gradient = placed.gradient(u)
-    parts = {"left": slope * gradient + left, "waves": placed.waves(u), "data": factors.typical}
-    series = factors.screen * gradient * max(left / factors.left, gradient)
-    return parts | {"strain": 0.0 if slope else SURE * factors.floor * series, "noise": noise}
+    if told is None or placed.turned is not None:
+        return {"left": np.inf, "waves": np.inf}
+    factors, strain = placed.family.factors, 0.0
+    if placed.nonlinear:
+        gradient = placed.gradient(u)
+        strain = SURE * factors.floor * factors.screen * gradient * max(bent, gradient)
+    return {"left": factors.left * moved, "waves": factors.floor * told, "strain": strain}
 
 
 def _corrected(
     placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
 ) -> _Stage:
     """Correct until the tolerance is kept, or cannot be."""
-    goal, factors, first = tolerance, placed.family.factors, u
+    factors, first = placed.family.factors, u
+    inside, told = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
-    before, done = np.inf, 0
-    while True:
-        size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
+    before, since = np.inf, 0.0
+    for done in range(MOST + 1):
+        size = float(np.linalg.norm(u[inside])) or 1.0
         left = placed.correction(load, u)
         moved = float(np.linalg.norm(left)) / size
-        if goal is not None and done == 0 and factors.left * moved <= goal:
-            parts = _screened(placed, u, 0.0, factors.left * moved, noise)
-            if _size(parts) <= goal:
-                return _Stage(u, parts, None, 0)
-        last = done >= MOST or moved > STALLED * before
-        if goal is None or factors.left * moved <= goal or last:
-            if fields is None or done < 2:
-                fields = placed.doubts(u, left, first)
-            fields = Parts(left, fields.waves, fields.data, fields.strain, fields.axis)
-            parts = _parts(placed, u, fields, size, noise)
-            floor = _size({name: part for name, part in parts.items() if name != "left"})
-            reached = SETTLED * floor if goal is None else goal
-            enough = parts["left"] <= reached if goal is None else _size(parts) <= goal
-            hopeless = goal is not None and floor > goal and done > 0
-            if enough or hopeless or last or not placed.nonlinear:
+        bent = float(np.linalg.norm((first - u)[inside] - left)) / size
+        screen = _screened(placed, u, moved, bent, told) | {"noise": noise}
+        if tolerance is not None and _size(screen) <= tolerance:
+            return _Stage(u, {"data": 0.0} | screen, None, done)
+        last = done == MOST or moved > STALLED * before or not placed.nonlinear
+        # waves and strain that a screen sees say where an answer with no tolerance settles
+        goal = SETTLED * _rest(screen) if tolerance is None else tolerance
+        if factors.left * moved <= goal or last:
+            if fields is None or since > MOVED:
+                fields, since = placed.doubts(u, left, first, told), 0.0
+            fields = replace(fields, left=left)
+            parts = _parts(fields, factors, size, noise)
+            floor = _rest(parts)
+            if tolerance is None:
+                enough = parts["left"] <= SETTLED * floor
+            else:  # or what is left is not what keeps it from being kept
+                enough = _size(parts) <= tolerance or (floor > tolerance and done > 0)
+            if enough or last:
                 return _Stage(u, parts, fields, done)
         u = u.copy()
-        u[placed.points.interior] += left
-        before, done = moved, done + 1
+        u[inside] += left
+        before, since = moved, since + moved
+    raise AssertionError("the last correction ends the loop")
 
 
-def _parts(
-    placed: PlacedMembers, u: np.ndarray, fields: Parts, size: float, noise: float
-) -> dict[str, float]:
+def _parts(fields: Parts, factors: Factors, size: float, noise: float) -> dict[str, float]:
     """Likely errors over u by origin."""
-    factors = placed.family.factors
     found = combined(fields, factors, lambda part: float(np.linalg.norm(part)) / size)
-    found["waves"] = np.hypot(found["waves"], placed.waves(u))
     parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
     parts["noise"] = noise
     return parts | ({"axis": float(found["axis"])} if "axis" in found else {})
@@ -214,6 +214,10 @@ def _noise(points: Any, count: int) -> list[float]:
 
 def _size(parts: dict[str, float]) -> float:
     return float(np.sqrt(sum(part**2 for part in parts.values())))
+
+
+def _rest(parts: dict[str, float]) -> float:
+    return _size({name: part for name, part in parts.items() if name != "left"})
 
 
 def _of_body(
