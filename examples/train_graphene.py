@@ -177,7 +177,7 @@ def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
 
         print("making graphene data with LAMMPS (once; finished samples are kept)")
         options = {"smoothing_radius": smoothing_radius, "training": LOADS[loads]}
-        cache = DATA.with_suffix(".cache")  # atoms do not depend on smoothing, nor one load on another
+        cache = DATA.with_suffix(".cache")  # atoms depend neither on smoothing nor on other loads
         make_graphene(path, jobs=jobs, cache=cache, **options)
     return path
 
@@ -258,7 +258,7 @@ def parser() -> argparse.ArgumentParser:
         "--loads",
         choices=("waves", "designed"),
         default="waves",
-        help="to learn from at 0 K: seventy single waves, or two loads that hold all waves",
+        help="to learn from at 0 K: seventy waves, or two loads of all waves, each both ways",
     )
     parser.add_argument("--linear", action="store_true", help="leave out the nonlinear model's row")
     parser.add_argument(

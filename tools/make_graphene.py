@@ -369,7 +369,10 @@ def main(arguments: list[str] | None = None) -> int:
         "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R [Å] (default: 10)"
     )
     parser.add_argument(
-        "--loads", choices=LOADS, default="waves", help="to learn from: seventy waves, or two"
+        "--loads",
+        choices=LOADS,
+        default="waves",
+        help="to learn from: seventy waves, or two loads, each both ways",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)

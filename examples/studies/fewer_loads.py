@@ -4,7 +4,8 @@
 
 Errors are E_u on the main job's validation loads and disks, which no choice here looks at. Two
 laws: the default LPS, which finds its moduli, and tensors on 28 bonds with the potential's moduli
-held. Designed loads hold every wave down to 20 Å at once, strained to 2 % as the waves are.
+held. Designed loads hold every wave down to 20 Å at once and are strained to 2 % as the waves are,
+each and its reverse.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -27,17 +29,18 @@ from matplotlib.figure import Figure
 import warp_peri as wp
 from examples.train_graphene import DATA, make_data
 from tools import make_graphene as making
-from tools.loads import TRAINING, MixedLoad
+from tools.loads import DESIGNED as TWO
+from tools.loads import TRAINING, both_ways
+from tools.samples import _statics, solve_samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.elastic import voigt
+from warp_peri.micromodulus.elastic import from_voigt
+from warp_peri.micromodulus.learning import fit_symbol
 from warp_peri.prediction import next_load
 from warp_peri.prediction.learning import part
 
 OUT = ROOT / "runs" / "fewer_loads"
-SHORTEST = 20.0
-"""Of the designed loads [Å]."""
 DESIGNED = {1: (0, 1, 2, 3), 2: (0, 2, 4, 6), 4: (0, 4)}
 """How many designed loads, and the first seed of each set of them."""
 RANDOM, DRAWS = (1, 2, 4, 8, 16, 35), 5
@@ -47,8 +50,8 @@ SUBSETS = 5
 
 
 def designed(count: int) -> wp.Samples:
-    """Samples under so many designed loads, on the nodes of the training set."""
-    loads = [MixedLoad(seed, SHORTEST) for seed in range(count)]
+    """Two samples of each of so many designed loads, on the nodes of the training set."""
+    loads = both_ways(range(count))
     sheet, _ = making.graphene_bodies()
     samples = making.solve_all({sheet: loads}, DATA.with_suffix(".cache"), 1, False)[sheet]
     return making.point_set(sheet, loads, samples, spacing=5.0)
@@ -79,9 +82,8 @@ def laws(data: Any) -> dict[str, Any]:
 
 def greedy(law: Any, pool: wp.Samples) -> list[int]:
     """Numbers of the loads that are asked for one after another; the first law is nearly local."""
-    nearest = wp.Micromodulus(law.horizon, "4mm", moduli=law.moduli, normalise=True)
     chosen: list[int] = []
-    guess = local(nearest, pool.spacing)
+    guess = local(law, pool.spacing)
     while len(chosen) < PICKED:
         rest = [n for n in range(len(pool)) if n not in chosen]
         known = part(pool, chosen) if chosen else None
@@ -95,20 +97,12 @@ def greedy(law: Any, pool: wp.Samples) -> list[int]:
 
 def local(law: Any, spacing: float) -> Any:
     """The law that long waves and nothing else tell: plain elasticity of the same moduli."""
-    from warp_peri.micromodulus.learning import fit_symbol
-
-    C = np.asarray(law.moduli)
-    lam, mu = C[0, 1], C[2, 2]
-    eye = np.eye(2)
-    tensor = lam * np.einsum("ij,kl->ijkl", eye, eye)
-    tensor += mu * (np.einsum("ik,jl->ijkl", eye, eye) + np.einsum("il,jk->ijkl", eye, eye))
-    assert np.allclose(voigt(tensor), C)
+    tensor = from_voigt(law.moduli)
 
     def target(k: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("ijkl,nj,nl->nik", tensor, k, k))
 
-    found = fit_symbol(target, spacing, law.horizon, symmetry="4mm", tensor=tensor)
-    return found
+    return fit_symbol(target, spacing, law.horizon, symmetry="4mm", tensor=tensor)
 
 
 def posterior(law: Any, pool: wp.Samples) -> dict[str, float]:
@@ -138,18 +132,14 @@ def posterior(law: Any, pool: wp.Samples) -> dict[str, float]:
 
 
 def seconds_of_atoms() -> dict[str, float]:
-    """Of LAMMPS for the training loads, from nothing: seventy waves, and two designed loads."""
-    import tempfile
-
+    """Of LAMMPS for the training loads, from nothing: seventy waves, and two loads both ways."""
     sheet, _ = making.graphene_bodies()
     found = {}
-    for name, loads in (("waves", TRAINING), ("designed", [MixedLoad(s, SHORTEST) for s in (0, 1)])):
-        from tools import samples
-
-        samples._statics.cache_clear()
+    for name, loads in (("waves", TRAINING), ("designed", TWO)):
+        _statics.cache_clear()
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            making.solve_samples(sheet, list(loads), Path(folder))
+            solve_samples(sheet, loads, Path(folder))
             found[name] = time.perf_counter() - start
     return found
 
@@ -157,7 +147,7 @@ def seconds_of_atoms() -> dict[str, float]:
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     """Error against the number of loads, for both laws."""
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
-    marks = {"random": ".", "designed": "o", "picked": "s", "all": "D"}
+    marks = {"random": ".", "designed": "o", "one way": "x", "picked": "s", "all": "D"}
     for ax, law in zip(figure.subplots(1, 2, sharey=True), ("LPS", "tensors")):
         for kind, mark in marks.items():
             some = [r for r in rows if (r["law"], r["kind"]) == (law, kind) and "E_u" in r]
@@ -182,8 +172,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     pool, mixed = data["train"], designed(8)
     random, rows = np.random.default_rng(0), []
 
-    def add(name: str, kind: str, samples: wp.Samples) -> None:
-        row = {"law": name, "kind": kind, "loads": len(samples)}
+    def add(name: str, kind: str, samples: wp.Samples, count: int | None = None) -> None:
+        row = {"law": name, "kind": kind, "loads": count or len(samples)}
         rows.append(row | errors(known[name], samples, data))
         print(rows[-1], file=sys.stderr, flush=True)
 
@@ -192,7 +182,9 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         add(name, "all", pool)
         for count, firsts in DESIGNED.items():
             for first in firsts:
-                add(name, "designed", part(mixed, slice(first, first + count)))
+                some = slice(2 * first, 2 * (first + count))
+                add(name, "designed", part(mixed, some), count)
+                add(name, "one way", part(mixed, slice(some.start, some.stop, 2)), count)
         for count in RANDOM:
             for _ in range(DRAWS if name == "tensors" else 2):
                 add(name, "random", part(pool, random.choice(len(pool), count, replace=False)))
@@ -215,11 +207,11 @@ def ratios(rows: list[dict[str, Any]]) -> dict[str, Any]:
         mine = [row for row in rows if row["law"] == law]
         whole = np.array(next(row["E_u"] for row in mine if row["kind"] == "all"))
         for kind, loads in dict.fromkeys((row["kind"], row["loads"]) for row in mine):
-            some = [row["E_u"] for row in mine if (row["kind"], row["loads"]) == (kind, loads) and "E_u" in row]
-            if some:
-                over = np.array(some) / whole
-                entry = {"median": np.median(over, axis=0).tolist(), "worst": over.max(axis=0).tolist()}
-                found[f"{law}, {loads} {kind}"] = entry
+            same = [row for row in mine if (row["kind"], row["loads"]) == (kind, loads)]
+            over = np.array([row["E_u"] for row in same if "E_u" in row]) / whole
+            if len(over):
+                entry = {"median": np.median(over, axis=0), "worst": over.max(axis=0)}
+                found[f"{law}, {loads} {kind}"] = {n: v.tolist() for n, v in entry.items()}
     return found
 
 

@@ -87,7 +87,9 @@ def next_load(
             residual = np.sqrt((GUESSED * RESIDUAL**2 + count * seen**2) / (GUESSED + count))
             before = prior + told.sum(axis=0) / residual**2
     after = [deviation(before + each / residual**2, slopes) for each in offered]
-    return NextLoad(int(np.argmin(after)), np.array(after), deviation(before, slopes), float(residual))
+    return NextLoad(
+        int(np.argmin(after)), np.array(after), deviation(before, slopes), float(residual)
+    )
 
 
 def deviation(information: np.ndarray, slopes: np.ndarray) -> float:
@@ -96,9 +98,7 @@ def deviation(information: np.ndarray, slopes: np.ndarray) -> float:
     return float(np.sqrt(square / len(slopes)))
 
 
-def calibrated(
-    told: np.ndarray, pull: np.ndarray, prior: np.ndarray, slopes: np.ndarray
-) -> float:
+def calibrated(told: np.ndarray, pull: np.ndarray, prior: np.ndarray, slopes: np.ndarray) -> float:
     """The relative residual with which leaving loads out moves a quantity as foretold (Q13).
 
     Args:
