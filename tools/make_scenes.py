@@ -33,16 +33,18 @@ from warp_peri.points.samples import Samples
 OUT = Path("data/graphene_0K_scenes.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-SHEET = (MixedLoad(41, 30.0), MixedLoad(42, 45.0), MixedLoad(43, 70.0))
-DISK = (RandomRim(301), RandomRim(302), RandomRim(303))
-TURN = 17.0
+SHEET = (MixedLoad(51, 28.0), MixedLoad(52, 40.0), MixedLoad(53, 60.0))
+DISK = (RandomRim(401), RandomRim(402), RandomRim(403))
+"""The form of the error was chosen on MixedLoad(41, 30), (42, 45), (43, 70) and RandomRim(301–303),
+on a lower rectangle and at 17 degrees; these came after."""
+TURN = 41.0
 """Angle of the crystal to the nodes of the turned sets [degrees]."""
 
 
 def shape(points: Samples, name: str) -> Samples:
-    """The samples with another interior: an L, or a rectangle of half the height."""
+    """The samples with another interior: an L, or a rectangle of a third of the width."""
     x, y = points.x.T
-    kept = (x < 0) | (y < 0) if name == "L" else np.abs(y) <= 25
+    kept = (x < 0) | (y < 0) if name == "L" else np.abs(x) <= 17
     return dataclasses.replace(
         points, points=dataclasses.replace(points.points, interior=points.interior & kept)
     )

@@ -15,7 +15,7 @@ from warp_peri.prediction.spectrum import KNOTS, Spectrum
 if TYPE_CHECKING:
     from warp_peri.prediction.members import Members
 
-ROUGH = 0.05
+ROUGH = 0.1
 """Relative residual of the solves that give errors, not answers."""
 STRETCHED = 0.1
 """By how much more the answer is strained where the cubic part of the force is asked for."""
@@ -141,9 +141,9 @@ class PlacedMembers:
         """Fields of what the members do not know of u, [N, d], that began as the linear answer
         `first`; `left` is its correction, `told` what the record says of it."""
         second, *halves = self.others
-        lin, rough = self.straight(u), 2 * ROUGH
-        waves = self.inverse(lin - second(u), rough)
-        data = self.inverse(halves[0](u) - halves[1](u), rough) / np.sqrt(2)
+        lin = self.straight(u)
+        waves = self.inverse(lin - second(u), ROUGH)
+        data = self.inverse(halves[0](u) - halves[1](u), ROUGH) / np.sqrt(2)
         strain = axis = None
         if self.nonlinear or self.turned is not None:
             non = self.rich(u)
@@ -151,9 +151,9 @@ class PlacedMembers:
             t = 1 + STRETCHED
             more = (self.rich(t * u) - t * lin) / t**2 - (non - lin)
             bent = (first - u)[self.points.interior] - left
-            strain = self.inverse(more / STRETCHED, rough), self.series(u, bent)
+            strain = self.inverse(more / STRETCHED, ROUGH), self.series(u, bent)
         if self.turned is not None:
-            axis = self.inverse(non - self.turned(u), rough)
+            axis = self.inverse(non - self.turned(u), ROUGH)
         size = float(np.linalg.norm(u[self.points.interior])) or 1.0
         return Parts(left, waves, data, strain, axis, pulled(spread(waves, data) / size, told))
 

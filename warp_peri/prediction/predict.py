@@ -20,8 +20,9 @@ from warp_peri.prediction.members import Factors
 from warp_peri.prediction.placed import Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
-SOLVED, SHARE = 3e-3, 0.1
-"""The first linear solve goes to this relative residual, or to this share of the tolerance."""
+SOLVED, SHARE = 0.03, 0.3
+"""The first linear solve goes to this relative residual, or to this share of the tolerance; the
+correction sees what it leaves."""
 MOST = 8
 """Corrections at most."""
 SETTLED = 0.1

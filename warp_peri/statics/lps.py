@@ -39,8 +39,8 @@ DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
 FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-LOADS, NODES_A_LOAD = 2, 45
-"""A factorisation pays from 2 + n/45 loads on n nodes; the two were measured together."""
+LOADS, NODES_A_LOAD = 2, 60
+"""A factorisation pays from 2 + n/60 loads on n nodes; the two were measured together."""
 LARGEST_SOLID = 4_000
 """Most unknown nodes in space, where factors fill up."""
 STIFF = 30.0
