@@ -296,12 +296,18 @@ def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads
         return "lu"
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
+    inside = lattice_steps(points)[0][points.interior]
+    rectangle = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
+    return cheapest_method(nodes, rectangle=rectangle, stiff=stiff, loads=loads)
+
+
+def cheapest_method(nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1) -> str:
+    """The cheapest method for so many unknown nodes of a plain sheet; as choose_method."""
     if nodes <= DIRECT and loads and (stiff or loads > LOADS + nodes / NODES_A_LOAD):
         return "lu"
     if stiff:
         return "strip"
-    inside = lattice_steps(points)[0][points.interior]
-    if np.prod(np.ptp(inside, axis=0) + 1) == nodes:
+    if rectangle:
         return "sine"
     return "fft" if nodes <= FLAT else "multigrid"
 
