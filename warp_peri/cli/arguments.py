@@ -128,6 +128,21 @@ def predict(command: ArgumentParser) -> None:
     _uncertified(command)
 
 
+def plan(command: ArgumentParser) -> None:
+    """A scene, from a data file or typed, and a tolerance."""
+    command.add_argument(
+        "data", type=Path, nargs="?", metavar="DATA.h5", help="loads, and where they are"
+    )
+    command.add_argument("--set", default="test")
+    command.add_argument("--tolerance", type=float, default=0.01, help="a fraction")
+    command.add_argument("--modulus", type=float, default=0.72, help="shear modulus [TPa]")
+    command.add_argument("--size", type=float, nargs=2, help="extents of the domain [Å]")
+    command.add_argument("--shortest-wave", type=float, help="of the loads [Å]")
+    command.add_argument("--rectangle", action="store_true", help="the nodes fill the box")
+    command.add_argument("--strain", type=float, help="root mean square of |grad u|")
+    command.add_argument("--loads", type=int, help="how many")
+
+
 def solve(command: ArgumentParser) -> None:
     """A model, loads, and a solver."""
     command.add_argument("model", type=Path, metavar="MODEL.json")

@@ -24,7 +24,7 @@ from warp_peri.files.atomic import destination, locked, write_json
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import LENGTHS, symbols
+from warp_peri.points.unit_names import LENGTHS, USUAL, symbols
 from warp_peri.sources.coarse_graining import smoothing_matrix
 from warp_peri.storage import load
 
@@ -300,6 +300,25 @@ def run_predict(given: argparse.Namespace) -> Result:
             told["true"] = float(np.linalg.norm(wrong)) / size
         samples.append(told)
     return {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
+
+
+def run_plan(given: argparse.Namespace) -> Result:
+    """The cheapest model and solver that was measured within a tolerance, for a scene."""
+    from warp_peri.choice import Scene
+
+    typed = {"strain": given.strain, "loads": given.loads, "rectangle": given.rectangle or None}
+    typed |= {"size": given.size and tuple(given.size), "shortest_wave": given.shortest_wave}
+    typed = {name: value for name, value in typed.items() if value is not None}
+    if given.data is not None:
+        points = load_dataset(given.data, units=USUAL)[given.set]
+        problem = warp_peri.Dirichlet(points, points.loads, points.u)
+        scene = dataclasses.replace(Scene.of(problem, modulus=given.modulus), **typed)
+    elif {"size", "shortest_wave"} <= typed.keys():
+        scene = Scene(**typed)
+    else:
+        raise InputError("plan: expected a data file, or --size and --shortest-wave")
+    choice = warp_peri.choose_model(tolerance=given.tolerance, scene=scene)
+    return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}
 
 
 def run_solve(given: argparse.Namespace) -> Result:

@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "evaluate": ("errors of a model on data sets", arguments.evaluate),
     "solve": ("displacement from loads", arguments.solve),
     "predict": ("displacement with its error", arguments.predict),
+    "plan": ("which model and solver a scene needs", arguments.plan),
     "export": ("for ParaView and other codes", arguments.export),
     "sweep": ("choose horizon and degree", arguments.sweep),
     "info": ("what a model or data file holds", arguments.info),

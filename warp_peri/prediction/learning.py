@@ -16,8 +16,9 @@ from warp_peri.prediction.placed import PlacedMembers, pulled, spread
 from warp_peri.prediction.predict import MOST
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
-COVERED = 0.9
-"""Share of the samples that the factors are set to cover."""
+COVERED, NEARLY = 0.9, 0.95
+"""Shares of the samples that the factors are set to cover; that of what is left to correct, which
+varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
 """Horizon and degree of the second member over those of the rich one."""
 ROUNDING = 1e-12
@@ -129,14 +130,14 @@ def calibrated(family: Members, samples: Samples, held_out: Samples | None) -> M
         told = np.array([record.of(one) for one in rows["shares"]])
         members = members * [pulled(*pair) for pair in zip(members, told)]
 
-    def quantile(above: np.ndarray, below: np.ndarray) -> float:
-        return float(np.quantile(above / np.maximum(below, ROUNDING), COVERED))
+    def quantile(above: np.ndarray, below: np.ndarray, share: float = COVERED) -> float:
+        return float(np.quantile(above / np.maximum(below, ROUNDING), share))
 
     bends = bool(np.any(rows["gradient"] > 0))
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
     floor = np.sqrt(members**2 + rows["cubic"] ** 2 + (screen * rows["series"]) ** 2)
     factors = Factors(
-        left=max(quantile(rows["gone"], rows["left"]), 1.0) if bends else 1.0,
+        left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
         floor=quantile(rows["true"], floor),
         screen=screen,
     )

@@ -21,6 +21,8 @@ STRETCHED = 0.1
 """By how much more the answer is strained where the cubic part of the force is asked for."""
 PULLED = 2.0
 """What members say otherwise is made larger or smaller by their record by so much at most."""
+BEYOND = 1.25
+"""What strain beyond the second order may be, over what it is computed as: no data have it."""
 HALF_PERIOD = 30.0
 """Degrees between the directions of a crystal that differ most in their third-order constants."""
 
@@ -33,8 +35,8 @@ class Parts:
         left: the correction that is left.
         waves: by the second member.
         data: by the halves.
-        strain: what the force has beyond the square of the strain, tenfold; and what its orders
-            would go on to as a series, the nonlinear part times the gradient.
+        strain: what the force has beyond the square of the strain, and what its orders would go on
+            to as a series, the nonlinear part times the gradient; both a quarter more.
         axis: by the crystal at its other extreme, where its axis is not stated.
         pull: what waves and data are multiplied with: half way, in logarithms, to what the record
             says of such wavelengths (Q6).
@@ -151,7 +153,8 @@ class PlacedMembers:
             t = 1 + STRETCHED
             more = (self.rich(t * u) - t * lin) / t**2 - (non - lin)
             bent = (first - u)[self.points.interior] - left
-            strain = self.inverse(more / STRETCHED, ROUGH), self.series(u, bent)
+            cubic = self.inverse(more / STRETCHED, ROUGH)
+            strain = BEYOND * cubic, BEYOND * self.series(u, bent)
         if self.turned is not None:
             axis = self.inverse(non - self.turned(u), ROUGH)
         size = float(np.linalg.norm(u[self.points.interior])) or 1.0

@@ -17,7 +17,7 @@ from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined
 from warp_peri.prediction.members import Factors
-from warp_peri.prediction.placed import Parts, PlacedMembers
+from warp_peri.prediction.placed import BEYOND, Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
 SOLVED, SHARE = 0.03, 0.3
@@ -131,7 +131,7 @@ def _screened(
     factors, strain = placed.family.factors, 0.0
     if placed.nonlinear:
         gradient = placed.gradient(u)
-        strain = SURE * factors.floor * factors.screen * gradient * max(bent, gradient)
+        strain = SURE * BEYOND * factors.floor * factors.screen * gradient * max(bent, gradient)
     return {"left": factors.left * moved, "waves": factors.floor * told, "strain": strain}
 
 
