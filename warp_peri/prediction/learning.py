@@ -55,8 +55,8 @@ class Family:
         if not isinstance(samples, Samples) or len(samples) < 4:
             raise InputError("samples: expected one set of at least four samples for a family")
         learn = offered(self.rich, "learn", "fit", "a law as the rich member")
-        fits = {"rich": learn(samples, progress=progress)}
         second = self.second or poorer(self.rich)
+        fits = {"rich": learn(samples, progress=progress)}
         fits["second"] = second.learn(samples, progress=progress)
         halves = [learn(part(samples, slice(n, None, 2)), progress=progress) for n in (0, 1)]
         strain = largest_strain(samples.points, samples.u)

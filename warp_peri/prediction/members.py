@@ -109,7 +109,8 @@ class Members:
         length, _ = factors(self.units, units)
         record = self.record
         if record is not None:
-            record = replace(record, wavelength=record.wavelength * length)
+            shortest = record.shortest * length
+            record = replace(record, wavelength=record.wavelength * length, shortest=shortest)
         rich, second, *halves = (
             one.in_units(units) for one in (self.rich, self.second, *self.halves)
         )
@@ -121,7 +122,7 @@ class Members:
         content |= {name: getattr(self, name).content() for name in ("rich", "second")}
         content["halves"] = [one.content() for one in self.halves]
         record = self.record
-        content["record"] = record and {k: v.tolist() for k, v in asdict(record).items()}
+        content["record"] = record and {k: np.asarray(v).tolist() for k, v in vars(record).items()}
         content["factors"] = asdict(self.factors)
         content |= {n: getattr(self, n) for n in ("strain", "temperature", "provenance")}
         content["sha256"] = content_hash(content)
@@ -153,7 +154,8 @@ def load_members(path: Any) -> Members:
             )
         record = content["record"]
         if record is not None:
-            record = Record(**{name: np.array(values, float) for name, values in record.items()})
+            lines = (np.array(record[name], float) for name in ("wavelength", "error"))
+            record = Record(*lines, float(record["shortest"]))
         rich, second, *halves = (
             _member(one) for one in (content["rich"], content["second"], *content["halves"])
         )

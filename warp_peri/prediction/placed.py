@@ -117,6 +117,13 @@ class PlacedMembers:
             return None
         return record.of(self.spectrum.shares(u))
 
+    def unseen(self, u: np.ndarray) -> float:
+        """The share of a field's square that is shorter than all that the data held."""
+        record = self.family.record
+        if record is None or self.points.spacing == 0:
+            return 0.0
+        return record.unseen(self.spectrum.shares(u))
+
     @cached_property
     def turned(self) -> Any:
         """The rich member with the crystal at its other extreme; None where its axis is stated or

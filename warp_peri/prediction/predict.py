@@ -15,6 +15,7 @@ from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import Samples, nodes_of
+from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.answer import WORDS, Answer, combined
 from warp_peri.prediction.members import Factors
 from warp_peri.prediction.placed import BEYOND, Parts, PlacedMembers
@@ -31,6 +32,9 @@ STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
 MOVED = 0.02
 """By how much more of it an answer was corrected since, what members do not know is asked again."""
+SHORTER, STRAINED = 0.01, 1.2
+"""Share of waves shorter than the data's, and strain over the data's where the rich member is
+linear, from which the error does not speak of an answer."""
 SURE = 2.0
 """Times that the series is taken where the cubic part beside it was not computed."""
 FAMILY = (
@@ -110,6 +114,7 @@ def _predict(
     stage = _corrected(placed, load, u, tolerance, noise)
     error = stage.error
     kept = tolerance is None or error <= tolerance
+    uncovered += _beyond(placed, stage.u)
     why = _reason(stage, tolerance, kept, uncovered)
     only_axis = all(one == AXIS for one in uncovered)
     known = stage.fields
@@ -203,6 +208,22 @@ def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     mine = placed.family.temperature
     if there is not None and mine is not None and not np.allclose(there, mine):
         found.append(f"temperature: learned at {mine:g} K, asked at {np.max(there):g} K")
+    return tuple(found)
+
+
+def _beyond(placed: PlacedMembers, u: np.ndarray) -> tuple[str, ...]:
+    """What the family's data say nothing of, and no part does."""
+    found = []
+    if placed.unseen(u) > SHORTER:
+        found.append("short waves: shorter than any that the family learned from")
+    known = placed.family.strain
+    if not placed.nonlinear and known > 0:
+        strain = largest_strain(placed.points, u[None])
+        if strain > STRAINED * known:
+            found.append(
+                f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "
+                "its data"
+            )
     return tuple(found)
 
 

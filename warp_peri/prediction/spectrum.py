@@ -11,6 +11,8 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
 
+SEEN = 0.5
+"""Samples' worth of a wavelength from which its error counts as known."""
 KNOTS = 2.0 * 2.0 ** (np.arange(12) / 2)
 """Wavelengths in spacings between which a record is interpolated."""
 
@@ -23,14 +25,21 @@ class Record:
         wavelength: [length], growing, shape [K].
         error: a fraction, shape [K]; between the wavelengths its square is linear in their
             logarithms, and it is constant beyond them.
+        shortest: wavelength that samples held enough of [length]; below it the largest error that
+            is known stands for one that is not.
     """
 
     wavelength: np.ndarray
     error: np.ndarray
+    shortest: float = 0.0
 
     def of(self, shares: np.ndarray) -> float:
         """The error of a field with those shares, relative to the field."""
         return float(np.sqrt(shares @ self.error**2))
+
+    def unseen(self, shares: np.ndarray) -> float:
+        """The share of a field that is shorter than all that samples held."""
+        return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
 
 
 class Spectrum:
@@ -90,5 +99,8 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Re
         rows: shares of the samples there, shape [S, K].
         errors: of their answers, fractions, shape [S].
     """
-    square = (rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(rows.sum(axis=0), 1e-300)
-    return Record(wavelength, np.sqrt(square))
+    there = rows.sum(axis=0)
+    error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
+    first = int(np.argmax(there >= min(SEEN, there.max())))
+    error[:first] = error[first:][there[first:] >= min(SEEN, there.max())].max()
+    return Record(wavelength, error, float(wavelength[first]))

@@ -27,7 +27,7 @@ from warp_peri.points.strain import largest_strain, lattice_strain
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.dirichlet import SolveRecord
-from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
+from warp_peri.statics.equilibrium import TOLERANCE, Inverse, equilibrium, iterated_inverse
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -135,6 +135,17 @@ class PlacedLPS(LPSOperator):
         """Equilibrium of a periodic sheet under a load whose mean is removed, as sheet_at_rest."""
         refuse_solver(solver, (), "a periodic sheet, which has one way")
         return sheet_at_rest(self, b)
+
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
+        once for so many loads, on scattered points by a factorisation."""
+        if self.carrier is not None:
+            return self.through.problem.inverse
+        if (method := self._method(None, loads)) not in ("lu", "gmres"):
+            return iterated_inverse(self.nodes, self.model.horizon, self.model.solid, method)
+        parts = matrices(self.model, self.nodes, bonds=self.bonds)
+        L = parts.operator(self.model.lam, self.model.mu)
+        return MatrixProblem(L, self.nodes.interior).inverse
 
     def _told(self, u: Any, load: Any, method: str, records: list[SolveRecord]) -> Solution:
         measured = max((r.residual for r in records), default=None)
