@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
+from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, manufactured, smooth
 from warp_peri.prediction import Factors, Family, Members
 
@@ -68,10 +69,17 @@ def test_crystals(dimension):
     check(answer, points)
 
 
+@pytest.mark.filterwarnings("ignore:mesh:UserWarning")
 def test_a_body_is_answered_and_its_edge_named(family):
-    mesh = wp.Mesh.rectangle((12.0, 6.0), 1.0) if hasattr(wp.Mesh, "rectangle") else None
-    if mesh is None:
-        pytest.skip("no mesh")
+    stretch = {"sides": lambda x: 1e-3 * x}
+    body = wp.Body(plate(3.0, 12.0, 6, 24), displacement=stretch)
+    answer = wp.predict(family, body, 0.05)
+    assert not answer.kept
+    assert any(one.startswith("free edges") for one in answer.uncovered)
+    assert "not covered: free edges" in answer.why
+    assert answer.error > 0
+    with pytest.raises(wp.InputError, match="knows nothing of its error"):
+        wp.predict(family.rich, body)
 
 
 def test_one_placed_elsewhere_is_refused(family):
