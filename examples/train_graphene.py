@@ -176,9 +176,14 @@ def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
         from tools.make_graphene import LOADS, make_graphene
 
         print("making graphene data with LAMMPS (once; finished samples are kept)")
-        options = {"smoothing_radius": smoothing_radius, "training": LOADS[loads]}
         cache = DATA.with_suffix(".cache")  # atoms depend neither on smoothing nor on other loads
-        make_graphene(path, jobs=jobs, cache=cache, **options)
+        make_graphene(
+            path,
+            jobs=jobs,
+            cache=cache,
+            smoothing_radius=smoothing_radius,
+            training=LOADS[loads],
+        )
     return path
 
 

@@ -57,7 +57,7 @@ def make_graphene(
     jobs: int = -1,
     cache: str | os.PathLike[str] | None = None,
     smoothing_radius: float = SMOOTHING_RADIUS,
-    training: Sequence[Load] = TRAINING,
+    training: Sequence[Load] | None = None,
     progress: bool = True,
 ) -> Path:
     """Make the data set: training and validation loads on a sheet, test loads on a disk.
@@ -72,7 +72,7 @@ def make_graphene(
             chooses another backend.
         cache: folder of finished samples; by default beside `path`, with the suffix .cache.
         smoothing_radius: R of the coarse graining [Å].
-        training: loads to learn from, on the sheet.
+        training: loads to learn from, on the sheet; TRAINING without.
         progress: show a bar on stderr.
 
     Returns:
@@ -87,7 +87,7 @@ def make_graphene(
     path = Path(path)
     cache = path.with_suffix(".cache") if cache is None else Path(cache)
     with locked(path), locked(cache):
-        return _make(path, cache, jobs, smoothing_radius, training, progress)
+        return _make(path, cache, jobs, smoothing_radius, training or TRAINING, progress)
 
 
 def _make(

@@ -216,13 +216,13 @@ def _error(row: dict[str, Any], scene: Scene, name: str) -> float:
     if name == "disks" and "agrees" in row:
         agreed = _agreement(row["agrees"], scene.shortest_wave)
     if scene.strain is None or "strained" not in row:
-        return max(error, agreed)
+        return float(max(error, agreed))
     strain, measured = np.array(row["strained"]).T
     at = float(np.exp(np.interp(np.log(scene.strain), np.log(strain), np.log(measured))))
     at *= max(1.0, scene.strain / strain[-1])
     if name == "waves":
         return float(np.hypot(error, at))
-    return max(at, agreed)
+    return float(max(at, agreed))
 
 
 def _agreement(pairs: list[list[float]], wave: float) -> float:

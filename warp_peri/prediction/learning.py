@@ -96,7 +96,7 @@ class FamilyFit:
         return getattr(self.rich, "history", None)
 
 
-def part(samples: Samples, which: slice) -> Samples:
+def part(samples: Samples, which: Any) -> Samples:
     """Some of the samples."""
     arrays = {name: values[which] for name, values in samples.arrays.items()}
     return replace(samples, u=samples.u[which], b=samples.loads[which], arrays=arrays)

@@ -154,8 +154,8 @@ def load_members(path: Any) -> Members:
             )
         record = content["record"]
         if record is not None:
-            lines = (np.array(record[name], float) for name in ("wavelength", "error"))
-            record = Record(*lines, float(record["shortest"]))
+            wavelength, error = (np.array(record[n], float) for n in ("wavelength", "error"))
+            record = Record(wavelength, error, float(record["shortest"]))
         rich, second, *halves = (
             _member(one) for one in (content["rich"], content["second"], *content["halves"])
         )

@@ -122,7 +122,7 @@ def _numbers(material: Crystal, bonds: Family) -> np.ndarray:
     if not np.array_equal(bonds.steps, material.steps):
         raise InputError("next_load: expected a law on a whole ball of bonds")
     tensors = material.tensors.ravel() * material.spacing**2
-    return np.linalg.lstsq(basis.T, tensors, rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(basis.T, tensors, rcond=None)[0])
 
 
 def _coordinates(material: Crystal, bonds: Family) -> np.ndarray:
