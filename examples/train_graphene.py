@@ -182,7 +182,7 @@ def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
             jobs=jobs,
             cache=cache,
             smoothing_radius=smoothing_radius,
-            training=LOADS[loads],
+            training=LOADS.get(loads),
         )
     return path
 

@@ -36,8 +36,8 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 
-LOADS: dict[str, Sequence[Load]] = {"waves": TRAINING, "designed": DESIGNED}
-"""What the training set may be made of, by name."""
+LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
+"""What the training set may be made of in place of TRAINING, by name."""
 SPACINGS = {"": 5.0, "_fine": 2.5}
 """Node spacing [Å] by suffix of the set names."""
 
@@ -370,7 +370,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "--loads",
-        choices=LOADS,
+        choices=("waves", *LOADS),
         default="waves",
         help="to learn from: seventy waves, or two loads, each both ways",
     )
@@ -387,7 +387,7 @@ def main(arguments: list[str] | None = None) -> int:
                 jobs=given.jobs,
                 cache=given.cache,
                 smoothing_radius=given.smoothing_radius,
-                training=LOADS[given.loads],
+                training=LOADS.get(given.loads),
                 progress=not given.quiet,
             )
         print(path)

@@ -62,27 +62,27 @@ def chart(rows: list[Row], file: Path) -> None:
     for ax in axes[:, 0]:
         ax.set_ylabel("displacement error [%]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.suptitle("Atoms have error 0 and stand on the floor of the chart", fontsize=10)
     figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=9)
     with whole_file(file) as path:
-        figure.savefig(path, dpi=100, format="png")
+        figure.savefig(path, dpi=85, format="png")
     plt.close(figure)
 
 
 def training_chart(rows: list[Row], file: Path) -> None:
     """Error on the disks against what a law cost: seconds of atoms, and of its fit."""
     atoms = next(row for row in rows if row["kind"] == "atoms")
-    figure, ax = plt.subplots(figsize=(8, 5.5), layout="constrained")
-    some = [row for row in rows if "fit_seconds" in row and row["fit_seconds"] > 0]
-    for row in some:
+    figure, ax = plt.subplots(figsize=(9, 5.5), layout="constrained")
+    some = [row for row in rows if row.get("fit_seconds", 0) > 0]
+    some = [row for row in some if row["kind"] != "predict" or row["label"].endswith(" 1 %")]
+    for number, row in enumerate(sorted(some, key=lambda row: row["disks_error"]), start=1):
         both = 2 if row["kind"] == "designed" else 1  # each both ways
         loads = atoms["waves_setup"] + both * row["loads"] * atoms["waves_solve"]
-        ax.loglog(loads + row["fit_seconds"], 100 * row["disks_error"], "o")
         where = (loads + row["fit_seconds"], 100 * row["disks_error"])
-        told = f"{row['label']} ({row['loads']} loads)"
-        ax.annotate(told, where, (5, 3), textcoords="offset points", size=7)
+        name = row["label"].removesuffix(", LU").replace(", h = 5", "")
+        ax.loglog(*where, "o", label=f"{number}  {name} ({row['loads']} loads)")
+        ax.annotate(str(number), where, (4, 4), textcoords="offset points", size=9)
     ax.set(xlabel="seconds of atoms and fit", ylabel="displacement error on disks [%]")
-    ax.margins(0.35, 0.1)
+    figure.legend(loc="outside right center", fontsize=8, handlelength=1)
     with whole_file(file) as path:
         figure.savefig(path, dpi=110, format="png")
     plt.close(figure)
