@@ -13,8 +13,16 @@ from warp_peri.sources.dumps import (
     dump_masses,
     dump_positions,
 )
+from warp_peri.structures.calculators import named_calculator
+from warp_peri.structures.lammps import find_mpi
+from warp_peri.structures.learn import LearnedCrystal, from_atoms, from_force_constants
 
 __all__ = [
+    "LearnedCrystal",
+    "find_mpi",
+    "from_atoms",
+    "from_force_constants",
+    "named_calculator",
     "coarse_grain",
     "force_on_mesh",
     "frames_on_lattice",

@@ -18,6 +18,7 @@ import warp_peri
 from warp_peri import atoms
 from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
+from warp_peri.cli.learn import run_learn as run_learn
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, locked, write_json
@@ -51,12 +52,12 @@ def check_output(given: argparse.Namespace) -> None:
     if getattr(given, "out", None) is None:
         return
     out = given.out.resolve()
-    for name in ("data", "model", "body", "reference", "dumps", "force", "unloaded"):
+    for name in ("data", "model", "body", "structure", "reference", "dumps", "force", "unloaded"):
         read = getattr(given, name, None) or []
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command in ("train", "sweep") or getattr(given, "what", "") == "fields"
+    folder = given.command in ("train", "learn", "sweep") or getattr(given, "what", "") == "fields"
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, there = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")

@@ -10,7 +10,14 @@ from warp_peri.errors import InputError
 
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
 """Units of length [Å]."""
-STRESSES = {"TPa": 1.0, "GPa": 1e-3, "MPa": 1e-6, "Pa": 1e-12, "eV/angstrom^3": 0.1602176634}
+STRESSES = {
+    "TPa": 1.0,
+    "GPa": 1e-3,
+    "MPa": 1e-6,
+    "bar": 1e-7,
+    "Pa": 1e-12,
+    "eV/angstrom^3": 0.1602176634,
+}
 """Units of stress [TPa]."""
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
@@ -20,6 +27,13 @@ SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
 USUAL_HORIZON = 16.0
 """A horizon [Å] that the numbers of searches suit."""
 
+SYSTEMS: dict[str, tuple[str, str]] = {
+    "ase": ("angstrom", "eV/angstrom^3"),
+    "metal": ("angstrom", "bar"),
+    "si": ("m", "Pa"),
+}
+"""Units of length and stress that go by one name: those of ASE, of LAMMPS metal, of the SI."""
+
 Units: TypeAlias = tuple[str, str]
 """Names of a unit of length and of one of stress."""
 USUAL: Units = ("angstrom", "TPa")
@@ -27,11 +41,18 @@ USUAL: Units = ("angstrom", "TPa")
 
 
 def check_units(units: Any) -> Units:
-    """The units, if they are known by name; InputError with the names that are."""
+    """The units, if they are known by name; InputError with the names that are.
+
+    One of SYSTEMS stands for its pair.
+    """
+    if isinstance(units, str) and units in SYSTEMS:
+        return SYSTEMS[units]
     try:
         length, stress = [units] if isinstance(units, str) else list(units)
     except (TypeError, ValueError):
-        raise InputError(f"units: expected (length, stress), got {units!r:.60}") from None
+        raise InputError(
+            f"units: expected (length, stress), or {', '.join(SYSTEMS)}, got {units!r:.60}"
+        ) from None
     if (length, stress) == REDUCED:
         return REDUCED
     for key, name, known in (

@@ -1,0 +1,59 @@
+"""`learn`: a structure and a calculator to a law, a picture and what is told of it."""
+
+from __future__ import annotations
+
+import argparse
+import io
+from pathlib import Path
+from typing import Any
+
+from warp_peri.cli.settings_file import keep
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
+from warp_peri.storage import save
+
+
+def run_learn(given: argparse.Namespace) -> dict[str, Any]:
+    """A structure → model.json, learn.json, report.txt and law.png, in a folder."""
+    from warp_peri.structures.calculators import named_calculator
+    from warp_peri.structures.learn import from_atoms
+
+    atoms = read_structure(given.structure)
+    calculator = named_calculator(given.calculator, atoms.get_chemical_symbols(), given.potential)
+    found = from_atoms(
+        atoms,
+        calculator,
+        source=given.source,
+        thickness=given.thickness,
+        hold=given.hold,
+        spacing=given.spacing,
+        horizon=given.horizon,
+        supercell=given.supercell,
+        symmetry=given.symmetry,
+        units=given.units[0] if len(given.units) == 1 else tuple(given.units),
+    )
+    with locked(given.out):
+        save(given.out / "model.json", found.material)
+        write_json(given.out / "learn.json", finite(plain(found.content())))
+        given.told = "\n".join(repr(found).split("\n")[1:])
+        write_text(given.out / "report.txt", given.told + "\n")
+        with whole_file(given.out / "law.png") as path:
+            drawn = io.BytesIO()
+            found.plot().savefig(drawn, format="png", dpi=110)
+            path.write_bytes(drawn.getvalue())
+        keep(given, given.out / "learn.toml")
+    given.told += f"\n  written to {given.out}: model.json, learn.json, report.txt, law.png"
+    return {**found.content(), "model": str(given.out / "model.json")}
+
+
+def read_structure(path: Path) -> Any:
+    """The last structure of a file that ASE reads; InputError for any other."""
+    import ase.io
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        found: Any = ase.io.read(path, index=-1)
+    except Exception as error:  # ASE's readers raise whatever their parsing runs into
+        raise InputError(f"{path}: ASE reads no structure from it ({error})") from None
+    return found
