@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import io
+import time
 from pathlib import Path
 from typing import Any
 
+from warp_peri import atoms
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
@@ -15,13 +17,13 @@ from warp_peri.storage import save
 
 def run_learn(given: argparse.Namespace) -> dict[str, Any]:
     """A structure → model.json, learn.json, report.txt and law.png, in a folder."""
-    from warp_peri.structures.calculators import named_calculator
-    from warp_peri.structures.learn import from_atoms
-
-    atoms = read_structure(given.structure)
-    calculator = named_calculator(given.calculator, atoms.get_chemical_symbols(), given.potential)
-    found = from_atoms(
-        atoms,
+    begin = time.perf_counter()
+    structure = read_structure(given.structure)
+    calculator = atoms.named_calculator(
+        given.calculator, structure.get_chemical_symbols(), given.potential
+    )
+    found = atoms.from_atoms(
+        structure,
         calculator,
         source=given.source,
         thickness=given.thickness,
@@ -42,7 +44,10 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
             found.plot().savefig(drawn, format="png", dpi=110)
             path.write_bytes(drawn.getvalue())
         keep(given, given.out / "learn.toml")
-    given.told += f"\n  written to {given.out}: model.json, learn.json, report.txt, law.png"
+    seconds = time.perf_counter() - begin
+    given.told += (
+        f"\n  {seconds:.1f} s; written to {given.out}: model.json, learn.json, report.txt, law.png"
+    )
     return {**found.content(), "model": str(given.out / "model.json")}
 
 

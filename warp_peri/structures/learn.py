@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +25,7 @@ from warp_peri.micromodulus.groups import Symmetry, point_group
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit, from_phonons
 from warp_peri.micromodulus.regression import directions
+from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import as_table, in_rows
 from warp_peri.structures.campaign import load_campaign
@@ -54,14 +54,12 @@ class LearnedCrystal:
         atoms: force constants of the crystal at rest.
         strained: C_ijkl [TPa] by finite strains of the cell, [d, d, d, d], or None.
         said: what was found or chosen on the way, by name.
-        seconds: that it took.
     """
 
     material: Crystal
     atoms: ForceConstants
     strained: np.ndarray | None
     said: dict[str, str]
-    seconds: float
 
     @property
     def certificate(self) -> Any:
@@ -158,15 +156,15 @@ class LearnedCrystal:
             ("proven", "nothing" if law.certificate is None else law.certificate.statement),
             (
                 f"within {WITHIN:.0%} down to",
-                f"waves of {self.holds_to['law']:.3g} Å; local elasticity with the same moduli "
-                f"{self.holds_to['local']:.3g} Å",
+                f"{_length(self.holds_to['law'])}; local elasticity with the same moduli "
+                f"{_length(self.holds_to['local'])}",
             ),
         ]
         shown += [
             (f"unseen {name}", f"E_u {e['law']:.2f} %; local elasticity {e['local']:.2f} %")
             for name, e in self.unseen.items()
         ]
-        return [*self.said.items(), *shown, ("time", f"{self.seconds:.1f} s")]
+        return [*self.said.items(), *shown]
 
     def __repr__(self) -> str:
         return in_rows("LearnedCrystal", self.rows())
@@ -196,8 +194,11 @@ class LearnedCrystal:
             "unseen_E_u": self.unseen,
             "statement": "" if proof is None else proof.statement,
             "proven_GPa": None if proof is None else 1e3 * proof.proven,
-            "seconds": self.seconds,
         }
+
+
+def _length(wave: float) -> str:
+    return f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
 
 
 def from_atoms(
@@ -235,7 +236,6 @@ def from_atoms(
 
     Raises InputError for what is no crystal, does not come to rest, or has imaginary phonons.
     """
-    begin = time.perf_counter()
     units = check_units(units)
     calculator = atoms.calc if calculator is None else calculator
     if calculator is None:
@@ -252,7 +252,7 @@ def from_atoms(
         reach = h * REACH[reference.dimension] if horizon is None else horizon
         samples = load_campaign(reference, constants, calculator, h, reach)
         said |= {"loads": f"{len(samples)}, on {int(samples.interior.sum())} interior nodes"}
-    return _learned(constants, h, horizon, symmetry, units, said, strained, samples, begin)
+    return _learned(constants, h, horizon, symmetry, units, said, strained, samples)
 
 
 def from_force_constants(
@@ -269,8 +269,7 @@ def from_force_constants(
         atoms: force constants, as of `from_phonopy`.
         spacing, horizon, symmetry, units: as for `from_atoms`.
     """
-    given = time.perf_counter(), check_units(units)
-    return _learned(atoms, spacing, horizon, symmetry, given[1], {}, None, None, given[0])
+    return _learned(atoms, spacing, horizon, symmetry, check_units(units), {}, None, None)
 
 
 def _learned(
@@ -281,8 +280,7 @@ def _learned(
     units: Units,
     said: dict[str, str],
     strained: np.ndarray | None,
-    samples: Any,
-    begin: float,
+    samples: Samples | None,
 ) -> LearnedCrystal:
     d = atoms.dimension
     reach = spacing * REACH[d] if horizon is None else horizon
@@ -292,7 +290,4 @@ def _learned(
         law = from_phonons(atoms, spacing, reach, symmetry=group)
     else:
         law = fit(samples, reach, symmetry=group)
-    found = LearnedCrystal(law.in_units(units), atoms, strained, said, 0.0)
-    found.rows()  # all that is told is part of the time
-    object.__setattr__(found, "seconds", time.perf_counter() - begin)
-    return found
+    return LearnedCrystal(law.in_units(units), atoms, strained, said)
