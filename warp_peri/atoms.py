@@ -16,12 +16,14 @@ from warp_peri.sources.dumps import (
 from warp_peri.structures.calculators import named_calculator
 from warp_peri.structures.lammps import find_mpi
 from warp_peri.structures.learn import LearnedCrystal, from_atoms, from_force_constants
+from warp_peri.structures.phonopy_files import from_phonopy
 
 __all__ = [
     "LearnedCrystal",
     "find_mpi",
     "from_atoms",
     "from_force_constants",
+    "from_phonopy",
     "named_calculator",
     "coarse_grain",
     "force_on_mesh",

@@ -30,7 +30,7 @@ def graphene(tmp_path_factory):
     folder = tmp_path_factory.mktemp("learn")
     ase.io.write(folder / "sheet.cif", ase.build.graphene(a=2.529676 * 1.05, vacuum=10))
     line = f"learn {folder}/sheet.cif --calculator lammps:tersoff --potential {TERSOFF}"
-    assert main([*line.split(), *"--hold xx --out".split(), str(folder / "out")]) == 0
+    assert main([*line.split(), *["--hold", "xx", "--out"], str(folder / "out")]) == 0
     return folder / "out"
 
 

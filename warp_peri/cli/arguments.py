@@ -99,12 +99,15 @@ def train(command: ArgumentParser) -> None:
 def learn(command: ArgumentParser) -> None:
     """A structure, what holds it together, and how its law is learned."""
     command.add_argument(
-        "structure", type=Path, metavar="STRUCTURE", help="a crystal, any file that ASE reads"
+        "structure",
+        type=Path,
+        metavar="STRUCTURE",
+        help="a crystal in any file that ASE reads; without --calculator a phonopy.yaml or its "
+        "folder",
     )
     command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
     command.add_argument(
         "--calculator",
-        required=True,
         metavar="NAME",
         help='lammps:"pair_style sw", or an ASE calculator as ase.calculators.emt:EMT, with '
         "arguments behind it in parentheses",

@@ -18,22 +18,13 @@ from warp_peri.storage import save
 def run_learn(given: argparse.Namespace) -> dict[str, Any]:
     """A structure → model.json, learn.json, report.txt and law.png, in a folder."""
     begin = time.perf_counter()
-    structure = read_structure(given.structure)
-    calculator = atoms.named_calculator(
-        given.calculator, structure.get_chemical_symbols(), given.potential
-    )
-    found = atoms.from_atoms(
-        structure,
-        calculator,
-        source=given.source,
-        thickness=given.thickness,
-        hold=given.hold,
-        spacing=given.spacing,
-        horizon=given.horizon,
-        supercell=given.supercell,
-        symmetry=given.symmetry,
-        units=given.units[0] if len(given.units) == 1 else tuple(given.units),
-    )
+    units = given.units[0] if len(given.units) == 1 else tuple(given.units)
+    nodes = {"spacing": given.spacing, "horizon": given.horizon, "symmetry": given.symmetry}
+    if given.calculator is None:
+        constants = atoms.from_phonopy(given.structure, thickness=given.thickness)
+        found = atoms.from_force_constants(constants, **nodes, units=units)
+    else:
+        found = _from_structure(given, nodes, units)
     with locked(given.out):
         save(given.out / "model.json", found.material)
         write_json(given.out / "learn.json", finite(plain(found.content())))
@@ -49,6 +40,23 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
         f"\n  {seconds:.1f} s; written to {given.out}: model.json, learn.json, report.txt, law.png"
     )
     return {**found.content(), "model": str(given.out / "model.json")}
+
+
+def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
+    structure = read_structure(given.structure)
+    calculator = atoms.named_calculator(
+        given.calculator, structure.get_chemical_symbols(), given.potential
+    )
+    return atoms.from_atoms(
+        structure,
+        calculator,
+        source=given.source,
+        thickness=given.thickness,
+        hold=given.hold,
+        supercell=given.supercell,
+        **nodes,
+        units=units,
+    )
 
 
 def read_structure(path: Path) -> Any:

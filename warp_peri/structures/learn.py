@@ -29,8 +29,8 @@ from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import as_table, in_rows
 from warp_peri.structures.campaign import load_campaign
-from warp_peri.structures.phonons import force_constants, strained_moduli
-from warp_peri.structures.rest import at_rest
+from warp_peri.structures.phonons import check_phonons, force_constants, strained_moduli
+from warp_peri.structures.rest import at_rest, usual_spacing
 from warp_peri.structures.waves import Loads, wave_loads
 
 REACH = {2: 3.0, 3: 6**0.5}
@@ -156,7 +156,7 @@ class LearnedCrystal:
             ("proven", "nothing" if law.certificate is None else law.certificate.statement),
             (
                 f"within {WITHIN:.0%} down to",
-                f"{_length(self.holds_to['law'])}; local elasticity with the same moduli "
+                f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
                 f"{_length(self.holds_to['local'])}",
             ),
         ]
@@ -258,7 +258,7 @@ def from_atoms(
 def from_force_constants(
     atoms: ForceConstants,
     *,
-    spacing: float,
+    spacing: float | None = None,
     horizon: float | None = None,
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
@@ -268,7 +268,13 @@ def from_force_constants(
     Args:
         atoms: force constants, as of `from_phonopy`.
         spacing, horizon, symmetry, units: as for `from_atoms`.
+
+    Raises InputError for a crystal with imaginary phonons.
     """
+    check_phonons(atoms)
+    if spacing is None:
+        cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
+        spacing = usual_spacing(cell, atoms.dimension == 2)
     return _learned(atoms, spacing, horizon, symmetry, check_units(units), {}, None, None)
 
 

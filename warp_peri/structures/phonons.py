@@ -9,6 +9,7 @@ from typing import Any
 
 import ase
 import numpy as np
+from ase.data import atomic_masses
 from ase.optimize import BFGS
 
 from warp_peri.errors import InputError
@@ -67,7 +68,7 @@ def force_constants(
         thickness=reference.thickness,
         stress=reference.stress,
     )
-    check_phonons(found, cell.get_masses())
+    check_phonons(found)
     return found, f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms"
 
 
@@ -115,7 +116,7 @@ def _wide_enough(reference: Reference, calculator: Any) -> tuple[int, ...]:
     return repeats
 
 
-def check_phonons(atoms: ForceConstants, masses: np.ndarray) -> None:
+def check_phonons(atoms: ForceConstants) -> None:
     """Raise InputError for imaginary phonons, with the worst wave vector.
 
     A grid of waves is looked at, and the edges of the zone with it; a sheet's mean height is held,
@@ -127,7 +128,7 @@ def check_phonons(atoms: ForceConstants, masses: np.ndarray) -> None:
     parts = np.array(list(itertools.product(line, repeat=d)))
     parts = np.where(parts > 0.5, parts - 1, parts)
     parts = parts[parts @ [1.0, 1e-3, 1e-6][:d] >= 0]
-    weight = 1 / np.sqrt(np.repeat(masses, m))
+    weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], m))
     D = atoms.dynamical(parts @ back) * weight * weight[:, None]
     least = np.linalg.eigvalsh(D)
     worst = int(least[:, 0].argmin())

@@ -88,7 +88,7 @@ def at_rest(
     _relax(cell, flat, held)
     size, rule = thickness, "as given"
     if flat and size is None:
-        size, rule = _thickness_of(cell)
+        size, rule = thickness_of(cell)
     stress = _stress_left(cell, size, flat, held)
     said = {
         "structure": f"{cell.get_chemical_formula()}, {'a sheet' if flat else 'a solid'}",
@@ -97,9 +97,8 @@ def at_rest(
     }
     if size is not None:
         said["thickness"] = f"{size:.4g} Å, {rule}"
-    spacing = _sheet_spacing(cell) if flat else _solid_spacing(cell)
     cell.calc = None
-    return Reference(cell, size, stress, spacing, said)
+    return Reference(cell, size, stress, usual_spacing(cell, flat), said)
 
 
 def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
@@ -107,7 +106,7 @@ def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
     periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
     if not periodic.any():
         raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
-    empty = [a for a in range(3) if not periodic[a] or _gap(atoms, a) >= VACUUM]
+    empty = [a for a in range(3) if not periodic[a] or gap(atoms, a) >= VACUUM]
     if len(empty) > 1:
         raise InputError(
             f"structure: expected a sheet or a solid; along {len(empty)} edges of the cell there "
@@ -143,7 +142,7 @@ def _heights(atoms: ase.Atoms, axis: int) -> tuple[np.ndarray, np.ndarray, float
     return part[order], order, float(apart)
 
 
-def _gap(atoms: ase.Atoms, axis: int) -> float:
+def gap(atoms: ase.Atoms, axis: int) -> float:
     """Largest distance between neighbours along an edge [Å]."""
     part, _, apart = _heights(atoms, axis)
     return float(np.diff(np.append(part, part[0] + 1)).max() * apart)
@@ -254,7 +253,7 @@ def _stress_left(
     return np.asarray((stress + stress.T) / 2)
 
 
-def _thickness_of(cell: ase.Atoms) -> tuple[float, str]:
+def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
     """By the rule that Reference states [Å]."""
     z = np.array(cell.positions)[:, 2]
     radii = [vdw_radii[cell.numbers[n]] for n in (z.argmin(), z.argmax())]
@@ -263,6 +262,11 @@ def _thickness_of(cell: ase.Atoms) -> tuple[float, str]:
         f"{np.ptp(z):.4g} Å between outermost nuclei and van der Waals radii of "
         f"{radii[0]:.3g} and {radii[1]:.3g} Å"
     )
+
+
+def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
+    """Of nodes [Å]: by the conventional cell's volume, of a sheet by its smallest rectangle."""
+    return _sheet_spacing(cell) if flat else _solid_spacing(cell)
 
 
 def _solid_spacing(cell: ase.Atoms) -> float:
