@@ -2,16 +2,16 @@
 
 from warp_peri.sources.coarse_graining import coarse_grain, force_on_mesh, smoothing_matrix
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+from warp_peri.sources.dump_files import Frame, dump_frames
 from warp_peri.sources.dumps import (
     Atoms,
     Average,
-    Frame,
     check_box,
     coarse_grain_dumps,
     dump_displacement,
-    dump_frames,
     dump_masses,
     dump_positions,
+    write_atoms,
 )
 from warp_peri.structures.calculators import named_calculator
 from warp_peri.structures.lammps import find_mpi
@@ -40,4 +40,5 @@ __all__ = [
     "dump_frames",
     "dump_masses",
     "dump_positions",
+    "write_atoms",
 ]

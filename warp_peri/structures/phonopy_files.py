@@ -64,12 +64,13 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
     if gap(cell, 2) >= VACUUM and thickness is None:
         thickness = thickness_of(cell)[0]
-    if thickness is not None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
-        raise InputError(f"{path}: expected a sheet across z")
     polar = None
     if found.nac_params is not None:
         born, dielectric = (np.asarray(found.nac_params[n]) for n in ("born", "dielectric"))
         polar = Polar(born, dielectric)
+    across = float(np.abs(cell.cell[:2, 2]).max()) < 1e-6
+    if thickness is not None and polar is None and not across:
+        raise InputError(f"{path}: expected a sheet across z")
     return from_supercell(
         cell, supercell, phi, displaced.tolist(), thickness=thickness, polar=polar
     )
