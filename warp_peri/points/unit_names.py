@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterable
 from typing import Any, TypeAlias
 
 from warp_peri.errors import InputError
@@ -24,6 +25,8 @@ REDUCED = ("sigma", "epsilon/sigma^3")
 SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
 """How units are printed, where that is not by name."""
 SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
+ATOMIC = ("TPa", "eV/angstrom^3", "bar")
+"""Units of stress in which codes of atoms compute; their moduli are printed in GPa."""
 USUAL_HORIZON = 16.0
 """A horizon [Å] that the numbers of searches suit."""
 
@@ -90,6 +93,16 @@ def symbols(units: Units) -> tuple[str, str]:
     """Length and stress as they are printed: "Å", "TPa"."""
     length, stress = units
     return SYMBOLS.get(length, length), SYMBOLS.get(stress, stress)
+
+
+def shown_moduli(units: Units, values: Iterable[float], digits: int = 4) -> str:
+    """Moduli as they are printed: in GPa where they are in an atomic unit, else as they are.
+
+    Who says GPa, MPa or Pa reads that, and reduced units stay as they are.
+    """
+    unit = units[1]
+    factor, shown = (STRESSES[unit] * 1e3, "GPa") if unit in ATOMIC else (1.0, symbols(units)[1])
+    return ", ".join(f"{factor * value:.{digits}g}" for value in values) + f" {shown}"
 
 
 def factors(have: Units, want: Units) -> tuple[float, float]:
