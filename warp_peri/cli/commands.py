@@ -25,7 +25,7 @@ from warp_peri.files.atomic import destination, locked, write_json
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import LENGTHS, symbols
+from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
 from warp_peri.sources.coarse_graining import smoothing_matrix
 from warp_peri.storage import load
 
@@ -212,8 +212,9 @@ def training_metrics(run: Run) -> Result:
 
 
 def in_percent(metrics: Result) -> Result:
-    """What training prints: errors and shares in %, as `evaluate` does; JSON keeps fractions."""
+    """What training prints: errors and shares in %, moduli in GPa; JSON keeps plain numbers."""
     shown: Result = {}
+    units = tuple(metrics["units"])
     for key, value in metrics.items():
         if key in ("E_res", "E_u"):
             shown[f"{key} [%]"] = {
@@ -223,6 +224,13 @@ def in_percent(metrics: Result) -> Result:
             shown["why"] = value["why"]
             shares = {name: 100 * share for name, share in value.items() if name != "why"}
             shown["shares of the squared residual [%]"] = shares
+        elif key in ("lambda", "mu", "E"):
+            shown[key] = shown_moduli(units, (value,), digits=6)
+        elif key in ("moduli", "deviation"):
+            shown[key] = {
+                name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
+                for name, size in value.items()
+            }
         else:
             shown[key] = value
     return shown
