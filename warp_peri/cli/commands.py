@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warp_peri
-from warp_peri import atoms
 from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.learn import run_learn as run_learn
@@ -26,6 +25,7 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
+from warp_peri.sources import dump_files, dumps
 from warp_peri.sources.coarse_graining import smoothing_matrix
 from warp_peri.storage import load
 
@@ -68,10 +68,10 @@ def check_output(given: argparse.Namespace) -> None:
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     _take_sheet(given)
-    frame = next(atoms.dump_frames(given.reference))
+    frame = next(dump_files.dump_frames(given.reference))
     reference, box = frame.x, None
     if given.box:
-        atoms.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
+        dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
         box = frame.box  # typed lengths are rounded
     limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
     if given.radius > limit:
@@ -80,20 +80,20 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = np.ones(len(reference))
     if given.mass:
-        mass = atoms.dump_masses(given.reference, given.mass)
+        mass = dumps.dump_masses(given.reference, given.mass)
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )
-    samples = atoms.coarse_grain_dumps(
+    samples = dumps.coarse_grain_dumps(
         given.dumps,
         omega,
         points,
-        atoms.Atoms(reference, mass, frame.ids, box),
+        dumps.Atoms(reference, mass, frame.ids, box),
         force=force,
         unloaded=given.unloaded or [],
-        average=atoms.Average(given.skip, given.iota),
+        average=dumps.Average(given.skip, given.iota),
         node_area=given.spacing**2,
         thickness=given.thickness,
         progress=not given.json,

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from warp_peri import atoms
+import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
@@ -21,8 +21,8 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     nodes = {"spacing": given.spacing, "horizon": given.horizon, "symmetry": given.symmetry}
     if given.calculator is None:
-        constants = atoms.from_phonopy(given.structure, thickness=given.thickness)
-        found = atoms.from_force_constants(constants, **nodes, units=units)
+        constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
+        found = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
     else:
         found = _from_structure(given, nodes, units)
     with locked(given.out):
@@ -44,10 +44,10 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
 
 def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
     structure = read_structure(given.structure)
-    calculator = atoms.named_calculator(
+    calculator = warp_peri.atoms.named_calculator(
         given.calculator, structure.get_chemical_symbols(), given.potential
     )
-    return atoms.from_atoms(
+    return warp_peri.atoms.from_atoms(
         structure,
         calculator,
         source=given.source,

@@ -21,6 +21,8 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
 LEAST_LOADS, DRAWS = 4, 40
+REDRAWN = 0.2
+"""Of the draws, that may determine no law and are drawn again."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,8 @@ def resample_loads(
         progress: show a progress bar.
         options: of `fit`.
 
-    Raises InputError for fewer than four loads or ten draws, and what `fit` raises.
+    Raises InputError for fewer than four loads or ten draws, and what `fit` raises: for a load left
+    out always, of a bootstrap where a fifth of the draws determine no law.
     """
     one = samples.obvious("train") if isinstance(samples, Dataset) else samples
     count = len(one)
@@ -91,16 +94,30 @@ def resample_loads(
         raise InputError(f"draws: expected at least 10, got {draws}")
     if getattr(law, "symmetry", None) == "auto":
         law = dataclasses.replace(law, symmetry=fit(one, law, **options).material.symmetry)
-    rng = np.random.default_rng(seed)
+    rng, again = np.random.default_rng(seed), 0
+    wanted = count if leave_one_out else draws
+    bar = tqdm(total=wanted, desc="fits", unit="fit", disable=not progress)
+    materials: list[Any] = []
+    while len(materials) < wanted:
+        if leave_one_out:
+            choice = np.delete(np.arange(count), len(materials))
+        else:
+            choice = rng.integers(count, size=count)
+        try:
+            materials.append(fit(_chosen(one, choice), law, **options).material)
+        except InputError:
+            again += 1
+            if leave_one_out or again > REDRAWN * draws:
+                raise
+            continue
+        bar.update()
+    bar.close()
     if leave_one_out:
-        choices = [np.delete(np.arange(count), left) for left in range(count)]
         spread, how = float(np.sqrt(count - 1)), "each load left out in turn"
     else:
-        choices = [rng.integers(count, size=count) for _ in range(draws)]
         spread = float(np.sqrt(count / (count - 1) * draws / (draws - 1)))
         how = f"{draws} choices of the loads with repetition"
-    bar = tqdm(choices, desc="fits", unit="fit", disable=not progress)
-    materials = [fit(_chosen(one, choice), law, **options).material for choice in bar]
+        how += f" ({again} more told of no law)" if again else ""
     knows = (
         f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
         "loads share"

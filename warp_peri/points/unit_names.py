@@ -30,12 +30,13 @@ ATOMIC = ("TPa", "eV/angstrom^3", "bar")
 USUAL_HORIZON = 16.0
 """A horizon [Å] that the numbers of searches suit."""
 
-SYSTEMS: dict[str, tuple[str, str]] = {
+SYSTEMS: dict[str, Units] = {
     "ase": ("angstrom", "eV/angstrom^3"),
     "metal": ("angstrom", "bar"),
     "si": ("m", "Pa"),
+    "reduced": REDUCED,
 }
-"""Units of length and stress that go by one name: those of ASE, of LAMMPS metal, of the SI."""
+"""Units of length and stress that go by one name: of ASE, of LAMMPS metal, of the SI, none."""
 
 Units: TypeAlias = tuple[str, str]
 """Names of a unit of length and of one of stress."""
