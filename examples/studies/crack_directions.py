@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from examples.cracked_graphene import Continuum, fitted
+from examples.cracked_graphene import Continuum, between, fitted, kink
 from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_strength, opened
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
@@ -49,12 +49,6 @@ CASES = (
     *((angle, 16, SMALL) for angle in SLANTED),
 )
 """Degrees from the zigzag direction to the crack, its length in hexagons, and the sheet."""
-
-
-def kink(turned: float) -> float:
-    """Angle θ from a crack to the nearest zigzag direction [degrees], 0 to 30."""
-    away = turned % 60
-    return min(away, 60 - away)
 
 
 def crack(turned: float, count: int, step: float) -> np.ndarray:
@@ -86,8 +80,7 @@ class Sheets:
 
     def strength(self, turned: float) -> float:
         """Of a sheet pulled across a direction [TPa]: the lowest harmonic that a hexagon allows."""
-        across, along = self.strengths
-        return (across + along) / 2 + (across - along) / 2 * float(np.cos(np.radians(6 * turned)))
+        return between(self.strengths, np.radians(turned))
 
     def zone(self, needed: float, turned: float) -> float:
         """Irwin's r [hexagons] of a crack that needs this release straight ahead [TPa Å]."""

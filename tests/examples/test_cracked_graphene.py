@@ -26,8 +26,7 @@ def test_ends_of_cracks_are_four_numbers_and_lie_in_the_sheet(tmp_path, capsys):
 
 
 def test_cracks_end_where_bonds_do_also_where_they_leave_atoms_bare():
-    known = Whole(0.1, 0.7, RowLaw([0, 1, 2, 3], [0, 1, 0.5, 0]), None, softened_at=0.0)
-    assert known.share(0.05) == 1.0
+    known = Whole(0.1, 0.7, RowLaw([0, 1, 2, 3], [0, 1, 0.5, 0]), None)
     row, bare = known.ends([[(-9, 0), (9, 0)], [(-9, 8), (9, 8)]], (24.0, 18.0))
     for ends, y in ((row, 0.0), (bare, 8.0)):
         assert np.allclose(ends[:, 1], y)

@@ -1,0 +1,127 @@
+"""A sheet's third-order energy on the fields of its linear cracks (theory.md, C23–C24).
+
+The energy of an elastic body is stationary at rest, so the energy of third order on the linear
+field is what it adds, to first order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.damage.straight_cracks import CrackedRectangle
+
+
+@dataclass(frozen=True)
+class ThirdOrder:
+    """The cubic part of the energy density of a displacement gradient, (N3), zigzag along x.
+
+    Attributes:
+        stiffness: λ + μ and μ [stress], which finite strains multiply.
+        t3, tq2, q3: third-order constants [stress].
+    """
+
+    stiffness: tuple[float, float]
+    t3: float
+    tq2: float
+    q3: float
+
+    def density(self, by_z: np.ndarray, by_conjugate: np.ndarray) -> np.ndarray:
+        """Energy density [stress] of the gradients that CrackedRectangle gives."""
+        t, q, (bulk, shear) = 2 * by_z.real, by_conjugate, self.stiffness
+        finite = t**2 / 4 + by_z.imag**2 + np.abs(q) ** 2
+        cubic = self.t3 * t**3 + self.tq2 * t * np.abs(q) ** 2 + self.q3 * (q**3).real
+        density: np.ndarray = bulk * t * finite + 2 * shear * t * np.abs(q) ** 2 + cubic
+        return density
+
+    def curvature(self, by_z: np.ndarray, by_conjugate: np.ndarray) -> np.ndarray:
+        """Second derivatives of the density by t, ω and both parts of q, shape [4, 4, points]."""
+        t, turn, a, b = 2 * by_z.real, by_z.imag, by_conjugate.real, by_conjugate.imag
+        bulk, shear = self.stiffness
+        mixed, q3, none = 2 * (bulk + 2 * shear + self.tq2), 6 * self.q3, np.zeros_like(t)
+        return np.array(
+            [
+                [(1.5 * bulk + 6 * self.t3) * t, 2 * bulk * turn, mixed * a, mixed * b],
+                [2 * bulk * turn, 2 * bulk * t, none, none],
+                [mixed * a, none, mixed * t + q3 * a, -q3 * b],
+                [mixed * b, none, -q3 * b, mixed * t - q3 * a],
+            ]
+        )
+
+    def softening(self) -> float:
+        """By which the stiffness of a whole sheet falls per strain ε₂₂, its width kept."""
+        whole = self.density(np.array(0.5 + 0j), np.array(-0.5 + 0j))
+        return -2 * float(whole) / sum(self.stiffness)
+
+    def between(self, by_z: np.ndarray, by_conjugate: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Third derivatives of the energy by the columns of the gradients, shape [M, M, M].
+
+        weight: area of each point, shape [points].
+        """
+        parts = np.array([2 * by_z.real, by_z.imag, by_conjugate.real, by_conjugate.imag])
+        flat, tensor = parts.reshape(-1, parts.shape[2]), []
+        for k in range(parts.shape[2]):
+            curved = weight * self.curvature(by_z[:, k], by_conjugate[:, k])
+            tensor.append(flat.T @ np.einsum("abp,bpm->apm", curved, parts).reshape(flat.shape))
+        return np.array(tensor)
+
+
+def softening_of_cracks(
+    sheet: ThirdOrder, solid: CrackedRectangle, half: tuple[float, float], size: float
+) -> np.ndarray:
+    """γ of each tip, G = ε² G₁ (1 − γ ε) under a strain ε₂₂ of the rim, shape [K, 2].
+
+    Args:
+        sheet: its cubic energy.
+        solid: the linear sheet, whose tips are moved straight ahead for the derivative (C24).
+        half: its half sides [length].
+        size: of a square that one point stands for [length], well below the cracks' lengths.
+    """
+    found = np.empty((len(solid.ends), 2))
+    first = solid.releases(solid.solve([[0, 0], [0, 1]])[:, 0])
+    for k, tip in np.ndindex(found.shape):
+        energies = []
+        for way in (0.5, -0.5):
+            ends = solid.ends.copy()
+            ahead = ends[k, tip] - ends[k, 1 - tip]
+            ends[k, tip] += way * size * ahead / np.linalg.norm(ahead)
+            moved = CrackedRectangle(solid.lam, solid.mu, half, ends, terms=solid.terms)
+            energies.append(_energy(sheet, moved, half, size))
+        found[k, tip] = (energies[0] - energies[1]) / size / first[k, tip]
+    return found
+
+
+def _energy(
+    sheet: ThirdOrder, solid: CrackedRectangle, half: tuple[float, float], size: float
+) -> float:
+    """Third-order energy at unit strain: squares away from tips, circles that shrink to them."""
+    z, weight = squares(half, (size, size))
+    tips = (solid.ends @ (1, 1j)).ravel()
+    apart = np.abs(tips - tips[:, None])[~np.eye(len(tips), dtype=bool)].min()
+    radius = min(4 * size, 0.45 * apart)
+
+    def near(distance: np.ndarray) -> np.ndarray:
+        share: np.ndarray = (1 - np.clip(distance / radius, 0, 1) ** 2) ** 3
+        return share
+
+    weight = weight * (1 - sum(near(np.abs(z - tip)) for tip in tips))
+    root, along = np.polynomial.legendre.leggauss(16)
+    turn, around = np.polynomial.legendre.leggauss(32)  # from face to face
+    r, along = radius * (root + 1) ** 2 / 4, along * radius * (root + 1) / 2
+    ring = (along * r * near(r))[:, None] * np.pi * around
+    for tip, far in zip(tips, tips.reshape(-1, 2)[:, ::-1].ravel(), strict=True):
+        arm = r[:, None] * np.exp(1j * np.pi * turn) * (tip - far) / abs(tip - far)
+        z, weight = np.append(z, tip + arm), np.append(weight, ring)
+    by_z, by_conjugate = solid.gradients(solid.solve([[0, 0], [0, 1]]), z)
+    return float(weight @ sheet.density(by_z[:, 0], by_conjugate[:, 0]))
+
+
+def squares(half: tuple[float, float], size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Points x + i y in a rectangle about the origin, and the area of each, shape [points]."""
+    axes = []
+    for reach, step in zip(half, size, strict=True):
+        x = (np.arange(-int(reach / step) - 2, int(reach / step) + 2) + 0.5) * step
+        axes.append(x[np.abs(x) < reach])
+    z = (axes[0] + 1j * axes[1][:, None]).ravel()
+    return z, np.full(len(z), 4 * half[0] * half[1] / len(z))
