@@ -7,6 +7,7 @@ field is what it adds, to first order.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,29 +16,31 @@ from warp_peri.damage.straight_cracks import CrackedRectangle
 
 @dataclass(frozen=True)
 class ThirdOrder:
-    """The cubic part of the energy density of a displacement gradient, (N3), zigzag along x.
+    """The cubic part of the energy density of a displacement gradient, (N3).
 
     Attributes:
         stiffness: λ + μ and μ [stress], which finite strains multiply.
         t3, tq2, q3: third-order constants [stress].
+        axis: angle of the zigzag direction from x [radians].
     """
 
     stiffness: tuple[float, float]
     t3: float
     tq2: float
     q3: float
+    axis: float = 0.0
 
     def density(self, by_z: np.ndarray, by_conjugate: np.ndarray) -> np.ndarray:
         """Energy density [stress] of the gradients that CrackedRectangle gives."""
-        t, q, (bulk, shear) = 2 * by_z.real, by_conjugate, self.stiffness
+        t, q = 2 * by_z.real, by_conjugate * np.exp(-2j * self.axis)
+        bulk, shear = self.stiffness
         finite = t**2 / 4 + by_z.imag**2 + np.abs(q) ** 2
         cubic = self.t3 * t**3 + self.tq2 * t * np.abs(q) ** 2 + self.q3 * (q**3).real
         density: np.ndarray = bulk * t * finite + 2 * shear * t * np.abs(q) ** 2 + cubic
         return density
 
-    def curvature(self, by_z: np.ndarray, by_conjugate: np.ndarray) -> np.ndarray:
+    def _curvature(self, t: np.ndarray, turn: np.ndarray, a: np.ndarray, b: np.ndarray) -> Any:
         """Second derivatives of the density by t, ω and both parts of q, shape [4, 4, points]."""
-        t, turn, a, b = 2 * by_z.real, by_z.imag, by_conjugate.real, by_conjugate.imag
         bulk, shear = self.stiffness
         mixed, q3, none = 2 * (bulk + 2 * shear + self.tq2), 6 * self.q3, np.zeros_like(t)
         return np.array(
@@ -59,10 +62,11 @@ class ThirdOrder:
 
         weight: area of each point, shape [points].
         """
-        parts = np.array([2 * by_z.real, by_z.imag, by_conjugate.real, by_conjugate.imag])
+        q = by_conjugate * np.exp(-2j * self.axis)
+        parts = np.array([2 * by_z.real, by_z.imag, q.real, q.imag])
         flat, tensor = parts.reshape(-1, parts.shape[2]), []
         for k in range(parts.shape[2]):
-            curved = weight * self.curvature(by_z[:, k], by_conjugate[:, k])
+            curved = weight * self._curvature(*parts[:, :, k])
             tensor.append(flat.T @ np.einsum("abp,bpm->apm", curved, parts).reshape(flat.shape))
         return np.array(tensor)
 
@@ -82,13 +86,13 @@ def softening_of_cracks(
     first = solid.releases(solid.solve([[0, 0], [0, 1]])[:, 0])
     for k, tip in np.ndindex(found.shape):
         energies = []
-        for way in (0.5, -0.5):
+        for way in (2, -2):
             ends = solid.ends.copy()
             ahead = ends[k, tip] - ends[k, 1 - tip]
             ends[k, tip] += way * size * ahead / np.linalg.norm(ahead)
             moved = CrackedRectangle(solid.lam, solid.mu, half, ends, terms=solid.terms)
             energies.append(_energy(sheet, moved, half, size))
-        found[k, tip] = (energies[0] - energies[1]) / size / first[k, tip]
+        found[k, tip] = (energies[0] - energies[1]) / (4 * size) / first[k, tip]
     return found
 
 
@@ -106,6 +110,7 @@ def _energy(
         return share
 
     weight = weight * (1 - sum(near(np.abs(z - tip)) for tip in tips))
+    z, weight = z[weight > 0], weight[weight > 0]  # a point on a tip has none
     root, along = np.polynomial.legendre.leggauss(16)
     turn, around = np.polynomial.legendre.leggauss(32)  # from face to face
     r, along = radius * (root + 1) ** 2 / 4, along * radius * (root + 1) / 2
