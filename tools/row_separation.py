@@ -8,6 +8,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -131,10 +132,15 @@ class Whole:
         return float(brentq(off, 0.5, 2.0, xtol=1e-5))
 
 
-def whole(*, linear: bool = False) -> Whole:
-    """All that is known without a crack; for comparison, of a linear sheet."""
-    bond = bond_length()
+@cache
+def sheet_to_third_order(bond: float) -> tuple[float, float, ThirdOrder]:
+    """λ and μ [TPa] of a sheet without a crack, and its energy of third order; kept."""
     constants, cubic = elastic_constants(bond), cubic_constants(bond)
     lam, mu = constants["lambda"], constants["mu"]
-    third = ThirdOrder((lam + mu, mu), *(cubic[name] for name in ("t3", "tq2", "q3")))
+    return lam, mu, ThirdOrder((lam + mu, mu), *(cubic[name] for name in ("t3", "tq2", "q3")))
+
+
+def whole(*, linear: bool = False) -> Whole:
+    """All that is known without a crack; for comparison, of a linear sheet."""
+    lam, mu, third = sheet_to_third_order(bond_length())
     return Whole(lam, mu, row_law(), None if linear else third)
