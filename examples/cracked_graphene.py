@@ -31,8 +31,8 @@ from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from tools.row_separation import Whole, whole
 from warp_peri.damage import Cracked, rectangle
+from warp_peri.damage.cubic_energy import softening_of_cracks
 from warp_peri.damage.straight_cracks import CrackedRectangle
-from warp_peri.damage.third_order import softening_of_cracks
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_json
 
@@ -169,9 +169,9 @@ def by_kinks(known: Whole, cracks: list, half: list[float], base: float) -> floa
         return best
 
     def softening(cracks: np.ndarray, rim: tuple[float, float]) -> np.ndarray:
-        if known.third is None:
+        if known.cubic is None:
             return np.zeros((len(cracks), 2))
-        return softening_of_cracks(known.third, linear(cracks, rim), rim, 1.0)
+        return softening_of_cracks(known.cubic, linear(cracks, rim), rim, 1.0)
 
     reach = FITTED / 2 * step
     single, rim = np.array([[(-reach, 0.0), (reach, 0.0)]]), known.rim(HALF * step)

@@ -26,7 +26,7 @@ from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
 from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
-from warp_peri.damage.third_order import ThirdOrder
+from warp_peri.damage.cubic_energy import CubicEnergy
 
 STEP = 0.05
 """Between separations [Å]."""
@@ -86,13 +86,13 @@ class Whole:
     Attributes:
         lam, mu: plane Lamé constants [TPa].
         law: of a row of bonds along zigzag [Å, TPa].
-        third: energy of third order [TPa], None for a linear sheet.
+        cubic: energy of third order [TPa], None for a linear sheet.
     """
 
     lam: float
     mu: float
     law: RowLaw
-    third: ThirdOrder | None
+    cubic: CubicEnergy | None
 
     @property
     def E(self) -> float:
@@ -120,7 +120,7 @@ class Whole:
         ends = np.array(self.ends(cracks, half))
         height = 1.5 * bond_length()
         return HeldCracks(
-            self.lam, self.mu, self.rim(half), ends, step, third=self.third, height=height
+            self.lam, self.mu, self.rim(half), ends, step, cubic=self.cubic, height=height
         )
 
     def factor(self, cracks: HeldCracks, strain: float) -> float:
@@ -133,14 +133,14 @@ class Whole:
 
 
 @cache
-def sheet_to_third_order(bond: float) -> tuple[float, float, ThirdOrder]:
+def sheet_to_third_order(bond: float) -> tuple[float, float, CubicEnergy]:
     """λ and μ [TPa] of a sheet without a crack, and its energy of third order; kept."""
     constants, cubic = elastic_constants(bond), cubic_constants(bond)
     lam, mu = constants["lambda"], constants["mu"]
-    return lam, mu, ThirdOrder((lam + mu, mu), *(cubic[name] for name in ("t3", "tq2", "q3")))
+    return lam, mu, CubicEnergy((lam + mu, mu), *(cubic[name] for name in ("t3", "tq2", "q3")))
 
 
 def whole(*, linear: bool = False) -> Whole:
     """All that is known without a crack; for comparison, of a linear sheet."""
-    lam, mu, third = sheet_to_third_order(bond_length())
-    return Whole(lam, mu, row_law(), None if linear else third)
+    lam, mu, cubic = sheet_to_third_order(bond_length())
+    return Whole(lam, mu, row_law(), None if linear else cubic)

@@ -29,8 +29,8 @@ from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
 from tools.row_separation import sheet_to_third_order
+from warp_peri.damage.cubic_energy import softening_of_cracks
 from warp_peri.damage.straight_cracks import CrackedRectangle
-from warp_peri.damage.third_order import softening_of_cracks
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -123,11 +123,11 @@ def gamma(case: tuple[float, int, int], length: float, step: float) -> float:
 
     length: half of the crack's [Å].
     """
-    lam, mu, third = sheet_to_third_order(step / np.sqrt(3))
+    lam, mu, cubic = sheet_to_third_order(step / np.sqrt(3))
     rim = (case[2] * step, case[2] * step)
     solid = CrackedRectangle(lam, mu, rim, [[(-length, 0), (length, 0)]], terms=60)
-    third = replace(third, axis=np.radians(case[0]))
-    return float(softening_of_cracks(third, solid, rim, 1.0).max())
+    cubic = replace(cubic, axis=np.radians(case[0]))
+    return float(softening_of_cracks(cubic, solid, rim, 1.0).max())
 
 
 def atoms(cases: tuple, step: float, kept: Path) -> dict[str, dict]:

@@ -70,9 +70,7 @@ def test_what_cannot_be_told_is_refused(samples):
     points = cube(2, 2.0)
     u = np.random.default_rng(0).normal(size=(8, len(points.x), 3))
     space = Samples(points, u, u)
-    with pytest.raises(
-        InputError, match="samples: expected samples in the plane, got 3 dimensions"
-    ):
+    with pytest.raises(InputError, match="expected samples in the plane, got 3 dimensions"):
         diagnose(solid(2.0, certified_on=(1.0,)), space)
 
 

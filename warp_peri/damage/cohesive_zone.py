@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from warp_peri.damage.cubic_energy import CubicEnergy, squares
 from warp_peri.damage.straight_cracks import CrackedRectangle
-from warp_peri.damage.third_order import ThirdOrder, squares
 from warp_peri.errors import InputError
 
 ROUNDS = 60
@@ -71,7 +71,7 @@ class HeldCracks:
         cells: bonds ahead of each tip that may open. Cracks of one row with twice as many or fewer
             between them share all that are there.
         terms: of the series of each row, as in CrackedRectangle.
-        third: the sheet's energy of third order; None for a linear sheet.
+        cubic: the sheet's energy of third order; None for a linear sheet.
         height: between rows [length]. Over this height the law of a row stands for the sheet.
 
     Attributes:
@@ -96,10 +96,10 @@ class HeldCracks:
         *,
         cells: int = 4,
         terms: int = 100,
-        third: ThirdOrder | None = None,
+        cubic: CubicEnergy | None = None,
         height: float = 0.0,
     ) -> None:
-        for name, value in (("step", step), ("height", 1.0 if third is None else height)):
+        for name, value in (("step", step), ("height", 1.0 if cubic is None else height)):
             if not value > 0:
                 raise InputError(f"{name}: expected a number > 0, got {value}")
         rows = _rows(np.asarray(cracks, dtype=float), step, cells)
@@ -127,14 +127,14 @@ class HeldCracks:
         middle, arm = ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2
         self.bonds = middle[owner] + places[:, None] * arm[owner]
         self.bent = np.zeros(3 * (x.shape[1],))
-        if third is not None:
+        if cubic is not None:
             z, area = squares(half, (step / FINER, height / FINER))
             local = (z[:, None] - middle @ (1, 1j)) / (arm @ (1, 1j))
             law_speaks = np.abs(local.imag) * solid.length < height / 2
             beside = ~(law_speaks & (np.abs(local.real) < 1)).any(axis=1)
             z, area = z[beside], area[beside] / step
             for part in np.array_split(np.arange(len(z)), 1 + len(z) // CHUNK):
-                self.bent += third.between(*solid.gradients(x, z[part]), area[part])
+                self.bent += cubic.between(*solid.gradients(x, z[part]), area[part])
 
     def opened(self, law: RowLaw) -> tuple[np.ndarray, np.ndarray]:
         """Equilibria as bonds open, along their path through folds, to the end of the law.

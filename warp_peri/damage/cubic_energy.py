@@ -15,7 +15,7 @@ from warp_peri.damage.straight_cracks import CrackedRectangle
 
 
 @dataclass(frozen=True)
-class ThirdOrder:
+class CubicEnergy:
     """The cubic part of the energy density of a displacement gradient, (N3).
 
     Attributes:
@@ -72,7 +72,7 @@ class ThirdOrder:
 
 
 def softening_of_cracks(
-    sheet: ThirdOrder, solid: CrackedRectangle, half: tuple[float, float], size: float
+    sheet: CubicEnergy, solid: CrackedRectangle, half: tuple[float, float], size: float
 ) -> np.ndarray:
     """γ of each tip, G = ε² G₁ (1 − γ ε) under a strain ε₂₂ of the rim, shape [K, 2].
 
@@ -97,7 +97,7 @@ def softening_of_cracks(
 
 
 def _energy(
-    sheet: ThirdOrder, solid: CrackedRectangle, half: tuple[float, float], size: float
+    sheet: CubicEnergy, solid: CrackedRectangle, half: tuple[float, float], size: float
 ) -> float:
     """Third-order energy at unit strain: squares away from tips, circles that shrink to them."""
     z, weight = squares(half, (size, size))

@@ -7,11 +7,11 @@ import pytest
 
 from warp_peri import InputError
 from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
+from warp_peri.damage.cubic_energy import CubicEnergy, softening_of_cracks, squares
 from warp_peri.damage.straight_cracks import CrackedRectangle
-from warp_peri.damage.third_order import ThirdOrder, softening_of_cracks, squares
 
 LAM, MU, HALF = 1.0, 0.8, (16.0, 14.0)
-SHEET = ThirdOrder((LAM + MU, MU), -0.7, -6.0, 1.1)
+SHEET = CubicEnergy((LAM + MU, MU), -0.7, -6.0, 1.1)
 TURNED = replace(SHEET, axis=0.4)
 SLANTED = np.array([[(-4.0, -2.0), (3.0, 1.0)], [(5.0, 6.0), (9.0, 7.0)]])
 PULL = np.array([[0.1, 0.3], [0.2, 1.0]])
@@ -71,7 +71,7 @@ def test_density_is_the_third_order_of_green_strains():
 
 def test_a_sheet_with_a_small_crack_softens_as_a_whole_one():
     crack = np.array([[(-0.5, 0.0), (0.5, 0.0)]])
-    held = HeldCracks(LAM, MU, HALF, crack, 0.25, cells=1, terms=24, third=SHEET, height=0.2)
+    held = HeldCracks(LAM, MU, HALF, crack, 0.25, cells=1, terms=24, cubic=SHEET, height=0.2)
     area = 4 * HALF[0] * HALF[1]
     stored = (LAM + 2 * MU) / 2 * area
     assert held.bent[0, 0, 0] * 0.25 / 6 == pytest.approx(-SHEET.softening() * stored, rel=0.02)
@@ -94,8 +94,8 @@ def test_a_sheet_that_softens_gives_way_earlier_and_a_stiffening_one_later():
     )
     strains = []
     for size in (-1.0, 0.0, 1.0):
-        third = ThirdOrder((0.0, 0.0), size, 0.0, 0.0)
-        held = HeldCracks(LAM, MU, HALF, crack, 0.5, cells=2, terms=40, third=third, height=0.4)
+        softer = CubicEnergy((0.0, 0.0), size, 0.0, 0.0)
+        held = HeldCracks(LAM, MU, HALF, crack, 0.5, cells=2, terms=40, cubic=softer, height=0.4)
         strains.append(held.critical_strain(law))
     plain = HeldCracks(LAM, MU, HALF, crack, 0.5, cells=2, terms=40).critical_strain(law)
     assert strains[1] == plain
@@ -105,7 +105,7 @@ def test_a_sheet_that_softens_gives_way_earlier_and_a_stiffening_one_later():
 
 def test_rows_have_a_height_where_the_sheet_is_not_linear():
     with pytest.raises(InputError, match="height: expected a number > 0, got 0"):
-        HeldCracks(LAM, MU, HALF, SLANTED[:1], 0.5, third=SHEET)
+        HeldCracks(LAM, MU, HALF, SLANTED[:1], 0.5, cubic=SHEET)
     z, area = squares(HALF, (0.5, 0.3))
     assert area.sum() == pytest.approx(4 * HALF[0] * HALF[1])
     assert abs(z.sum()) < 1e-9
