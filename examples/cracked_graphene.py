@@ -7,7 +7,7 @@ r = E G_c / (2π σ²) at each tip; strength and moduli come from sheets without
 
     python examples/cracked_graphene.py --cracks -25 8 5 8  -5 -8 25 -8 --half 60 50
 
-says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C19–C24).
+says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C20–C24).
 """
 
 from __future__ import annotations
@@ -29,10 +29,8 @@ import warp_peri as wp
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
-from tools.row_separation import Whole, whole
+from tools.row_separation import whole
 from warp_peri.damage import Cracked, rectangle
-from warp_peri.damage.cubic_energy import softening_of_cracks
-from warp_peri.damage.straight_cracks import CrackedRectangle
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_json
 
@@ -45,21 +43,6 @@ LATER = {"10 bonds": [(-5, 5)], "16 bonds": [(-8, 8)], "two of 8 bonds": [(2, 10
 LATER_HALF, SMALL = 20, ", small sheet"
 HALF = 40
 """Half side of the sheet inside its rim, in hexagons."""
-
-
-def kink(turned: float) -> float:
-    """Angle θ from a crack to the nearest zigzag direction [degrees], 0 to 30."""
-    away = turned % 60
-    return min(away, 60 - away)
-
-
-def between(strengths: tuple[float, float], angle: float) -> float:
-    """Strength of a sheet pulled across a direction [radians]: a hexagon's lowest harmonic.
-
-    strengths: across zigzag rows and along them.
-    """
-    across, along = strengths
-    return (across + along) / 2 + (across - along) / 2 * float(np.cos(6 * angle))
 
 
 class Continuum:
@@ -138,62 +121,11 @@ def later(solid: Continuum, toughness: float, zone: float, kept: Path) -> dict[s
     }
 
 
-def by_kinks(known: Whole, cracks: list, half: list[float], base: float) -> float:
-    """Critical strain of cracks at an angle to zigzag, each longer by Irwin's zone at both tips.
-
-    A tip kinks into the zigzag direction across which it opens most, K cos(θ/2) ahead of it with
-    K = K_I cos²(θ/2) − 3/2 K_II sin θ, when that is what the fitted crack has. Zones are those of
-    the cracks' directions (theory.md, C19), the sheet softens around each tip (C24).
-    """
-    step = float(np.sqrt(3) * bond_length())
-    strengths = ideal_strength()[0], ideal_strength(along_zigzag=True)[0]
-
-    def linear(cracks: np.ndarray, rim: tuple[float, float]) -> CrackedRectangle:
-        return CrackedRectangle(known.lam, known.mu, rim, cracks, terms=60)
-
-    def releases(cracks: np.ndarray, rim: tuple[float, float], zone: float) -> np.ndarray:
-        """Largest K² of a kink over E of each tip at unit strain; zone is that of zigzag."""
-        along = cracks[:, 1] - cracks[:, 0]
-        unit = along / np.linalg.norm(along, axis=1)[:, None]
-        angle = np.arctan2(unit[:, 1], unit[:, 0])
-        needed = np.cos(np.radians([kink(turned) for turned in np.degrees(angle)]) / 2) ** -6
-        zones = zone * needed * [(strengths[0] / between(strengths, a)) ** 2 for a in angle]
-        longer = cracks + zones[:, None, None] * np.stack([-unit, unit], axis=1)
-        solid = linear(longer, rim)
-        K = solid.intensities(solid.solve([[0, 0], [0, 1]])[:, 0])
-        turn = np.radians(np.arange(-180, 180, 60)) - angle[:, None, None] + [[np.pi], [0]]
-        turn = (turn + np.pi) % (2 * np.pi) - np.pi
-        c = np.where(np.abs(turn) < np.pi / 2, np.cos(turn / 2), 0.0)
-        opens = c * (K[..., :1] * c**2 - 1.5 * K[..., 1:] * np.sin(turn))
-        best: np.ndarray = opens.max(axis=2) ** 2 / solid.E
-        return best
-
-    def softening(cracks: np.ndarray, rim: tuple[float, float]) -> np.ndarray:
-        if known.cubic is None:
-            return np.zeros((len(cracks), 2))
-        return softening_of_cracks(known.cubic, linear(cracks, rim), rim, 1.0)
-
-    reach = FITTED / 2 * step
-    single, rim = np.array([[(-reach, 0.0), (reach, 0.0)]]), known.rim(HALF * step)
-    left = 1 - base * float(softening(single, rim).max())
-
-    def release(hexagons: float) -> float:
-        return left * float(releases(single, rim, hexagons * step - reach).max())
-
-    toughness, zone = fitted(release, base, known.E, strengths[0], step)
-    ends, rim = np.array(known.ends(cracks, half)), known.rim(half)
-    linear_strain = np.sqrt(toughness / releases(ends, rim, zone * step))
-    gamma, strain = softening(ends, rim), linear_strain
-    for _ in range(50):
-        strain = linear_strain / np.sqrt(1 - gamma * strain)
-    return float(strain.min())
-
-
 def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: bool) -> dict:
     """Critical strain of straight cracks in a rectangle.
 
-    Along zigzag it is that of rows of bonds ahead of their tips (C22–C23), as strong as the crack
-    says that G_c is fitted on; at an angle to it, that of their kinks.
+    It is that of rows of bonds ahead of their tips (C22–C23), as strong as the crack says that G_c
+    is fitted on; at an angle to zigzag, rows turn off into it (C24).
 
     Args:
         numbers: x and y of both ends of each crack [Å].
@@ -210,12 +142,10 @@ def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: boo
     known.ends(cracks, half)  # refused before an hour of atoms
     base = atoms({name: ([(-FITTED / 2, FITTED / 2)], 0.0315)}, step, kept)[name]
     along = all(crack[0][1] == crack[1][1] for crack in cracks)
-    if along:
-        single = [np.array([(-FITTED / 2 * step, 0.0), (FITTED / 2 * step, 0.0)])]
-        factor = known.factor(known.held(single, HALF * step), base)
-        predicted = known.held(cracks, half).critical_strain(known.law.times(factor))
-    else:
-        predicted = by_kinks(known, cracks, half, base)
+    single = [np.array([(-FITTED / 2 * step, 0.0), (FITTED / 2 * step, 0.0)])]
+    factor = known.factor(known.held(single, HALF * step, kinks=not along), base)
+    held = known.held(cracks, half, kinks=not along)
+    predicted = held.critical_strain(known.law.times(factor))
     table = {"by": "rows" if along else "kinks", "predicted": predicted}
     if pull:
         strain = critical_strain(cracks, 0.95 * predicted, half=half)["strain"]

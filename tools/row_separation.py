@@ -27,6 +27,7 @@ from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
 from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
 from warp_peri.damage.cubic_energy import CubicEnergy
+from warp_peri.damage.kinked_cracks import KinkedCracks
 
 STEP = 0.05
 """Between separations [Å]."""
@@ -114,14 +115,17 @@ class Whole:
         body = cracked_sheet([], half=half)  # with cracks, atoms that lost two bonds are not there
         return [opened_ends(body, np.asarray(crack, float)) for crack in cracks]
 
-    def held(self, cracks: Sequence[np.ndarray], half: ArrayLike) -> HeldCracks:
-        """The continuum of straight cracks in a rectangle, rows of bonds ahead of them."""
-        step = float(np.sqrt(3) * bond_length())
-        ends = np.array(self.ends(cracks, half))
-        height = 1.5 * bond_length()
-        return HeldCracks(
-            self.lam, self.mu, self.rim(half), ends, step, cubic=self.cubic, height=height
-        )
+    def held(
+        self, cracks: Sequence[np.ndarray], half: ArrayLike, *, kinks: bool = False
+    ) -> HeldCracks:
+        """The continuum of straight cracks in a rectangle, rows of bonds ahead of them.
+
+        kinks: whether rows may turn off at the tips, for cracks at an angle to zigzag.
+        """
+        step, height = float(np.sqrt(3) * bond_length()), 1.5 * bond_length()
+        given = (self.lam, self.mu, self.rim(half), np.array(self.ends(cracks, half)), step)
+        kind = KinkedCracks if kinks else HeldCracks
+        return kind(*given, cubic=self.cubic, height=height)
 
     def factor(self, cracks: HeldCracks, strain: float) -> float:
         """By which rows are stronger than the law, so that cracks are critical at a strain."""

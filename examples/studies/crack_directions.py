@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,13 +24,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from examples.cracked_graphene import Continuum, between, fitted, kink
+from examples.cracked_graphene import Continuum, fitted
 from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_strength, opened
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
-from tools.row_separation import sheet_to_third_order
-from warp_peri.damage.cubic_energy import softening_of_cracks
-from warp_peri.damage.straight_cracks import CrackedRectangle
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -52,6 +49,12 @@ CASES = (
     *((angle, 16, SMALL) for angle in SLANTED),
 )
 """Degrees from the zigzag direction to the crack, its length in hexagons, and the sheet."""
+
+
+def kink(turned: float) -> float:
+    """Angle θ from a crack to the nearest zigzag direction [degrees], 0 to 30."""
+    away = turned % 60
+    return min(away, 60 - away)
 
 
 def crack(turned: float, count: int, step: float) -> np.ndarray:
@@ -83,7 +86,8 @@ class Sheets:
 
     def strength(self, turned: float) -> float:
         """Of a sheet pulled across a direction [TPa]: the lowest harmonic that a hexagon allows."""
-        return between(self.strengths, np.radians(turned))
+        across, along = self.strengths
+        return (across + along) / 2 + (across - along) / 2 * float(np.cos(np.radians(6 * turned)))
 
     def zone(self, needed: float, turned: float) -> float:
         """Irwin's r [hexagons] of a crack that needs this release straight ahead [TPa Å]."""
@@ -118,18 +122,6 @@ def label(case: tuple[float, int, int], step: float) -> str:
     return f"{turned:.1f}°, {count * step:.0f} Å" + (", small sheet" if half == SMALL else "")
 
 
-def gamma(case: tuple[float, int, int], length: float, step: float) -> float:
-    """By which a tip's release falls per strain in a sheet that is elastic to third order (C24).
-
-    length: half of the crack's [Å].
-    """
-    lam, mu, cubic = sheet_to_third_order(step / np.sqrt(3))
-    rim = (case[2] * step, case[2] * step)
-    solid = CrackedRectangle(lam, mu, rim, [[(-length, 0), (length, 0)]], terms=60)
-    cubic = replace(cubic, axis=np.radians(case[0]))
-    return float(softening_of_cracks(cubic, solid, rim, 1.0).max())
-
-
 def atoms(cases: tuple, step: float, kept: Path) -> dict[str, dict]:
     """Critical strains by LAMMPS and half lengths [hexagons]; each is written when it is found."""
     measured = finished(kept, "strain", "half_length")
@@ -161,7 +153,6 @@ def main(argv: list[str] | None = None) -> int:
     known = sheets(step)
     base = measured[label(FITTED, step)]["strain"]
     toughness, _ = fitted(known.release[LARGE], base, known.E, known.strengths[0], step)
-    left = 1 - gamma(FITTED, measured[label(FITTED, step)]["half_length"] * step, step) * base
     own = measured.get(label(OWN, step))
     armchair = known.needed(own["strain"], 30.0, own["half_length"]) if own else None
     table: dict = {}
@@ -180,12 +171,6 @@ def main(argv: list[str] | None = None) -> int:
             if word == "error":
                 table[name]["predicted"] = predicted
             table[name][word] = predicted / strain - 1
-        needed = left * toughness / np.cos(np.radians(kink(turned)) / 2) ** 6
-        linear = predicted = known.critical(needed, turned, length, half)
-        falls = gamma(case, length * step, step)
-        for _ in range(50):
-            predicted = linear / np.sqrt(1 - falls * predicted)
-        table[name]["error to third order"] = predicted / strain - 1
     numbers = {"G_c": 100 * toughness, "strengths": known.strengths, "cracks": table}
     if armchair:
         numbers["armchair's own"] = 100 * armchair

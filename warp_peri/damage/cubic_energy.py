@@ -1,4 +1,4 @@
-"""A sheet's third-order energy on the fields of its linear cracks (theory.md, C23–C24).
+"""A sheet's third-order energy on the fields of its linear cracks (theory.md, C23).
 
 The energy of an elastic body is stationary at rest, so the energy of third order on the linear
 field is what it adds, to first order.
@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-from warp_peri.damage.straight_cracks import CrackedRectangle
 
 
 @dataclass(frozen=True)
@@ -52,11 +50,6 @@ class CubicEnergy:
             ]
         )
 
-    def softening(self) -> float:
-        """By which the stiffness of a whole sheet falls per strain ε₂₂, its width kept."""
-        whole = self.density(np.array(0.5 + 0j), np.array(-0.5 + 0j))
-        return -2 * float(whole) / sum(self.stiffness)
-
     def between(self, by_z: np.ndarray, by_conjugate: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Third derivatives of the energy by the columns of the gradients, shape [M, M, M].
 
@@ -69,57 +62,6 @@ class CubicEnergy:
             curved = weight * self._curvature(*parts[:, :, k])
             tensor.append(flat.T @ np.einsum("abp,bpm->apm", curved, parts).reshape(flat.shape))
         return np.array(tensor)
-
-
-def softening_of_cracks(
-    sheet: CubicEnergy, solid: CrackedRectangle, half: tuple[float, float], size: float
-) -> np.ndarray:
-    """γ of each tip, G = ε² G₁ (1 − γ ε) under a strain ε₂₂ of the rim, shape [K, 2].
-
-    Args:
-        sheet: its cubic energy.
-        solid: the linear sheet, whose tips are moved straight ahead for the derivative (C24).
-        half: its half sides [length].
-        size: of a square that one point stands for [length], well below the cracks' lengths.
-    """
-    found = np.empty((len(solid.ends), 2))
-    first = solid.releases(solid.solve([[0, 0], [0, 1]])[:, 0])
-    for k, tip in np.ndindex(found.shape):
-        energies = []
-        for way in (2, -2):
-            ends = solid.ends.copy()
-            ahead = ends[k, tip] - ends[k, 1 - tip]
-            ends[k, tip] += way * size * ahead / np.linalg.norm(ahead)
-            moved = CrackedRectangle(solid.lam, solid.mu, half, ends, terms=solid.terms)
-            energies.append(_energy(sheet, moved, half, size))
-        found[k, tip] = (energies[0] - energies[1]) / (4 * size) / first[k, tip]
-    return found
-
-
-def _energy(
-    sheet: CubicEnergy, solid: CrackedRectangle, half: tuple[float, float], size: float
-) -> float:
-    """Third-order energy at unit strain: squares away from tips, circles that shrink to them."""
-    z, weight = squares(half, (size, size))
-    tips = (solid.ends @ (1, 1j)).ravel()
-    apart = np.abs(tips - tips[:, None])[~np.eye(len(tips), dtype=bool)].min()
-    radius = min(4 * size, 0.45 * apart)
-
-    def near(distance: np.ndarray) -> np.ndarray:
-        share: np.ndarray = (1 - np.clip(distance / radius, 0, 1) ** 2) ** 3
-        return share
-
-    weight = weight * (1 - sum(near(np.abs(z - tip)) for tip in tips))
-    z, weight = z[weight > 0], weight[weight > 0]  # a point on a tip has none
-    root, along = np.polynomial.legendre.leggauss(16)
-    turn, around = np.polynomial.legendre.leggauss(32)  # from face to face
-    r, along = radius * (root + 1) ** 2 / 4, along * radius * (root + 1) / 2
-    ring = (along * r * near(r))[:, None] * np.pi * around
-    for tip, far in zip(tips, tips.reshape(-1, 2)[:, ::-1].ravel(), strict=True):
-        arm = r[:, None] * np.exp(1j * np.pi * turn) * (tip - far) / abs(tip - far)
-        z, weight = np.append(z, tip + arm), np.append(weight, ring)
-    by_z, by_conjugate = solid.gradients(solid.solve([[0, 0], [0, 1]]), z)
-    return float(weight @ sheet.density(by_z[:, 0], by_conjugate[:, 0]))
 
 
 def squares(half: tuple[float, float], size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

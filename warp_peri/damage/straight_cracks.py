@@ -219,9 +219,14 @@ def _checked(cracks: ArrayLike, half: tuple[float, float]) -> np.ndarray:
         raise InputError(f"cracks: expected a length, and ends within ± {half[0]:g}, {half[1]:g}")
     for k, (a, b) in enumerate(ends):
         for c, d in ends[:k]:
-            if _sides(a, b, c, d) <= 0 and _sides(c, d, a, b) <= 0 and _overlap(a, b, c, d):
+            if meet(a, b, c, d):
                 raise InputError(f"cracks: expected cracks apart, number {k} meets another")
     return ends
+
+
+def meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
+    """Whether the segments from a to b and from c to d have a point in common."""
+    return _sides(a, b, c, d) <= 0 and _sides(c, d, a, b) <= 0 and _overlap(a, b, c, d)
 
 
 def _sides(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> float:
