@@ -58,7 +58,7 @@ def test_mirrored_cracks_open_at_one_strain_and_a_sheet_has_no_units():
     ("cracks", "step", "message"),
     [
         (SLANTED, 0.0, "step: expected a number > 0"),
-        ([[(9.0, 0.0), (14.3, 2.0)]], 0.5, "the rim is nearer"),
+        ([[(8.0, 0.0), (13.0, 2.0)]], 1.0, "the rim is nearer"),
         ([[(-5.0, 0.0), (0.0, 1.0)], [(1.0, 0.5), (5.0, 3.0)]], 0.5, "1's meet another's"),
     ],
 )
