@@ -90,7 +90,8 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     try:
         work()
     finally:
-        failures = [helper.exception() for helper in started]
+        # a helper that has not begun finds nothing left to do: nobody waits for it to wake up
+        failures = [None if helper.cancel() else helper.exception() for helper in started]
     for failure in failures:
         if failure is not None:
             raise failure

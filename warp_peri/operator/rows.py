@@ -153,15 +153,15 @@ class Forward:
         self.dilatation = zeros(samples, rows.places, dtype=rows.scalar)
         self.fits, self.size = (samples, threads()), vectors.size + self.dilatation.size
 
-        def recorded(kernel: Any, pieces: wp.array[Any], *inputs: Any) -> Recorded:
-            weight = kernels.lanes // FASTER
+        def recorded(weight: int, kernel: Any, pieces: wp.array[Any], *inputs: Any) -> Recorded:
             *given, output = pieces, *inputs
             return Recorded(kernel, len(pieces), given, (output,), samples=samples, weight=weight)
 
         shared = (rows.offset, arrays, structs(rows.scalar, 2).Law(), vectors)
-        self._lay_out = recorded(kernels.laid_out, of.images, rows.one, None, vectors)
-        self._dilatation = recorded(kernels.dilatation, of.needed, *shared, self.dilatation)
-        self._force = recorded(kernels.force, of.forces, *shared, self.dilatation, None)
+        sweep = kernels.lanes // FASTER  # a copy is less work than that
+        self._lay_out = recorded(1, kernels.laid_out, of.images, rows.one, None, vectors)
+        self._dilatation = recorded(sweep, kernels.dilatation, of.needed, *shared, self.dilatation)
+        self._force = recorded(sweep, kernels.force, of.forces, *shared, self.dilatation, None)
 
     def __call__(self, law: Any, u: wp.array[Any], Lu: wp.array[Any]) -> None:
         """L u into an array, both [S, N] and [S, I] of vectors."""
