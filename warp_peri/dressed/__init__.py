@@ -1,6 +1,8 @@
 """Solids of a positive base between two short convolutions: accurate, uneven, with edges (D)."""
 
 from warp_peri.dressed.body import torn
+from warp_peri.dressed.finite import FiniteSolid
+from warp_peri.dressed.finite_learning import FiniteFit, FiniteStrain
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.laws import Dressed, DressedFit
 from warp_peri.dressed.learning import from_phonons
@@ -10,6 +12,9 @@ __all__ = [
     "Dressed",
     "DressedFit",
     "DressedSolid",
+    "FiniteFit",
+    "FiniteSolid",
+    "FiniteStrain",
     "MapFit",
     "fit_maps",
     "from_phonons",
