@@ -5,7 +5,9 @@ import pytest
 
 import warp_peri as wp
 from tests.dressed.solids import SPACING, nodes, rigid, solid
+from tests.micromodulus.crystals import lattice
 from warp_peri.dressed import torn
+from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
 
 REACHES = {2: (1.0, 2**0.5, 2.0, 5**0.5), 3: (1.0, 2**0.5, 3**0.5)}
@@ -213,3 +215,25 @@ def test_what_does_not_fit_is_refused(options, message):
         options = {"edges": lambda x: np.ones(3, bool)}
     with pytest.raises(InputError, match=message):
         solid().on(nodes(2, 10), **({"edges": True} | options))
+
+
+@pytest.mark.parametrize("base", ["elements", "bonds"])
+@pytest.mark.parametrize("periodic", [True, False])
+def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, periodic):
+    """L as G, K, G by rows: of even solids, on one precision and two, and with maps."""
+    law = solid(2, base, 2.0 if base == "bonds" else 2**0.5)
+    points = wp.Points.sheet((15, 18), SPACING) if periodic else lattice(2, 5, 7, SPACING)
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=(2, *points.x.shape))
+    placed, known = law.on(points), law.crystal.on(points, method="rows")
+    assert isinstance(placed.pull, ByLayers)
+    expected, size = known(u), np.abs(known(u)).max()
+    np.testing.assert_allclose(placed(u), expected, atol=1e-14 * size)
+    single = law.on(points, dtype=np.float32)(u)
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, expected, atol=1e-5 * size)
+    maps = {name: rng.uniform(0, 2, len(points.x)) for name in law.parts.names}
+    body = law.on(points, maps=maps)
+    by_matrix = (body.L @ u.reshape(2, -1).T).T.reshape(u.shape)[:, points.interior]
+    np.testing.assert_allclose(body(u), by_matrix, atol=1e-13 * size)
+    assert (body._sweep is not None) == (base == "elements")

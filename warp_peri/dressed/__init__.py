@@ -6,9 +6,10 @@ from warp_peri.dressed.finite_learning import FiniteFit, FiniteStrain
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.laws import Dressed, DressedFit
 from warp_peri.dressed.learning import from_phonons
-from warp_peri.dressed.maps import MapFit, fit_maps
+from warp_peri.dressed.maps import DensityLaw, MapFit, fit_density, fit_maps
 
 __all__ = [
+    "DensityLaw",
     "Dressed",
     "DressedFit",
     "DressedSolid",
@@ -16,6 +17,7 @@ __all__ = [
     "FiniteSolid",
     "FiniteStrain",
     "MapFit",
+    "fit_density",
     "fit_maps",
     "from_phonons",
     "torn",
