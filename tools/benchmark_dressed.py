@@ -53,7 +53,7 @@ def dressed(*, quick: bool) -> None:
             force_constants(), 5.0, base, neighbours, symmetry="isotropic", split=False
         )
         points = Points.sheet((side, side), law.spacing)
-        rounds = 3 if quick else 7
+        rounds = 3 if quick else 15
         table[name] = {
             way: 1e9 * least(run, rounds) / side**2 for way, run in ways(law, points).items()
         }

@@ -5,7 +5,7 @@ from warp_peri.dressed.finite import FiniteSolid
 from warp_peri.dressed.finite_learning import FiniteFit, FiniteStrain
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.laws import Dressed, DressedFit
-from warp_peri.dressed.learning import from_phonons
+from warp_peri.dressed.learning import from_phonons, transferred
 from warp_peri.dressed.maps import DensityLaw, MapFit, fit_density, fit_maps
 
 __all__ = [
@@ -21,4 +21,5 @@ __all__ = [
     "fit_maps",
     "from_phonons",
     "torn",
+    "transferred",
 ]

@@ -58,6 +58,9 @@ class ByLayers:
             tables = ints(bonds @ self.strides), self._floats(entries(values))
             self.stages.insert(0, (pieces, dressed, *tables))
             reach += int(np.abs(bonds).max())
+        places = int(np.prod(nodes.wide))
+        ends = [int(p.numpy()[-1, 0]) + int(o.numpy().max()) for p, _, o, _ in self.stages]
+        self.beyond = max(ends) + self.kernels.lanes + int(self.strides.sum()) > places
         self.maps: tuple[Any, ...] | None = None
         if factors is not None:
             sites = self._pieces(maximum_filter(mask, 2 * (own + 1) + 1))
@@ -69,8 +72,11 @@ class ByLayers:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
         nodes, d = self.nodes, self.nodes.dimension
         count, size = len(planes), d * int(np.prod(nodes.wide))
-        field, first, second = (self._buffer(n, count, size) for n in range(3))
-        field[:] = planes.reshape(count, -1)
+        first, second = (self._buffer(n, count, size) for n in range(2))
+        field = np.ascontiguousarray(planes, self.dtype).reshape(count, -1)
+        if self.beyond:  # lanes of the last piece would read past the end
+            field = self._buffer(2, count, size)
+            field[:] = planes.reshape(count, -1)
         out = np.zeros((count, size), self.dtype)
         for number, (given, found) in enumerate(((field, first), (first, second), (second, out))):
             if number == 1 and self.maps is not None:
