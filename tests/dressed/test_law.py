@@ -111,6 +111,7 @@ def test_a_law_is_carried_to_other_nodes():
     turned = transferred(law, SPACING, rotation=30.0)
     bare = replace(turned, tensors=0 * turned.tensors)
     R = np.array([[3**0.5, -1], [1, 3**0.5]]) / 2
+    k = 2 * k  # of six spacings
     expected = R @ law.symbol(k @ R) @ R.T
     off, alone = (np.abs(one.symbol(k) - expected).max() for one in (turned, bare))
     assert off < 0.2 * alone
