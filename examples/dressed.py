@@ -29,7 +29,7 @@ from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
 from tools.graphene import DISK_RADIUS
-from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, torn
+from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, torn
 from warp_peri.errors import exit_status
 from warp_peri.methods import Smoothing
 
@@ -39,6 +39,8 @@ EDGE = 0.3
 """How far the disk reaches beyond its outermost atoms [Å]."""
 CRACK = 30.0
 """Half its length [Å]."""
+EVENTS = 6
+"""Of a crack that grows."""
 TURN = np.deg2rad(10)
 """Of a strained sheet as a whole."""
 
@@ -165,7 +167,42 @@ def breaking(solid: DressedSolid, bodies: int = 30) -> dict[str, float]:
         turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
         least.append(np.linalg.eigvalsh(L)[0] / np.abs(L).max())
         turned.append(np.abs(body(turn)).max() / np.abs(L).max() / np.abs(x).max())
-    return {"bodies": bodies, "least": float(min(least)), "rotation": float(max(turned))}
+    found = {"bodies": bodies, "least": float(min(least)), "rotation": float(max(turned))}
+    return found | crack_of_the_base(solid)
+
+
+def cracked_sheet(soft: float = 0.0) -> tuple[np.ndarray, wp.Points, np.ndarray]:
+    """A square with a crack, held on two sides, and where it is soft by so much at the most."""
+    line = 5.0 * np.arange(-14.5, 15)
+    x = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    points = wp.Points(x, np.abs(x[:, 1]) < line[-2] + 1, 5.0)
+    return x, points, 1 - soft * np.exp(-((x - [35, 35]) ** 2).sum(axis=1) / 400)
+
+
+def crack_of_the_base(solid: DressedSolid) -> dict[str, float]:
+    """How far a pulled, cracked sheet is from its base alone: in energy, in G u, and in how far
+    its faces open and its strain ahead of the tip, over those of the base."""
+    x, points, _ = cracked_sheet()
+    crack = torn(points, [[(-CRACK, 0), (CRACK, 0)]])
+    bodies = [law.on(points, edges=True, broken=crack) for law in (solid, without(solid))]
+    pull = wp.Dirichlet(points, 0 * x, 0.02 * x * [0, 1])
+    u, v = (wp.solve(body, pull).u for body in bodies)
+    over, under = (np.flatnonzero((np.abs(x[:, 0]) < 3) & (x[:, 1] == y)) for y in (2.5, -2.5))
+    ahead = [np.flatnonzero((x[:, 0] == CRACK + 2.5) & (x[:, 1] == y))[0] for y in (2.5, -2.5)]
+    opened = [float((w[over] - w[under])[:, 1].mean()) for w in (u, v)]
+    strain = [float((w[ahead[0]] - w[ahead[1]])[1]) for w in (u, v)]
+    energy = [float(body.energy(w)) for body, w in zip(bodies, (u, v))]
+    edge = wp.Cracked(points, u=x * [0, 1], cracks=[[(-CRACK, 0), (CRACK, 0)]])
+    before, after = (wp.move(solid.plain, edge, events=n) for n in (EVENTS, EVENTS + 1))
+    longer = solid.on(points, edges=True, broken=grown(points, before))
+    w = wp.solve(longer, wp.Dirichlet(points, 0 * x, x * [0, 1])).u
+    return {
+        "energy": abs(energy[0] / energy[1] - 1),
+        "energy of a grown crack over its ledger": abs(longer.energy(w) / after["energy"][-1] - 1),
+        "base displacement": float(np.abs(bodies[0].base_displacement(u) - v).max() / v.max()),
+        "opening": opened[0] / opened[1],
+        "strain ahead": strain[0] / strain[1],
+    }
 
 
 def crystal(name: str, with_ball: bool) -> dict[str, Any]:
@@ -218,11 +255,7 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
     left.set(xticks=range(3), xticklabels=SETS, ylabel="error of displacement [%]", yscale="log")
     left.set_title("graphene, 1/r on 8 bonds, G of 12 neighbours")
     left.legend(frameon=False)
-    line = solid.spacing * np.arange(-14.5, 15)
-    x = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    held = np.abs(x[:, 1]) > line[-2]
-    points = wp.Points(x, ~held, solid.spacing)
-    soft = 1 - 0.8 * np.exp(-((x - [35, 35]) ** 2).sum(axis=1) / 400)
+    x, points, soft = cracked_sheet(0.8)
     crack = torn(points, [[(-CRACK, 0), (CRACK, 0)]])
     body = solid.on(points, edges=True, maps={"bulk": soft, "shear": soft}, broken=crack)
     u = wp.solve(body, wp.Dirichlet(points, 0 * x, 0.02 * x * [0, 1])).u

@@ -14,9 +14,12 @@ from tools.graphene_phonons import force_constants
 from warp_peri.dressed import DressedSolid, from_phonons
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.launch import set_threads
+from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
 from warp_peri.points.points import Points
 
 LAWS = {"elements, G 8": ("elements", 8), "bonds, G 8": ("bonds", 8), "bonds, G 12": ("bonds", 12)}
+TENSORS = 12.5
+"""Horizon of tensors on 20 bonds [Å]."""
 MATRIX = 4
 """How many times smaller each way the sheet of the sparse matrix is."""
 
@@ -61,4 +64,9 @@ def dressed(*, quick: bool) -> None:
         L = law.on(small).matrix()
         v = np.random.default_rng(0).normal(size=L.shape[1])
         table[name]["SciPy CSR"] = 1e9 * least(lambda: L @ v, rounds) / len(small.x)  # noqa: B023
+    tensors = tensors_from_phonons(force_constants(), 5.0, TENSORS, symmetry="isotropic")
+    operator = tensors.on(Points.sheet((side, side), tensors.spacing), method="rows")
+    planes = np.random.default_rng(0).normal(size=(1, 2, *operator.nodes.wide))
+    seconds = least(lambda: operator.pull(planes), rounds)
+    table["tensors, 20 bonds"] = {"bonds of L by rows": 1e9 * seconds / side**2}
     print(json.dumps({"side": side, "nanoseconds a node": table}, indent=1))

@@ -12,8 +12,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from warp_peri.damage.lattice_body import cracked, lattice_body
+from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
 from warp_peri.dressed.sweeps import ByLayers
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
@@ -390,8 +391,27 @@ def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
         cracks: polylines [length], shape [P, 2] each.
     """
     body = lattice_body(points.x, points.spacing, 2 * points.spacing)
-    cut = (cracked(body, cracks) < 0) & (body.neighbour >= 0)
-    node, bond = np.nonzero(cut & (body.r < 1.5 * points.spacing))
+    return _parted(body, cracked(body, cracks))
+
+
+def grown(points: Points, growth: Motion) -> np.ndarray:
+    """Pairs of neighbouring nodes whose bond was cut or broke when cracks grew in the base, [n, 2].
+
+    Args:
+        points: of the body.
+        growth: of its `plain` solid, move(law.plain, Cracked(points, …), events=…) (D12, C7).
+
+    Raises InputError for another motion.
+    """
+    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
+    if np.shape(growth.details) != body.neighbour.shape:
+        raise InputError("growth: expected slow growth, move(…, events=…), on these points")
+    return _parted(body, np.asarray(growth.details))
+
+
+def _parted(body: LatticeBody, neighbour: np.ndarray) -> np.ndarray:
+    cut = (neighbour < 0) & (body.neighbour >= 0)
+    node, bond = np.nonzero(cut & (body.r < 1.5 * body.spacing))
     other = body.neighbour[node, bond]
     return np.stack([node, other], axis=1)[node < other]
 
