@@ -8,6 +8,7 @@ training that can be stopped and goes on; what it ends with is written to --out.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 import time
@@ -114,7 +115,7 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
         for key in ("epochs", "rate", "batch", "cells", "seed")
         if getattr(given, key) is not None
     }
-    training = chosen.training._replace(**settings) if False else _with(chosen.training, settings)
+    training = dataclasses.replace(chosen.training, **settings)
     operator = dict(chosen.operator)
     if given.strain is not None:
         operator["strain"] = given.strain
@@ -134,10 +135,6 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
         "curve": [[n, round(a, 5), round(b, 5)] for n, a, b in history.curve],
     }
     return material, history
-
-
-def _with(training: Training, settings: dict[str, Any]) -> Training:
-    return Training(**{**vars(training), **settings})
 
 
 def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solve: bool) -> Any:

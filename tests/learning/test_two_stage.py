@@ -7,7 +7,14 @@ import torch
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
 from warp_peri import Bernstein, certify
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.margins import DENSE_ZETA, DenseMargins, SymbolMargins
+from warp_peri.learning.margins import (
+    DENSE_ZETA,
+    DenseMargins,
+    SymbolMargins,
+    _blocks,
+    _class_matrices,
+    _dense,
+)
 from warp_peri.methods import TwoStage
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
@@ -59,6 +66,24 @@ def test_dense_margins_are_those_of_the_certificate():
     np.testing.assert_allclose(margins[[0, 2]], expected, rtol=1e-9)
     if certificate.inf_sup_rank == points.interior.sum():
         assert margins[1] == pytest.approx(certificate.inf_sup_min - DENSE_ZETA, rel=1e-6)
+
+
+def test_mirrors_split_the_dense_conditions_without_changing_them():
+    """A square falls into four blocks, an L is one; a nudged square is one again."""
+    model, points = kernel("two functions", HORIZON), lattice(7, HORIZON)
+    w, p = class_weights(model)
+    gammas, phis = _class_matrices(points, HORIZON)
+    x = points.x[points.interior]
+    blocks = _blocks(gammas, phis, x)
+    assert [len(parts) for parts in (blocks, _blocks(gammas, phis, x**1.1))] == [4, 1]
+    margins = DenseMargins([points], HORIZON)
+    inputs = [torch.tensor(values, requires_grad=True) for values in (w, p)]
+    found = margins(torch.ones(()), torch.ones(()), [tuple(inputs)])
+    values, slopes = _dense(gammas, phis, w, p)
+    np.testing.assert_allclose(found.detach(), values, rtol=1e-9, atol=1e-14)
+    for margin, slope in zip(found, slopes):
+        gradient = torch.cat(torch.autograd.grad(margin, inputs, retain_graph=True))
+        np.testing.assert_allclose(gradient, slope[1:], atol=1e-9 * np.abs(slope).max())
 
 
 def test_symbol_margins_are_the_smallest_of_the_zone():

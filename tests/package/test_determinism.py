@@ -49,8 +49,8 @@ def learn(seeds, threads):
 
 
 def test_a_seed_decides_every_bit_of_a_fit_and_a_solve():
-    first, again = learn((3, 4), threads=2), learn((3, 4), threads=2)
-    assert first == again
+    first, again = learn((3, 4), threads=2), learn((3,), threads=2)
+    assert first[:2] == again
     assert first[0] != first[2]
 
 

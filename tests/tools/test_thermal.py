@@ -110,6 +110,7 @@ def test_data_sets_of_every_reduction(plans, tmp_path, monkeypatch):
     assert np.allclose(load_dataset(more["plain", 1.0])["train"].b, 2 * half, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_killed_tool_goes_on_with_the_run_in_hand(plans, tmp_path, monkeypatch):
     whole = make(tmp_path / "whole", plans, reductions=["iota"])["iota", 0.5]
     real, made = tool.run, []

@@ -216,12 +216,18 @@ def _second(method: Method) -> Optimum:
 
 
 def _rough(kernel: Bernstein | None, method: Method) -> Parameters:
-    """The random kernel that Algorithm 1 starts from and the oracle looks at first."""
-    random = np.random.default_rng(_first(method).seed)
+    """The random kernel that Algorithm 1 starts from and the oracle looks at first.
+
+    As printed the constants are random too, in the units of the fit.
+    """
+    first = _first(method)
+    random = np.random.default_rng(first.seed)
     terms = 1 + (CHECKED_DEGREE if kernel is None else kernel.degree)
     D = random.uniform(size=terms)
     own = random.uniform(size=terms) if kernel is not None and kernel.two_functions else None
-    return Parameters(0.0, 1.0, 1.0, D, D_dilatation=own)
+    printed = first.parametrisation == "relu"
+    lam, mu, alpha = random.uniform(size=3) if printed else (0.0, 1.0, 1.0)
+    return Parameters(lam, mu, alpha, D, D_dilatation=own)
 
 
 def _plain(kernel: Bernstein) -> dict[str, Parameters]:

@@ -7,6 +7,7 @@ the training domain, which is what You et al. (2021, 4.6) print.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 import torch
 import warp as wp
 from scipy.linalg import eigh
+from scipy.spatial import KDTree
 
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import assemble
@@ -27,6 +29,7 @@ DENSE_ZETA = 1e-4
 """ζ of the dense conditions: Λmin(Γ) [Å⁻²] and Λmin(ΦΓ⁻¹Φᵗ)."""
 
 Weights = Sequence[tuple[torch.Tensor, torch.Tensor]]
+Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 
 class _Values(torch.autograd.Function):
@@ -91,27 +94,28 @@ class DenseMargins:
     """The three conditions (4.6) on the interior of each training set.
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
-    interior nodes. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c.
+    interior nodes. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is
+    its own mirror image the matrices fall into blocks, a tenth of the work with the same values.
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
         self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
-        self.parts = [_class_matrices(points, horizon) for points in sets]
+        self.parts = [
+            _blocks(*_class_matrices(points, horizon), points.x[points.interior]) for points in sets
+        ]
         self.count = 3 * len(sets)
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [3 · sets]."""
         parts = []
-        for (gammas, phis), (w, p) in zip(self.parts, weights):
+        for blocks, (w, p) in zip(self.parts, weights):
 
             def evaluate(
-                _: np.ndarray,
-                w: np.ndarray,
-                p: np.ndarray,
-                gammas: np.ndarray = gammas,
-                phis: np.ndarray = phis,
+                _: np.ndarray, w: np.ndarray, p: np.ndarray, blocks: Blocks = blocks
             ) -> tuple[np.ndarray, np.ndarray]:
-                return _dense(gammas, phis, w, p)
+                values, slopes = map(np.array, zip(*(_dense(*block, w, p) for block in blocks)))
+                least, each = values.argmin(axis=0), np.arange(3)
+                return values[least, each], slopes[least, each]
 
             parts.append(_values(evaluate, torch.zeros((), dtype=torch.float64), w, p))
         return torch.cat(parts)
@@ -129,6 +133,39 @@ def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.nda
         gammas.append(parts.gamma[:, unknown].toarray())
         phis.append(parts.phi[points.interior][:, unknown].toarray())
     return np.array(gammas), np.array(phis)
+
+
+def _blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
+    """Γ_c and Φ_c between fields that both mirrors of the nodes keep or turn round.
+
+    All as one block where a mirror takes some node of `x`, shape [I, 2], to a place without one.
+    """
+    mirrors = []
+    for axis in (0, 1):
+        image = x.copy()
+        image[:, axis] = x[:, axis].min() + x[:, axis].max() - x[:, axis]
+        distance, node = KDTree(x).query(image)
+        if distance.max() > 1e-6 * np.ptp(x):
+            return [(gammas, phis)]
+        mirrors.append(np.eye(len(x))[node])
+    blocks = []
+    for signs in itertools.product((1, -1), repeat=2):
+        # The component of u along an axis changes its sign in the mirror of that axis.
+        scalar, along, across = (
+            _kept(mirrors, [a * signs[0], b * signs[1]]) for a, b in ((1, 1), (-1, 1), (1, -1))
+        )
+        vector = np.zeros((2 * len(x), along.shape[1] + across.shape[1]))
+        vector[::2, : along.shape[1]], vector[1::2, along.shape[1] :] = along, across
+        blocks.append((vector.T @ gammas @ vector, scalar.T @ phis @ vector))
+    return blocks
+
+
+def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
+    """Orthonormal scalar fields that each mirror multiplies by its sign, as columns."""
+    one = np.eye(len(mirrors[0]))
+    projection = (one + signs[0] * mirrors[0]) @ (one + signs[1] * mirrors[1]) / 4
+    values, fields = eigh(projection)
+    return np.array(fields[:, values > 0.5])
 
 
 def _dense(

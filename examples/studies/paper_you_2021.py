@@ -1,0 +1,274 @@
+"""What the page on You et al. (2021) shows: see papers.py."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+import warp_peri
+from examples.graphene_report import save_figure
+from examples.prose import rows_of
+from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
+from tools.make_graphene import graphene_bodies
+from warp_peri import Bernstein
+from warp_peri.learning.fit import learn
+from warp_peri.methods import TwoStage
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.samples import Samples
+
+DATA = "data/graphene_0K.h5"
+NEEDED = {
+    DATA: "python examples/train_graphene.py",
+    "runs/graphene_0K/model.json": "python examples/train_graphene.py",
+    "runs/graphene_0K_sweep/sweep.json": "python examples/train_graphene.py --sweep",
+    "runs/manufactured/manufactured.json": "python examples/studies/manufactured.py",
+}
+TEMPLATE = Path(__file__).with_suffix(".md")
+SEEDS = range(5)
+ROUNDS = 100
+"""Outer iterations of Algorithm 1, as printed."""
+CHANGES = {"ReLU, as printed": "relu", "bounds by projection": "projected"}
+"""How λ, μ, α and D are kept inside their bounds."""
+SETS = ("train", "val", "test")
+
+
+def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
+    """The parts of the page, by the names that its template gives them."""
+    data = warp_peri.load(runs.parent / DATA)
+    trials = json.loads((runs / "graphene_0K_sweep" / "sweep.json").read_text(encoding="utf-8"))
+    manufactured = json.loads((runs / "manufactured" / "manufactured.json").read_text("utf-8"))
+    draw_atoms(figures / "you_2021_atoms.png", data)
+    draw_fields(figures / "you_2021_fields.png", data)
+    squares = kept("squares", lambda: both_metrics(runs, trials["trials"], data))
+    table_6 = kept("table_6", lambda: two_grids(data))
+    algorithm = {
+        name: [
+            kept(f"algorithm_1_{bounds}_{seed}", partial(algorithm_1, data, bounds, seed))
+            for seed in SEEDS
+        ]
+        for name, bounds in CHANGES.items()
+    }
+    return {
+        "strains": rows_of(strains(data)),
+        "manufactured": rows_of(consistency(manufactured, "fixed_alpha")),
+        "learned_alpha": rows_of(consistency(manufactured, "learned_alpha")),
+        "algorithm": rows_of(map(row_of_algorithm, algorithm, algorithm.values())),
+        "metric": rows_of(metric(runs, data)),
+        "chosen": rows_of(chosen(squares)),
+        "table_3": rows_of(map(table_3, trials["by_degree"], trials["AvgE"])),
+        "pairs": rows_of(pairs(trials["trials"])),
+        "table_4": rows_of(table_4(runs, trials, data)),
+        "table_6": rows_of(table_6_rows(table_6)),
+    }
+
+
+def percent(values: Sequence[float | None]) -> list[str]:
+    """Errors in %."""
+    return ["–" if value is None else f"{100 * value:.2f}" for value in values]
+
+
+def strains(data: Dataset) -> list[list[str]]:
+    """Samples, nodes and largest bond strain of each set."""
+    rows = []
+    for name in data:
+        samples = data[name]
+        largest = 100 * samples.arrays["max_bond_strain"]
+        sizes = [f"{len(samples)}", f"{samples.spacing:g}", f"{samples.interior.sum()}"]
+        rows.append([name, *sizes, f"{largest.min():.2f} to {largest.max():.2f}"])
+    return rows
+
+
+def consistency(found: Mapping[str, Any], name: str) -> list[list[str]]:
+    """Losses by degree and spacing, then the error of the kernel."""
+    table = found[name]
+    degrees = (0, 2, 4, 6, 8, 10, 15, 20)
+    rows = [["1/r itself", *(f"{value:.2e}" for value in found["true_kernel"])]]
+    for number, degree in enumerate(degrees):
+        rows.append([f"M = {degree}", *(f"{loss[number]:.2e}" for loss in table["residual"])])
+    return [*rows, ["error of K, M = 10", *(f"{e:.3f}" for e in table["kernel_error"])]]
+
+
+def algorithm_1(data: Dataset, bounds: str, seed: int) -> dict[str, Any]:
+    """One run of Algorithm 1."""
+    method = TwoStage(parametrisation=bounds, outer_iterations=ROUNDS, seed=seed)
+    found = learn(data["train"], horizon=20.0, kernel=Bernstein(10), method=method, progress=True)
+    model = found.material
+    constants = {"lam": model.lam, "mu": model.mu, "alpha": model.alpha, "seed": seed}
+    epochs = {"epochs": [len(stage.loss) for stage in found.history]}
+    return constants | epochs | errors_of(model, {name: data[name] for name in SETS})
+
+
+def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None]:
+    """E_res and E_u of each set in ℓ2, and root mean squares; None where it cannot be solved."""
+    row: dict[str, float | None] = {}
+    for name, samples in sets.items():
+        try:
+            table = warp_peri.evaluate(model, samples, allow_uncertified=True, transfer=False)
+        except warp_peri.InputError:  # indefinite: nothing is solved
+            table = {}
+        for key in ("E_res", "E_u", "E_res_rms", "E_u_rms"):
+            row[f"{key} {name}"] = table.get(key)
+    return row
+
+
+def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Least, median and largest errors over the seeds."""
+    cells = []
+    for key in ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test"):
+        known = sorted(run[key] for run in runs if run[key] is not None)
+        if not known:
+            cells.append("refused")
+            continue
+        text = " / ".join(percent([known[0], float(np.median(known)), known[-1]]))
+        cells.append(text + ("" if len(known) == len(runs) else f" ({len(known)} of {len(runs)})"))
+    return [name, *cells]
+
+
+def metric(runs: Path, data: Dataset) -> list[list[str]]:
+    """Main rows in ℓ2, and as squares of it."""
+    names = {"linear solid": "model", "three more numbers": "nonlinear", "tensors": "micromodulus"}
+    rows = []
+    for name, file in names.items():
+        material = warp_peri.load(runs / "graphene_0K" / f"{file}.json")
+        tables = {role: warp_peri.evaluate(material, data[role]) for role in SETS}
+        for kind, roles in (("E_res", SETS[:2]), ("E_u", SETS)):
+            pairs = [(tables[role][kind], tables[role][f"{kind}_rms"]) for role in roles]
+            cells = [f"{100 * value:.2f}, {100 * rms**2:.4f}" for value, rms in pairs]
+            rows.append([name, kind, *cells, *["–"] * (len(SETS) - len(cells))])
+    return rows
+
+
+def both_metrics(
+    runs: Path, trials: Sequence[Mapping[str, Any]], data: Dataset
+) -> list[dict[str, Any]]:
+    """Every fit of the sweep with its errors in ℓ2 and as squares."""
+    rows = []
+    for trial in tqdm(trials, desc="both metrics"):
+        model = warp_peri.load(runs / "graphene_0K_sweep" / trial["model"])
+        found = errors_of(model, {key: data[key] for key in SETS})
+        rows.append({"horizon": trial["horizon"], "degree": trial["degree"], **found})
+    return rows
+
+
+def chosen(trials: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """δ* and AvgE of every degree by each metric."""
+    rows = []
+    by_metric: dict[str, list[str]] = {}
+    degrees = sorted({trial["degree"] for trial in trials})
+    for suffix, power in (("", 1), ("_rms", 2)):
+        best, first = [], None
+        for degree in degrees:
+            fits = [trial for trial in trials if trial["degree"] == degree]
+            fit = min(fits, key=lambda trial: trial[f"E_res{suffix} train"])
+            keys = [
+                f"{kind}{suffix} {set}" for set in ("train", "val") for kind in ("E_res", "E_u")
+            ]
+            numbers = np.array([fit[key] for key in keys]) ** power
+            first = numbers if first is None else first
+            best.append(f"{fit['horizon']:g}, {np.mean(numbers / first):.4f}")
+        by_metric[suffix] = best
+    for number, degree in enumerate(degrees):
+        printed = PRINTED_TABLE_3.get(degree)
+        beside = "–" if printed is None else f"{printed[0]:g}, {printed[-1]:.4f}"
+        rows.append([f"{degree}", *(by_metric[key][number] for key in by_metric), beside])
+    return rows
+
+
+def table_3(trial: Mapping[str, Any], average: float) -> list[str]:
+    """A degree at its δ*: here, and printed."""
+    ours = [f"{trial['horizon']:g}", *percent([trial[key] for key in ERRORS]), f"{average:.4f}"]
+    theirs = [f"{value:g}" for value in PRINTED_TABLE_3[trial["degree"]]]
+    return [f"{trial['degree']}", *(f"{a} ({b})" for a, b in zip(ours, theirs))]
+
+
+def pairs(trials: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """E_u on validation of every δ and M."""
+    degrees = sorted({trial["degree"] for trial in trials})
+    found = {(t["horizon"], t["degree"]): t["E_u_val"] for t in trials}
+    horizons = sorted({trial["horizon"] for trial in trials})
+    return [[f"{h:g}", *percent([found[h, M] for M in degrees])] for h in horizons]
+
+
+def table_4(runs: Path, trials: Mapping[str, Any], data: Dataset) -> list[list[str]]:
+    """Constants and errors of the choice, of the printed model and of the potential."""
+    trial = trials["printed_choice"]
+    model = warp_peri.load(runs / "graphene_0K_sweep" / trial["model"])
+    table = warp_peri.evaluate(model, data["test"], transfer=False)
+    constants = [model.alpha, model.lam, model.mu, model.E, model.nu]
+    truth = data.provenance["truth"]
+    own = [f"{truth[key]:.4f}" for key in ("lambda", "mu", "E", "nu")]
+    errors = percent([trial[key] for key in (*ERRORS, "E_u_test")])
+    here = [f"here, δ = {trial['horizon']:g} Å", f"{trial['degree']}"]
+    here += [*(f"{value:.4f}" for value in constants), *errors[:4]]
+    here += [f"{1e3 * table['E_res_abs']:.3f} GPa/Å", errors[4]]
+    M, *numbers = PRINTED_TABLE_4
+    printed = ["printed", f"{M}", *(f"{value:g}" for value in numbers[:-1])]
+    printed += ["0.203", f"{numbers[-1]:g}"]
+    return [here, printed, ["the potential's own", "–", "–", *own, *6 * ["–"]]]
+
+
+def two_grids(data: Dataset) -> dict[str, Any]:
+    """One fit at δ = 12.5 Å to both grids, on either."""
+    both = [data["train"], data["train_fine"]]
+    model = learn(both, horizon=12.5, kernel=Bernstein(10)).material
+    names = ("val", "test", "val_fine", "test_fine")
+    absolute = {
+        name: warp_peri.evaluate(model, data[name])["E_res_abs"] for name in ("test", "test_fine")
+    }
+    return {**errors_of(model, {name: data[name] for name in names}), "absolute": absolute}
+
+
+def table_6_rows(found: Mapping[str, Any]) -> list[list[str]]:
+    """Both rows of Table 6."""
+    printed = {"_fine": (16.19, 8.01, "2.95", 8.44), "": (13.24, 9.29, "0.197", 7.80)}
+    rows = []
+    for end, spacing in (("_fine", "2.5"), ("", "5")):
+        ours = [
+            *percent([found[f"E_res val{end}"], found[f"E_u val{end}"]]),
+            f"{1e3 * found['absolute'][f'test{end}']:.3f} GPa/Å",
+            *percent([found[f"E_u test{end}"]]),
+        ]
+        rows.append([f"{spacing} Å", *(f"{a} ({b})" for a, b in zip(ours, printed[end]))])
+    return rows
+
+
+def draw_atoms(path: Path, data: Dataset) -> None:
+    """Figure 4: the lattice, the sheet of atoms, the nodes."""
+    sheet, _ = graphene_bodies()
+    atoms = sheet.positions()
+    middle = atoms.mean(axis=0)
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    near, whole, nodes = figure.subplots(1, 3)
+    close = np.abs(atoms - middle).max(axis=1) < 8
+    near.plot(*atoms[close].T, "o", color="C0", markersize=7)
+    near.set_title("hexagonal lattice")
+    whole.plot(*atoms.T, ".", color="C0", markersize=1)
+    whole.set_title(f"{len(atoms)} atoms")
+    inner = data["train"].x[data["train"].interior]
+    nodes.plot(*inner.T, ".", color="C1", markersize=4)
+    nodes.set_title(f"{len(inner)} nodes, 5 Å apart")
+    for ax in (near, whole, nodes):
+        ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]")
+    save_figure(figure, path)
+
+
+def draw_fields(path: Path, data: Dataset) -> None:
+    """Figure 5: u₁ of a training, a validation and a test sample."""
+    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
+    titles = {"train": "training", "val": "validation", "test": "disk"}
+    for ax, (name, title) in zip(figure.subplots(1, 3), titles.items()):
+        samples = data[name]
+        number = 8 if name == "train" else 0
+        x, u = samples.x[samples.interior], samples.u[number][samples.interior, 0]
+        limit = np.abs(u).max()
+        drawn = ax.tricontourf(*x.T, u, levels=21, cmap="RdBu_r", vmin=-limit, vmax=limit)
+        figure.colorbar(drawn, ax=ax, label="u₁ [Å]", shrink=0.8)
+        ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]", title=f"{title}, load {number}")
+    save_figure(figure, path)
