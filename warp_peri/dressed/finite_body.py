@@ -138,7 +138,7 @@ class FiniteBody:
         fields = self._fields(u)
         P = sum(stress(gradients(D, fields), C, T) for D, C, T in self.parts)
         mean = np.asarray(P).reshape(len(fields), -1, 4, 4).mean(axis=2)
-        found: np.ndarray = np.einsum("ie,seq->siq", self.slopes.around.toarray(), mean)
+        found = np.stack([self.slopes.around @ one for one in mean])
         return found.reshape(*np.shape(u)[:-2], -1, 2, 2)
 
     def tangent(self, u: ArrayLike) -> sp.csr_array:
