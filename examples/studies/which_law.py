@@ -82,6 +82,20 @@ def proven(material: Any) -> str:
     return "one answer, D ≥ 0.01 s"
 
 
+def picture(table: dict[str, Any], path: Path) -> None:
+    """Errors over strain."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained", sharey=True)
+    for ax, (role, title) in zip(axes, (("val", "patches"), ("test", "disks"))):
+        for number, (name, row) in enumerate(table.items()):
+            values = [row["E_u"][key] for key in (role, f"{role}_4", f"{role}_6")]
+            ax.plot([2, 4, 6], values, "os^vD<>p"[number] + "-", label=name)
+        ax.set(xlabel="largest bond strain [%]", title=f"unseen {title}", yscale="log")
+    axes[0].set_ylabel("error of displacement [%]")
+    axes[0].legend(frameon=False, fontsize=7, loc="lower right")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
@@ -114,16 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
                 cells = "".join(f"{value:7.2f}" for value in row["E_u"].values())
                 print(f"{name:30}{cells}{row['turned']:9.2f}{row['nanoseconds']:7.0f}  "
                       f"{row['proven']}")  # fmt: skip
-        figure, axes = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained", sharey=True)
-        for ax, (role, title) in zip(axes, (("val", "patches"), ("test", "disks"))):
-            for number, (name, row) in enumerate(table.items()):
-                values = [row["E_u"][key] for key in (role, f"{role}_4", f"{role}_6")]
-                ax.plot([2, 4, 6], values, "os^vD<>p"[number] + "-", label=name)
-            ax.set(xlabel="largest bond strain [%]", title=f"unseen {title}", yscale="log")
-        axes[0].set_ylabel("error of displacement [%]")
-        axes[1].legend(frameon=False, fontsize=8)
-        given.out.mkdir(parents=True, exist_ok=True)
-        figure.savefig(given.out / "which_law.png", dpi=110)
+        picture(table, given.out / "which_law.png")
 
     return exit_status(work)
 

@@ -229,8 +229,13 @@ def density(e: np.ndarray, C: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 def stress(H: np.ndarray, C: np.ndarray, T: np.ndarray) -> np.ndarray:
     """P = ∂Ψ/∂H [stress], of gradients [..., 2, 2]."""
-    e, V = strains(H)
-    return np.asarray(np.einsum("...v,...vij->...ij", e @ C + _twice(e, T) / 2, V))
+    a, b, c, d = 1 + H[..., 0, 0], H[..., 0, 1], H[..., 1, 0], 1 + H[..., 1, 1]  # F
+    e = np.stack([(a * a + c * c - 1) / 2, (b * b + d * d - 1) / 2, a * b + c * d], axis=-1)
+    first, second, shear = np.moveaxis(e @ C + _twice(e, T) / 2, -1, 0)
+    P = np.empty_like(H)
+    P[..., 0, 0], P[..., 0, 1] = a * first + b * shear, a * shear + b * second
+    P[..., 1, 0], P[..., 1, 1] = c * first + d * shear, c * shear + d * second
+    return P
 
 
 def curvature(H: np.ndarray, C: np.ndarray, T: np.ndarray) -> np.ndarray:
@@ -245,4 +250,9 @@ def curvature(H: np.ndarray, C: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 def _twice(e: np.ndarray, T: np.ndarray) -> np.ndarray:
     """T e e, [..., 3]."""
-    return np.asarray(np.einsum("...j,...k,ijk->...i", e, e, T, optimize=True))
+    if not T.any():
+        return np.zeros_like(e)
+    x, y, z = np.moveaxis(e, -1, 0)
+    pairs = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z], axis=-1)
+    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    return np.asarray(pairs @ T[:, rows, columns].T)
