@@ -120,12 +120,12 @@ class FiniteBody:
         return self._force(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
 
     def _force(self, fields: np.ndarray) -> np.ndarray:
-        total, plain = 0.0, self.slopes.plain
+        each, plain = [], self.slopes.plain
         for spread, (_, C, T) in zip(self._spreads, self.parts):  # shorter than with D itself
             moved = np.stack([spread @ one for one in fields])
             pulled = gathered(plain, stress(gradients(plain, moved), C, T))
-            total = total + np.stack([spread.T @ one for one in pulled])
-        return np.asarray(total)[:, self.points.interior]
+            each.append(np.stack([spread.T @ one for one in pulled]))
+        return np.asarray(each[0] + each[1])[:, self.points.interior]
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on the interior nodes, which the operator equals in equilibrium."""
