@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
-from examples.studies.atlas_entry import Entry, written
+from examples.studies.atlas_entry import Entry, words, written
 from warp_peri.prediction import Family
 from warp_peri.prediction.learning import part
 
@@ -53,5 +53,8 @@ def short_waves(data: wp.Dataset) -> Entry:
         "low": int(np.count_nonzero(short & (ratio < 1))),
         "named": int(np.count_nonzero(short & (ratio < 1) & named)),
     }
+    problem = wp.Dirichlet(train.points, train.loads, train.u)
+    alone = words(lambda: wp.predict(family.rich, problem))  # a law that is no family
+    seen_words = [answers[lowest].why, alone]
     values = {"wavelength": length.tolist(), "ratio": ratio.tolist(), **numbers}
-    return Entry(*written("predictions", **numbers), [answers[lowest].why], figure, values)
+    return Entry(*written("predictions", **numbers), seen_words, figure, values)
