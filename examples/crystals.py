@@ -23,7 +23,7 @@ import numpy as np
 
 from tools.crystal_ball import SEEN, ball
 from tools.crystal_void import Void, void, void_error
-from tools.crystals import RECIPES, Loads, force_constants, placed_errors, spacing_of, wave_loads
+from tools.crystals import RECIPES, force_constants, spacing_of
 from tools.isotropic_rival import isotropic_lps
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus.elastic import allowed_tensors, directional, named_moduli
@@ -33,6 +33,7 @@ from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import from_phonons
 from warp_peri.points.samples import Samples
+from warp_peri.structures.waves import Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}

@@ -42,7 +42,6 @@ from tools import (
     solve_study,
     solver_choice,
 )
-from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
@@ -54,6 +53,7 @@ from warp_peri.operator.node_blocks import BLOCKS
 from warp_peri.operator.tables import Tabulated
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
+from warp_peri.structures.lammps import LammpsError, lammps_class
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""
@@ -313,7 +313,7 @@ def lammps(side: int, ours: float) -> None:
         thermo 1000
         run 1 post no"""
     try:
-        run = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        run = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
     except LammpsError as error:
         print(f"\nLAMMPS left out: {error}")
         return
