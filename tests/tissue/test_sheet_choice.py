@@ -25,9 +25,6 @@ def folder(tmp_path_factory):
     """Frames of a sheet of Mooney and Rivlin in mm, as tables."""
     out = tmp_path_factory.mktemp("frames")
     points = square(5)
-    solid = HyperelasticSolid(
-        Dictionary(3.0, (), NEAREST, TERMS), np.array([0.1] * 4 + [C1, C2]), 0.1
-    )
     bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
     for number in range(6):
         edge = bent * (number + 3) / 8 + 0.6 * waves(points, 0.25, number)
@@ -38,9 +35,6 @@ def folder(tmp_path_factory):
 
 
 def test_uniaxial_tension_is_that_of_the_formula():
-    solid = HyperelasticSolid(
-        Dictionary(3.0, (), NEAREST, TERMS), np.array([0.1] * 4 + [C1, C2]), 0.1
-    )
     for angle in (0.0, 0.7):
         found = uniaxial(SHEET, [1.1, 1.4], angle)
         np.testing.assert_allclose(found, [tension(1.1), tension(1.4)], rtol=1e-8)
