@@ -22,6 +22,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -375,10 +376,8 @@ def ceilings(*, quick: bool) -> None:
 
 def launches(*, quick: bool, threads: int = 2) -> None:
     """Where one forward sweep's time goes, on one thread and two; by rows in Numba beside it."""
-    try:
-        import numba
-    except ImportError:
-        numba = None
+    rival_there = find_spec("numba") is not None
+    if not rival_there:
         print("Numba is not installed: pip install 'warp_peri[bench]'")
     for side in (200,) if quick else (200, 400, 1000):
         points, box = problem("lattice", side)
@@ -391,7 +390,9 @@ def launches(*, quick: bool, threads: int = 2) -> None:
                 torch.set_num_threads(count)
                 forward, _ = ours(bonds, fields, getattr(torch, precision))
                 seconds = launch_costs.parts(bonds, Solid(**MODEL), fields[0], forward)
-                if numba is not None:
+                if rival_there:
+                    import numba
+
                     numba.set_num_threads(count)
                     rival = numba_rows.numba_rows(t, getattr(np, precision))
                     seconds["Numba by rows"] = launch_costs.least(rival)

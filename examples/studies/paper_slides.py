@@ -120,7 +120,7 @@ def lattice(cells: int, horizon: float, length: float) -> Points:
     h = length / cells
     pad = int(np.ceil(2 * horizon / h + 1e-9))
     steps = np.argwhere(np.ones((cells + 2 * pad,) * 2)) - pad
-    inside: np.ndarray = ((steps >= 0) & (steps < cells)).all(axis=1)
+    inside: np.ndarray = np.all((steps >= 0) & (steps < cells), axis=1)
     return Points(h * (steps + 0.5), inside, h)
 
 

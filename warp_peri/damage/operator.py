@@ -17,7 +17,7 @@ from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.kernels.damage.pairs import pairs
-from warp_peri.launch import floats, ints, launch_slices, recorded_slices, threads, zeros
+from warp_peri.launch import Recorded, floats, ints, launch_slices, threads, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import BondClasses
@@ -209,14 +209,12 @@ class CutOperator:
         half, outputs = self.places // 2, (force, energy, self.lost, links)
         if self.bond_based:
             inputs = (_flat(u), self.bonds, self._short_table, self._no_fail)
-            return [recorded_slices(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
+            return [Recorded(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
         flat, excess = _flat(u), self.model.lam - self.model.mu
         shapes = (flat, self.bonds, self._table)
         return [
-            recorded_slices(
-                self._pairs.dilatation, half, (*shapes, links), (self.theta,), weight=PAIR
-            ),
-            recorded_slices(
+            Recorded(self._pairs.dilatation, half, (*shapes, links), (self.theta,), weight=PAIR),
+            Recorded(
                 self._pairs.state_based,
                 half,
                 (*shapes, excess, self._no_fail, self.theta),
