@@ -37,6 +37,7 @@ from examples.studies import (
     atlas_points,
     atlas_predictions,
     atlas_solves,
+    atlas_structures,
     atlas_transfer,
     atlas_uneven,
 )
@@ -73,6 +74,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "surfaces": atlas_points.free_surfaces,
         "bodies": lambda: atlas_bodies.cut_families(model()),
         "crystals": atlas_crystals.crystals,
+        "supercell": atlas_structures.narrow_supercells,
         "time-step": lambda: atlas_motion.critical_step(model()),
         "energy": lambda: atlas_motion.energy_drift(model(), steps),
         "dispersion": lambda: atlas_motion.dispersion(model(), data),

@@ -139,6 +139,21 @@ def learn(command: ArgumentParser) -> None:
     )
 
 
+def dic(command: ArgumentParser) -> None:
+    """Frames, and what the sheet may be made of."""
+    command.add_argument("folder", type=Path, metavar="FOLDER", help="with a table a frame")
+    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    command.add_argument(
+        "--pixel", default="1", help="length of the tables' unit, as 0.012mm; or mm alone"
+    )
+    command.add_argument("--count", type=int, default=7, help="frames that are used")
+    command.add_argument("--smooth", type=float, default=0.0, help="radius of fits, in spacings")
+    command.add_argument("--fibres", type=int, default=0, help="directions that are tried too")
+    command.add_argument(
+        "--even", action="store_true", help="do not try a thickness that varies over the sheet"
+    )
+
+
 def certify(command: ArgumentParser) -> None:
     """A model, and lattices."""
     command.add_argument("model", type=Path, metavar="MODEL.json")

@@ -16,6 +16,7 @@ import numpy as np
 
 import warp_peri
 from warp_peri.cli.body import run_solve_body
+from warp_peri.cli.dic import run_dic as run_dic
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.learn import run_learn as run_learn
 from warp_peri.cli.settings_file import keep
@@ -57,7 +58,10 @@ def check_output(given: argparse.Namespace) -> None:
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command in ("train", "learn", "sweep") or getattr(given, "what", "") == "fields"
+    folder = (
+        given.command in ("train", "learn", "dic", "sweep")
+        or getattr(given, "what", "") == "fields"
+    )
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, there = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
