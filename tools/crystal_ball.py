@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import ase
 import numpy as np
@@ -25,8 +26,22 @@ PUSH = 1e-5
 LIMIT = 600
 
 
-def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Samples:
-    """Displacement and load of a relaxed free ball on its nodes, interior 5.5 spacings, in TPa.
+@dataclass(frozen=True)
+class Ball:
+    """What nodes see of a free ball of atoms.
+
+    Attributes:
+        samples: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of
+            the crystal as its surface has squeezed it.
+        strain: of the inside at rest along the axes, shape [3].
+    """
+
+    samples: Samples
+    strain: np.ndarray
+
+
+def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Ball:
+    """A relaxed free ball under loads.
 
     Nodes are around an atom; smoothed with a cone of two spacings. The period's own force constants
     precondition the answer, and are no part of it.
@@ -41,22 +56,25 @@ def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5
         kept[inside[[len(others) - 1 < 2 for others in near]]] = False
     sites, atoms = np.flatnonzero(kept), atoms[kept]
     x = atoms.positions
+    inside = np.linalg.norm(x, axis=1) < INNER * h
     filtered = lattice_inverse(constants, cells, sites)
     with session(name, atoms, free=True) as lammps:
         rest = lammps.relax()
+        strain = np.diag(np.linalg.lstsq(x[inside], (rest - x)[inside])[0])
         rigid = _rigid(rest)
-        pushes = [_without(push, rigid) for push in _loads(x, RADIUS * h, INNER * h)[:loads]]
+        pushes = [_without(push, rigid) for push in _loads(rest, RADIUS * h, INNER * h)[:loads]]
         pull = stiffness(lammps, rest)
 
         def free(v: np.ndarray) -> np.ndarray:
             return _without(v, rigid)
 
         answers = [response(pull, filtered, push, free) for push in pushes]
-    points, smooth = seen(x, h, SEEN, INNER)
+    h *= float(np.prod(1 + strain) ** (1 / 3))
+    points, smooth = seen(rest, h, SEEN, INNER)
     density = np.asarray(smooth.sum(axis=1))
     u = np.array([(smooth @ answer) / density for answer in answers])
     b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / h**3)
-    return Samples(points, u, b)
+    return Ball(Samples(points, u, b), strain)
 
 
 def cut(constants: ForceConstants, radius: float) -> tuple[ase.Atoms, tuple[int, ...]]:
