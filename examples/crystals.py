@@ -44,7 +44,7 @@ SHELLS = {
 }
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
-ON_LOADS = ("waves", "short", "ball", "ball at rest", "void")
+ON_LOADS = ("waves", "short", "ball", "void", "ball at rest")
 """Of the ball: by the law of the crystal as its surface squeezes it, and of the crystal at rest."""
 
 Symbol = Callable[[np.ndarray], np.ndarray]
@@ -63,17 +63,18 @@ class Unseen:
     void: Void | None
 
     def judge(
-        self, symbol: Symbol, law: Crystal | None, squeezed: Crystal | None
+        self, symbol: Symbol, law: Crystal | None, squeezed: Crystal | None = None
     ) -> dict[str, dict[str, float | None]]:
-        """E_res and E_u [%] of the crystal at rest, and squeezed; no law if it has no nodes."""
+        """E_res and E_u [%]; no law if it has no nodes; of the ball by the one for it if given."""
         found: list[tuple[float | None, float | None]] = []
         for loads in (self.waves, self.short):
             found.append(loads.errors(symbol) if law is None else loads.errors_of(law))
-        for one in (squeezed, law):
-            known = one is None or self.ball is None
-            found.append((None, None) if known else in_ball(one, self.ball.samples))
         void = None if law is None or self.void is None else void_error(law, self.void)
-        found.append((None, void))  # the void has no load to compare a force with
+        balls = [
+            (None, None) if one is None or self.ball is None else in_ball(one, self.ball.samples)
+            for one in (squeezed or law, law)
+        ]
+        found += [balls[0], (None, void), balls[1]]  # a void has no load to compare a force with
         E_res, E_u = (dict(zip(ON_LOADS, values)) for values in zip(*found))
         return {"E_u": E_u, "E_res": E_res}
 
@@ -203,7 +204,7 @@ def told(name: str, found: dict[str, Any]) -> str:
         ),
         "acoustic branches to kh = π/2, largest error: "
         + ", ".join(f"{path} {value:.1f} %" for path, value in found["dispersion"].items()),
-        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball  at rest     void",
+        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void   ball, law at rest",
     ]
     rows = {"this law": found, **found["rivals"]}
     names = {"Q1": "Q1, true moduli", "local": "local, no mesh error", "lps": "isotropic LPS"}
