@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ BONDED = {"Si": 0.5}
 PUSH = 1e-5
 """Largest displacement of the differences that stand for a product with the Hessian [Å]."""
 LIMIT = 600
+NEAR_REST, REST, NEWTON = 1e-2, 1e-7, 8
+"""Norms of the forces [eV/Å] where descent ends and Newton's method does, and its steps."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5
     inside = np.linalg.norm(x, axis=1) < INNER * h
     filtered = lattice_inverse(constants, cells, sites)
     with session(name, atoms, free=True) as lammps:
-        rest = lammps.relax()
+        rest = at_rest(lammps, filtered, lambda y, f: _without(f, _rigid(y)))
         strain = np.diag(np.linalg.lstsq(x[inside], (rest - x)[inside])[0])
         rigid = _rigid(rest)
         pushes = [_without(push, rigid) for push in _loads(rest, RADIUS * h, INNER * h)[:loads]]
@@ -95,6 +98,27 @@ def seen(x: np.ndarray, h: float, clean: float, inner: float) -> tuple[Points, n
     far = np.linalg.norm(nodes, axis=1)
     kept = far <= clean * h
     return Points(nodes[kept], far[kept] <= inner * h, h), smoothing(x, nodes, CONE * h, None)[kept]
+
+
+def at_rest(
+    lammps: SolidSession,
+    filtered: Callable[[np.ndarray], np.ndarray],
+    free: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    held: np.ndarray | None = None,
+) -> np.ndarray:
+    """Positions [Å] without forces: near them by LAMMPS's descent, and then by Newton's method.
+
+    free takes positions and leaves of forces what atoms may follow.
+    """
+    x = lammps.relax(NEAR_REST, held=held)
+    for _ in range(NEWTON):
+        force = free(x, lammps.forces(x))
+        if np.linalg.norm(force) < REST:
+            return x
+        x = x + response(
+            stiffness(lammps, x), filtered, force, functools.partial(free, x), tolerance=1e-3
+        )
+    raise RuntimeError(f"the atoms did not settle in {NEWTON} steps of Newton's method")
 
 
 def stiffness(lammps: SolidSession, rest: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -181,12 +205,13 @@ def response(
     filtered: Callable[[np.ndarray], np.ndarray],
     force: np.ndarray,
     free: Callable[[np.ndarray], np.ndarray],
+    tolerance: float = TOLERANCE,
 ) -> np.ndarray:
     """u with H u = force among what is free, a projection, by conjugate gradients."""
     u, r = np.zeros_like(force), free(force)
     z = free(filtered(r))
     p, rz = z.copy(), float(np.vdot(r, z))
-    goal = TOLERANCE * float(np.linalg.norm(r))
+    goal = tolerance * float(np.linalg.norm(r))
     for _ in range(LIMIT):
         q = free(stiffness(p))
         step = rz / float(np.vdot(p, q))

@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.damage.lattice_body import crossing_bonds, size_and_normal
+from warp_peri.damage.lattice_body import HAIR, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
 from warp_peri.damage.paraview import Series
 from warp_peri.errors import InputError
@@ -88,7 +88,8 @@ class Section:
                 f"section: expected two ends of a line that bonds cross, got {ends.tolist()}"
             )
         node, bond = np.nonzero(cut)
-        left = (body.body.x[node] - ends[0]) @ size_and_normal(ends)[1] > 0
+        height = (body.body.x[node] - ends[0]) @ size_and_normal(ends)[1]
+        left = height > -HAIR / 2 * body.body.spacing  # nodes on the line stand on its left
         self._node, self._bond, self._owner = node[left], bond[left], body
 
     def force(self, state: BreakingState) -> np.ndarray:
