@@ -25,7 +25,7 @@ BONDED = {"Si": 0.5}
 PUSH = 1e-5
 """Largest displacement of the differences that stand for a product with the Hessian [Å]."""
 LIMIT = 600
-NEAR_REST, REST, NEWTON = 1e-2, 1e-7, 8
+NEAR_REST, REST, NEWTON = 0.3, 1e-7, 8
 """Norms of the forces [eV/Å] where descent ends and Newton's method does, and its steps."""
 
 
