@@ -9,9 +9,11 @@ from typing import Any, overload
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import learn, learn_third_order
+from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
+from warp_peri.learning.training_data import listed
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
@@ -52,8 +54,15 @@ class LPS:
         *,
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
-    ) -> Fit:
-        """The fit; arguments and errors as for learning.fit.learn."""
+    ) -> Any:
+        """The Fit, of sets in space a SpaceFit; arguments and errors as for learning.fit.learn and
+        learning.in_space.learn_in_space."""
+        sets = listed(samples, space=True)
+        if any(each.points.dimension == 3 for each in sets):
+            if noise or self.loss not in ("auto", "residual"):
+                raise InputError("loss, noise: in space expected the residual and no noise")
+            how = self.horizon, self.kernel, self.method, self.conditions, self.normalise
+            return learn_in_space(sets, *how)
         return learn(samples, **vars(self), noise=noise, progress=progress)
 
 
