@@ -9,7 +9,6 @@ from typing import Any, overload
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import learn, learn_third_order
-from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
@@ -55,15 +54,37 @@ class LPS:
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
     ) -> Any:
-        """The Fit, of sets in space a SpaceFit; arguments and errors as for learning.fit.learn and
-        learning.in_space.learn_in_space."""
+        """The Fit, of a set in space a SpaceFit; arguments and errors as for learning.fit.learn.
+
+        In space it takes one set on a cubic lattice, Bernstein polynomials of one function,
+        Optimum() with its moduli, "direct" conditions and the residual, without noise; InputError
+        for others.
+        """
         sets = listed(samples, space=True)
         if any(each.points.dimension == 3 for each in sets):
-            if noise or self.loss not in ("auto", "residual"):
-                raise InputError("loss, noise: in space expected the residual and no noise")
-            how = self.horizon, self.kernel, self.method, self.conditions, self.normalise
-            return learn_in_space(sets, *how)
+            from warp_peri.micromodulus.in_space import learn_in_space
+
+            return learn_in_space(sets[0], self.horizon, **self._in_space(sets, noise))
         return learn(samples, **vars(self), noise=noise, progress=progress)
+
+    def _in_space(self, sets: list[Samples], noise: Any) -> dict[str, Any]:
+        """What is asked for in space; InputError for what is for sheets alone."""
+        kernel, method, asked = self.kernel, self.method, self.conditions
+        if (
+            not isinstance(kernel, Bernstein)
+            or kernel.two_functions
+            or not isinstance(method, Optimum)
+            or asked.kind != "direct"
+            or self.loss not in ("auto", "residual")
+            or noise
+            or len(sets) != 1
+        ):
+            raise InputError(
+                "samples: in space expected one set, Bernstein(degree) of one function, Optimum(), "
+                '"direct" conditions, and the residual without noise'
+            )
+        how = {"degree": kernel.degree, "moduli": method.moduli}
+        return how | {"zeta": asked.zeta, "normalise": self.normalise}
 
 
 @dataclass(frozen=True)

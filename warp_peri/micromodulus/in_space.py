@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from warp_peri.errors import InputError
-from warp_peri.learning.methods import Bernstein
 from warp_peri.micromodulus.certificate import Certificate
 from warp_peri.micromodulus.elastic import allowed_tensors
 from warp_peri.micromodulus.family import family
@@ -24,9 +22,8 @@ from warp_peri.models.solid import Solid
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.regression.settings import ISOTROPIC, Optimum
+from warp_peri.regression.settings import ISOTROPIC
 from warp_peri.shown import in_rows
-from warp_peri.stability.conditions import Conditions
 
 ALPHA = 1.0
 """Of K = r^(−α) Σ D B; D bends it to any other."""
@@ -56,30 +53,31 @@ class SpaceFit:
 
 
 def learn_in_space(
-    sets: Sequence[Samples],
+    samples: Samples,
     horizon: float,
-    kernel: Any,
-    method: Any,
-    conditions: Conditions,
-    normalise: bool,
+    degree: int,
+    *,
+    moduli: tuple[float, float] | str | None = None,
+    zeta: float | None = None,
+    normalise: bool = False,
 ) -> SpaceFit:
-    """λ, μ and D of one set on a cubic lattice, by least squares of L u = b with D(k) ≥ ζ s(k).
+    """λ, μ and D of fields on a cubic lattice, by least squares of L u = b with D(k) ≥ ζ s(k).
 
     On the lattice the solid is a law of tensors of range 2δ that are linear in μ w and in
     (λ−μ) w w (T17): the samples are swept once for all tensors of a cubic crystal, and what is left
     is a search over the few numbers of K.
 
-    Raises InputError for other than one set, Bernstein polynomials of one function and Optimum with
-    moduli free, "isotropic" or (λ, μ), and for what has no positive answer.
+    Args:
+        samples: displacements and loads, periodic or with a collar of 2δ.
+        horizon: δ, in the unit of length.
+        degree: M of the Bernstein polynomials.
+        moduli: of long waves: None leaves them free, "isotropic" or (λ, μ) [stress] holds them.
+        zeta: ζ [stress]; None takes a small part of the shear modulus that the data show.
+        normalise: divide each sample by ‖b‖.
+
+    Raises InputError for samples that do not carry the horizon, and without a positive answer.
     """
-    fine = isinstance(kernel, Bernstein) and not kernel.two_functions and type(method) is Optimum
-    if len(sets) != 1 or not fine or conditions.kind != "direct":
-        raise InputError(
-            "samples: in space expected one set on a cubic lattice, one function of "
-            'Bernstein(degree), Optimum() and "direct" conditions'
-        )
-    samples, points = sets[0], sets[0].points
-    h = points.spacing
+    points, h = samples.points, samples.spacing
     group = shared_with_nodes(point_group("m-3m", 3), np.eye(3))
     bonds = family(2 * horizon / h, group)
     R, y = rows(samples, bonds, normalise=normalise)
@@ -87,17 +85,18 @@ def learn_in_space(
     classes = bond_classes(h, horizon, dimension=3)
     seen = long_wave_moduli(samples, allowed_tensors("isotropic", group, np.eye(3)))[0]
     mu, excess = float(seen[0, 1, 0, 1]), float(seen[0, 0, 1, 1] - seen[0, 1, 0, 1])
-    basis = bernstein_basis(classes.r, horizon, kernel.degree)
+    basis = bernstein_basis(classes.r, horizon, degree)
     each = (classes.weight * classes.r**-ALPHA)[:, None] * basis  # K W of unit D
     volume = (classes.count * classes.r**2) @ each
-    held, values = _held(method.moduli, classes, each, volume, mu)
+    held, values = _held(moduli, classes, each, volume, mu)
     start, free = particular(held, values)
-    if not isinstance(method.moduli, str) and method.moduli is not None:
-        excess = method.moduli[0] - method.moduli[1]
+    fixed = isinstance(moduli, tuple)
+    if isinstance(moduli, tuple):
+        excess = moduli[0] - moduli[1]
     reach = int(np.abs(bonds.steps).max())
     project = np.linalg.pinv(bonds.basis.reshape(len(bonds.basis), -1).T)
     phase = zone_sample(group, 3)
-    floor = conditions.zeta or SHARE * mu
+    floor = zeta or SHARE * mu
 
     def numbers(x: np.ndarray) -> tuple[np.ndarray, float, float]:
         D = start + free @ x[: free.shape[1]]
@@ -115,7 +114,6 @@ def learn_in_space(
         return np.append((R @ p - y) / size, BELOW * np.minimum(0, low - 1))
 
     plain = np.zeros(free.shape[1]) + free.T @ (np.ones(len(volume)) / volume.sum() - start)
-    fixed = not isinstance(method.moduli, str) and method.moduli is not None
     found = least_squares(misses, plain if fixed else np.append(plain, excess / mu), x_scale="jac")
     D, shear, lam = numbers(found.x)
     model = Model(lam, shear, ALPHA, D, horizon, units=points.units, dimension=3)
