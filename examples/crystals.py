@@ -3,6 +3,7 @@
 python examples/crystals.py Cu            a table
 python examples/crystals.py MoS2 --json   one object on stdout
 python examples/crystals.py W --quick     without the free ball and the void of atoms, the longest
+python examples/crystals.py W --fields    learned from displacements under loads, beside phonons
 python examples/crystals.py Mg --picture runs/Mg.png
 """
 
@@ -21,11 +22,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
+import warp_peri
 from tools.crystal_ball import INNER, SEEN, Ball, ball
 from tools.crystal_void import Void, void, void_error
 from tools.crystals import RECIPES, Loads, force_constants, placed_errors, spacing_of, wave_loads
 from tools.isotropic_rival import isotropic_lps
+from warp_peri import LPS, Bernstein, Micromodulus
 from warp_peri.errors import exit_status
+from warp_peri.methods import Optimum
+from warp_peri.micromodulus import tensors_of
 from warp_peri.micromodulus.elastic import allowed_tensors, directional, named_moduli
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import ForceConstants
@@ -189,6 +194,39 @@ def study(name: str, bonds: int | None = None, *, quick: bool = False) -> dict[s
     }
 
 
+def by_fields(name: str) -> dict[str, dict[str, Any]]:
+    """E_u [%] on waves never seen of laws learned from twelve loads of six waves each."""
+    atoms, symmetry = force_constants(name), RECIPES[name].symmetry
+    law = learned(name, atoms)
+    h, seed = law.spacing, iter((5, 6, 2, 3))
+
+    def waves(longest: float, shortest: float, loads: int) -> Loads:
+        return wave_loads(
+            atoms, h, longest=longest, shortest=shortest, loads=loads, seed=next(seed)
+        )
+
+    smooth, rough = waves(18.0, 4.0, 6).samples, waves(18.0, 2.7, 6).samples
+    u, b = (np.concatenate(both) for both in ((smooth.u, rough.u), (smooth.loads, rough.loads)))
+    train, unseen = Samples(smooth.points, u, b), (waves(18.0, 4.0, 10), waves(4.0, 2.7, 5))
+    laws = {"phonons": law}
+    for key, moduli in (
+        ("fields, moduli told", law.elastic_tensor()),
+        ("fields", "long waves"),
+        ("fields, moduli free", None),
+    ):
+        crystal = Micromodulus(law.horizon, symmetry, moduli=moduli)
+        laws[key] = warp_peri.fit(train, crystal).material
+    for key, held in (("isotropic, fields", "isotropic"), ("isotropic, moduli free", None)):
+        if symmetry == "m-3m":
+            solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
+            laws[key] = tensors_of(warp_peri.fit(train, solid).material, h)
+    return {
+        key: {"moduli": one.moduli("GPa")}
+        | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
+        for key, one in laws.items()
+    }
+
+
 def told(name: str, found: dict[str, Any]) -> str:
     """The same as a page of text."""
     held, true = (
@@ -261,6 +299,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--bonds", type=int, help="of a node: " + ", ".join(map(str, (*SHELLS[2], *SHELLS[3])))
     )
     parser.add_argument("--quick", action="store_true", help="without the ball and the void")
+    parser.add_argument("--fields", action="store_true", help="learn from fields instead")
     parser.add_argument("--json", action="store_true", help="one object on stdout")
     parser.add_argument("--picture", type=Path, help="draw the law there, and nothing else")
     given = parser.parse_args(arguments)
@@ -268,6 +307,13 @@ def main(arguments: list[str] | None = None) -> int:
     def work() -> None:
         if given.picture is not None:
             picture(given.crystal, given.picture)
+            return
+        if given.fields:
+            for key, row in (rows := by_fields(given.crystal)).items():
+                if not given.json:
+                    print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
+            if given.json:
+                print(json.dumps(rows))
             return
         found = study(given.crystal, given.bonds, quick=given.quick)
         print(json.dumps(found) if given.json else told(given.crystal, found))
