@@ -7,7 +7,7 @@ r = E G_c / (2π σ²) at each tip; strength and moduli come from sheets without
 
     python examples/cracked_graphene.py --cracks -25 8 5 8  -5 -8 25 -8 --half 60 50
 
-says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C20–C22).
+says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C20–C24).
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ import warp_peri as wp
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
-from tools.row_separation import Whole, whole
+from tools.row_separation import whole
 from warp_peri.damage import Cracked, rectangle
-from warp_peri.damage.straight_cracks import CrackedRectangle
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_json
 
@@ -122,42 +121,11 @@ def later(solid: Continuum, toughness: float, zone: float, kept: Path) -> dict[s
     }
 
 
-def by_kinks(known: Whole, cracks: list, half: list[float], base: float) -> float:
-    """Critical strain of cracks at an angle to zigzag, each longer by Irwin's zone at both tips.
-
-    A tip kinks into the zigzag direction across which it opens most, K cos(θ/2) ahead of it with
-    K = K_I cos²(θ/2) − 3/2 K_II sin θ, when that is what the fitted crack has (theory.md, C19).
-    """
-    step, strength = float(np.sqrt(3) * bond_length()), ideal_strength()[0]
-
-    def opening(cracks: np.ndarray, rim: tuple[float, float], zone: float) -> float:
-        """The largest K of a kink over E^½, squared, at unit strain."""
-        along = cracks[:, 1] - cracks[:, 0]
-        unit = along / np.linalg.norm(along, axis=1)[:, None]
-        longer = cracks + zone * np.stack([-unit, unit], axis=1)
-        solid = CrackedRectangle(known.lam, known.mu, rim, longer, terms=60)
-        K = solid.intensities(solid.solve([[0, 0], [0, 1]])[:, 0])
-        angle = np.arctan2(unit[:, 1], unit[:, 0])[:, None, None]
-        kink = np.radians(np.arange(-180, 180, 60)) - angle + np.array([[np.pi], [0]])
-        kink = (kink + np.pi) % (2 * np.pi) - np.pi
-        c = np.where(np.abs(kink) < np.pi / 2, np.cos(kink / 2), 0.0)
-        opens = c * (K[..., :1] * c**2 - 1.5 * K[..., 1:] * np.sin(kink))
-        return float(opens.max() ** 2 / solid.E)
-
-    def release(hexagons: float) -> float:
-        ends = np.array([[(-hexagons * step, 0.0), (hexagons * step, 0.0)]])
-        return opening(ends, known.rim(HALF * step), 0.0)
-
-    toughness, zone = fitted(release, base, known.E, strength, step)
-    open_ends = np.array(known.ends(cracks, half))
-    return float(np.sqrt(toughness / opening(open_ends, known.rim(half), zone * step)))
-
-
 def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: bool) -> dict:
     """Critical strain of straight cracks in a rectangle.
 
-    Along zigzag it is that of rows of bonds ahead of their tips (C22), as strong as the crack says
-    that G_c is fitted on; at an angle to it, that of their kinks.
+    It is that of rows of bonds ahead of their tips (C22–C23), as strong as the crack says that G_c
+    is fitted on; at an angle to zigzag, rows turn off into it (C24).
 
     Args:
         numbers: x and y of both ends of each crack [Å].
@@ -174,12 +142,10 @@ def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: boo
     known.ends(cracks, half)  # refused before an hour of atoms
     base = atoms({name: ([(-FITTED / 2, FITTED / 2)], 0.0315)}, step, kept)[name]
     along = all(crack[0][1] == crack[1][1] for crack in cracks)
-    if along:
-        single = [np.array([(-FITTED / 2 * step, 0.0), (FITTED / 2 * step, 0.0)])]
-        factor = known.factor(known.held(single, HALF * step), base)
-        predicted = known.predicted(known.held(cracks, half), factor)
-    else:
-        predicted = by_kinks(known, cracks, half, base)
+    single = [np.array([(-FITTED / 2 * step, 0.0), (FITTED / 2 * step, 0.0)])]
+    factor = known.factor(known.held(single, HALF * step, kinks=not along), base)
+    held = known.held(cracks, half, kinks=not along)
+    predicted = held.critical_strain(known.law.times(factor))
     table = {"by": "rows" if along else "kinks", "predicted": predicted}
     if pull:
         strain = critical_strain(cracks, 0.95 * predicted, half=half)["strain"]

@@ -25,7 +25,7 @@ import numpy as np
 import warp_peri
 from tools.crystal_ball import INNER, SEEN, Ball, ball
 from tools.crystal_void import Void, void, void_error
-from tools.crystals import RECIPES, Loads, force_constants, placed_errors, spacing_of, wave_loads
+from tools.crystals import RECIPES, force_constants, spacing_of
 from tools.isotropic_rival import isotropic_lps
 from warp_peri import LPS, Bernstein, Micromodulus
 from warp_peri.errors import exit_status
@@ -39,6 +39,7 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import from_phonons
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.structures.waves import Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}

@@ -29,6 +29,7 @@ from tools.crystal_ball import ball
 from tools.graphene import DISK_RADIUS
 from warp_peri.dressed import DressedSolid, from_phonons, torn
 from warp_peri.errors import exit_status
+from warp_peri.structures.waves import wave_loads
 
 SETS = {"train": "train", "val": "val", "disks": "test"}
 LAWS = {"bonds 12": ("bonds", 12), "bonds 20": ("bonds", 20), "elements 8": ("elements", 8)}
@@ -126,8 +127,8 @@ def crystal(name: str, with_ball: bool) -> dict[str, Any]:
     atoms = crystals.force_constants(name)
     a = crystals.spacing_of(np.diag(atoms.cell), crystals.RECIPES[name])
     unseen = Unseen(
-        crystals.wave_loads(atoms, a, longest=18.0, shortest=4.0, loads=10, seed=2),
-        crystals.wave_loads(atoms, a, longest=4.0, shortest=2.7, loads=5, seed=3),
+        wave_loads(atoms, a, longest=18.0, shortest=4.0, loads=10, seed=2),
+        wave_loads(atoms, a, longest=4.0, shortest=2.7, loads=5, seed=3),
         ball(name, atoms, a) if with_ball else None,
         None,
     )

@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 import warp_peri
+from tools.elastic import elastic_constants
 from tools.graphene import THICKNESS, bond_length
 from tools.holed_sheet import (
     HOLES,
@@ -46,6 +47,8 @@ INSIDE = 100.0
 """Half of the model's plate [Å]; the atoms go on beyond it."""
 OFF_EDGES = 10.0
 """How far from free edges displacements are compared once more [Å]."""
+COARSE = 30.0
+"""Spacing of a lattice that has no room [Å]."""
 AROUND = 5.0
 """Radius within which atoms tell the displacement at a point [Å]."""
 
@@ -79,7 +82,12 @@ def held_sides(plate: Plate, sample: Sample) -> dict:
 
 
 def compare(
-    model: warp_peri.Model, plate: Plate, sample: Sample, edge: float, whole: Mesh
+    model: warp_peri.Model,
+    plate: Plate,
+    sample: Sample,
+    edge: float,
+    whole: Mesh,
+    coupling: Coupling,
 ) -> dict[str, float]:
     """Errors of one plate under one load, without and with the stiffness of its edges."""
     mesh = mesh_of(plate, bond_length())
@@ -87,7 +95,7 @@ def compare(
     atoms, force = sample.reference[inside], sample.force[inside]
     held, b = held_sides(plate, sample), force_on_mesh(mesh, atoms, force, thickness=THICKNESS)
     parts = ("hole",) if plate.radius else ("bottom", "top")
-    plain = solve_body(model, mesh, displacement=held, b=b)
+    plain = solve_body(model, mesh, displacement=held, b=b, coupling=coupling)
     coupling = Coupling(spacing=plain.spacing)
     stiff = solve_body(
         model, mesh, displacement=held, b=b, edge=dict.fromkeys(parts, edge), coupling=coupling
@@ -125,6 +133,15 @@ def compare(
     return numbers
 
 
+def elements_alone(bond: float) -> tuple[warp_peri.Model, Coupling]:
+    """The atoms' own moduli, on a lattice so coarse that no body has room for it."""
+    own = elastic_constants(bond)
+    model = warp_peri.Model(
+        own["lambda"], own["mu"], 1.0, np.ones(1), horizon=3 * COARSE, certified_on=(COARSE,)
+    )
+    return model, Coupling(spacing=COARSE)
+
+
 def draw(table: dict[str, dict[str, float]]) -> Figure:
     """Errors of every case, without and with the edges' own stiffness."""
     figure = Figure(figsize=(6.5, 4.0), layout="constrained")
@@ -152,6 +169,7 @@ def main(argv: list[str] | None = None) -> int:
     waves = tuple(range(len(WAVES)))
     parser.add_argument("--waves", type=int, nargs="+", default=waves, help="their numbers, from 0")
     parser.add_argument("--edge-times", type=float, default=1.0, help="of an edge's stiffness")
+    parser.add_argument("--elements", action="store_true", help="alone, the atoms' own moduli")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -159,7 +177,10 @@ def main(argv: list[str] | None = None) -> int:
     start = time.perf_counter()
     asked = {"tension": args.tension, "waves": args.waves}
     samples = held_samples(args.cache, **asked, progress=not args.json)
-    model = warp_peri.load(args.model)
+    if args.elements:
+        model, coupling = elements_alone(bond_length())
+    else:
+        model, coupling = warp_peri.load(args.model), Coupling()
     zigzag, armchair = (edge_constants(armchair=turned) for turned in (False, True))
     round_edge = (zigzag["stiffness"] + armchair["stiffness"]) / 2
     whole = mesh_outline(box(2 * INSIDE, 2 * INSIDE), size=8.0)
@@ -168,7 +189,7 @@ def main(argv: list[str] | None = None) -> int:
         edge = args.edge_times * (round_edge if plate.radius else zigzag["stiffness"])
         for load, sample in zip(loads_of(plate, **asked), samples[plate]):
             name = f"{plate.name} {load.name}"
-            table[name] = compare(model, plate, sample, edge, whole)
+            table[name] = compare(model, plate, sample, edge, whole, coupling)
     numbers = {
         "zigzag_edge": zigzag,
         "armchair_edge": armchair,

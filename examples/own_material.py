@@ -20,13 +20,14 @@ from tqdm import tqdm
 
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length, sheet
-from tools.lammps_session import LammpsSession, potential_file
+from tools.lammps_session import LammpsSession
 from tools.loads import WaveLoad
 from tools.statics import Statics
 from warp_peri.cli.main import main as warp_peri
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.storage import load
+from warp_peri.structures.lammps import potential_file
 
 ELEMENTS = ("B", "N")
 CELLS = (39, 23)

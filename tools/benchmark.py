@@ -22,6 +22,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,6 @@ from tools import (
     solve_study,
     solver_choice,
 )
-from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
@@ -53,6 +53,7 @@ from warp_peri.operator.node_blocks import BLOCKS
 from warp_peri.operator.tables import Tabulated
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
+from warp_peri.structures.lammps import LammpsError, lammps_class
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""
@@ -312,7 +313,7 @@ def lammps(side: int, ours: float) -> None:
         thermo 1000
         run 1 post no"""
     try:
-        run = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        run = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
     except LammpsError as error:
         print(f"\nLAMMPS left out: {error}")
         return
@@ -375,10 +376,8 @@ def ceilings(*, quick: bool) -> None:
 
 def launches(*, quick: bool, threads: int = 2) -> None:
     """Where one forward sweep's time goes, on one thread and two; by rows in Numba beside it."""
-    try:
-        import numba
-    except ImportError:
-        numba = None
+    rival_there = find_spec("numba") is not None
+    if not rival_there:
         print("Numba is not installed: pip install 'warp_peri[bench]'")
     for side in (200,) if quick else (200, 400, 1000):
         points, box = problem("lattice", side)
@@ -391,7 +390,9 @@ def launches(*, quick: bool, threads: int = 2) -> None:
                 torch.set_num_threads(count)
                 forward, _ = ours(bonds, fields, getattr(torch, precision))
                 seconds = launch_costs.parts(bonds, Solid(**MODEL), fields[0], forward)
-                if numba is not None:
+                if rival_there:
+                    import numba
+
                     numba.set_num_threads(count)
                     rival = numba_rows.numba_rows(t, getattr(np, precision))
                     seconds["Numba by rows"] = launch_costs.least(rival)

@@ -26,9 +26,10 @@ from tools.graphene import THICKNESS, bond_length, sheet
 from tools.hessian import ColouredHessian
 from tools.lammps_session import (
     CARBON_MASS,
+    POTENTIAL,
     LammpsSession,
-    _lammps_class,
-    _lammps_words,
+    lammps_class,
+    lammps_words,
     potential_file,
 )
 from tools.statics import find_bonds
@@ -58,7 +59,7 @@ def longer_cutoff(folder: Path, *, middle: float = SWITCH, width: float = WIDTH)
         middle: of the switch [Å].
         width: half of the switch [Å].
     """
-    for line in potential_file().read_text().splitlines():
+    for line in potential_file(POTENTIAL).read_text().splitlines():
         words = line.split()
         if words[:3] == ["C", "C", "C"]:
             words[13], words[14] = str(middle), str(width)
@@ -181,8 +182,8 @@ class CutSession(LammpsSession):
         self._xyz[:, :2] = positions
         types = 1 + _sublattice(body) + 2 * _sides(body)
         low, high = positions.min(axis=0) - 40, positions.max(axis=0) + 40
-        with _lammps_words():
-            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        with lammps_words():
+            self._lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
             for line in (
                 "units metal",
                 "atom_style atomic",

@@ -11,11 +11,12 @@ import numpy as np
 import scipy.fft
 from scipy.spatial import cKDTree
 
-from tools.crystals import CONE, EV_IN_TPA, session, smoothing
+from tools.crystals import session
 from tools.solid_session import SolidSession
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
 """Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""

@@ -20,11 +20,12 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import splu
 
 from tools.crystal_ball import at_rest, cut, lattice_inverse, response, seen, stiffness
-from tools.crystals import CONE, relative, session
+from tools.crystals import session
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.structures.waves import CONE, relative
 
 VOID, HELD, INNER = 2.6, 10.6, 7.0
 """Radii of the void, of the atoms that are held, and of the unknown nodes, in spacings."""

@@ -17,10 +17,11 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from tools.cracked_sheet import longer_cutoff
 from tools.graphene import THICKNESS, area_per_atom
-from tools.lammps_session import LammpsError, LammpsSession
+from tools.lammps_session import LammpsSession
 from tools.loads import Load, atom_force
 from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
+from warp_peri.structures.lammps import LammpsError
 
 MIDDLE, WIDTH = 2.3, 0.1
 """Middle and half width of the cut-off [Å]."""

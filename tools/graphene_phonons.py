@@ -6,7 +6,7 @@ import ase
 import numpy as np
 
 from tools.graphene import DISK_RADIUS, THICKNESS, area_per_atom, bond_length, disk, sheet
-from tools.lammps_session import POTENTIAL, LammpsSession, potential_file
+from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
 from tools.statics import Statics
 from warp_peri.micromodulus.force_constants import (
@@ -17,6 +17,7 @@ from warp_peri.micromodulus.force_constants import (
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.structures.lammps import potential_file
 
 CELLS = (9, 6)
 """Of the supercell, four atoms each; forces reach two bonds."""

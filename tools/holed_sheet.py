@@ -23,13 +23,14 @@ import numpy as np
 from tqdm import tqdm
 
 from tools.graphene import THICKNESS, _crystal, area_per_atom, bond_length
-from tools.lammps_session import LammpsSession, potential_file
+from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.loads import atom_force
 from tools.samples import Sample, file_hash, read_record, write_record
 from tools.statics import TOLERANCE, Statics, find_bonds
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
+from warp_peri.structures.lammps import potential_file
 
 TENSION = 0.005
 """Far from the hole, and about the stress that waves make [TPa]."""
@@ -187,7 +188,7 @@ def held_samples(
     """
     cache = Path(cache)
     cache.mkdir(parents=True, exist_ok=True)
-    bond, potential = bond_length(), potential_file()
+    bond, potential = bond_length(), potential_file(POTENTIAL)
     samples: dict[Plate, list[Sample]] = {}
     count = sum(len(loads_of(plate, tension, waves)) for plate in plates)
     with locked(cache), tqdm(total=count, disable=not progress) as bar:

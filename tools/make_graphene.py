@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
-from tools.lammps_session import CARBON_MASS, potential_file
+from tools.lammps_session import CARBON_MASS, POTENTIAL
 from tools.loads import TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
@@ -35,6 +35,7 @@ from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.structures.lammps import potential_file
 
 SPACINGS = {"": 5.0, "_fine": 2.5}
 """Node spacing [Å] by suffix of the set names."""
@@ -135,7 +136,7 @@ def mass_density(bond: float) -> float:
 
 def graphene_bodies() -> tuple[Piece, Piece]:
     """The periodic sheet and the free disk of the data set."""
-    potential = potential_file()
+    potential = potential_file(POTENTIAL)
     bond = bond_length(potential)
     sheet = Piece(bond, str(potential), cells=SHEET_CELLS)
     return sheet, Piece(bond, str(potential), radius=DISK_RADIUS)

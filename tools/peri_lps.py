@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-from tools.lammps_session import LammpsError, _lammps_class, _lammps_words
 from warp_peri import Model
 from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
+from warp_peri.structures.lammps import LammpsError, lammps_class, lammps_words
 
 BULK, SHEAR = 1.4, 0.5
 """Moduli asked for; their unit is that of stress, as the spacing is that of length."""
@@ -60,8 +60,8 @@ class PeriLps:
     """nodes³ atoms of spacing and volume 1, free or periodic. Raises LammpsError without LAMMPS."""
 
     def __init__(self, nodes: int, horizon: float, *, periodic: bool = False) -> None:
-        with _lammps_words():
-            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        with lammps_words():
+            self._lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
             settings = {"end": nodes - 0.5, "bulk": BULK, "shear": SHEAR}
             settings["horizon"] = horizon * (1 + HORIZON_TOLERANCE)
             faces = "p p p" if periodic else "f f f"
@@ -76,7 +76,7 @@ class PeriLps:
         """Of the atoms, shape [N, 3], at a displacement of the same shape."""
         moved = np.ascontiguousarray(self.x + u)
         pointer = moved.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        with _lammps_words():
+        with lammps_words():
             self._lammps.scatter_atoms("x", 1, 3, pointer)
             self._lammps.command("run 0")
             return self._gathered("f")

@@ -8,25 +8,26 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, PPoly
 from scipy.optimize import brentq
 
 from tools.cracked_sheet import (
     EV,
     OPEN,
-    _uniaxial_stress,
     cracked_sheet,
     longer_cutoff,
     opened_ends,
 )
-from tools.elastic import elastic_constants
+from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
 from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
+from warp_peri.damage.cubic_energy import CubicEnergy
+from warp_peri.damage.kinked_cracks import KinkedCracks
 
 STEP = 0.05
 """Between separations [Å]."""
@@ -79,15 +80,6 @@ def row_law() -> RowLaw:
     return RowLaw(*np.array(rows).T)
 
 
-def stored_energy(largest: float = 0.18, step: float = 0.01) -> CubicSpline:
-    """Energy density [TPa] of a whole sheet by its strain across zigzag rows, its width kept."""
-    strains = np.arange(0, largest + step / 2, step)
-    with tempfile.TemporaryDirectory() as folder:
-        potential = longer_cutoff(Path(folder))
-        stress = [_uniaxial_stress(bond_length(), float(e), potential, 1) for e in strains[1:]]
-    return CubicSpline(strains, [0.0, *stress]).antiderivative()
-
-
 @dataclass(frozen=True)
 class Whole:
     """What sheets without a crack say.
@@ -95,20 +87,13 @@ class Whole:
     Attributes:
         lam, mu: plane Lamé constants [TPa].
         law: of a row of bonds along zigzag [Å, TPa].
-        energy: density [TPa] by strain.
-        softened_at: times the sheet's strain, of the moduli that it stores.
+        cubic: energy of third order [TPa], None for a linear sheet.
     """
 
     lam: float
     mu: float
     law: RowLaw
-    energy: PPoly
-    softened_at: float = 1.0
-
-    def share(self, strain: float) -> float:
-        """Of the moduli that is left at a strain, by the energy."""
-        at = self.softened_at * strain
-        return float(2 * self.energy(at) / (self.lam + 2 * self.mu) / at**2) if at else 1.0
+    cubic: CubicEnergy | None
 
     @property
     def E(self) -> float:
@@ -130,32 +115,36 @@ class Whole:
         body = cracked_sheet([], half=half)  # with cracks, atoms that lost two bonds are not there
         return [opened_ends(body, np.asarray(crack, float)) for crack in cracks]
 
-    def held(self, cracks: Sequence[np.ndarray], half: ArrayLike) -> HeldCracks:
-        """The continuum of straight cracks in a rectangle, rows of bonds ahead of them."""
-        step = float(np.sqrt(3) * bond_length())
-        ends = np.array(self.ends(cracks, half))
-        return HeldCracks(self.lam, self.mu, self.rim(half), ends, step)
+    def held(
+        self, cracks: Sequence[np.ndarray], half: ArrayLike, *, kinks: bool = False
+    ) -> HeldCracks:
+        """The continuum of straight cracks in a rectangle, rows of bonds ahead of them.
 
-    def pulled(self, cracks: HeldCracks, factor: float, strain: float) -> float:
-        """Critical strain with the moduli of a strain: rows are stronger by as much."""
-        return cracks.critical_strain(self.law.times(factor / self.share(strain)))
-
-    def predicted(self, cracks: HeldCracks, factor: float) -> float:
-        """The strain that is critical with its own moduli."""
-        strain = 0.04
-        for _ in range(20):
-            before, strain = strain, self.pulled(cracks, factor, strain)
-            if abs(strain - before) < 1e-6:
-                break
-        return strain
+        kinks: whether rows may turn off at the tips, for cracks at an angle to zigzag.
+        """
+        step, height = float(np.sqrt(3) * bond_length()), 1.5 * bond_length()
+        given = (self.lam, self.mu, self.rim(half), np.array(self.ends(cracks, half)), step)
+        kind = KinkedCracks if kinks else HeldCracks
+        return kind(*given, cubic=self.cubic, height=height)
 
     def factor(self, cracks: HeldCracks, strain: float) -> float:
         """By which rows are stronger than the law, so that cracks are critical at a strain."""
-        return float(brentq(lambda f: self.pulled(cracks, f, strain) - strain, 0.5, 2.0, xtol=1e-5))
+
+        def off(factor: float) -> float:
+            return cracks.critical_strain(self.law.times(factor)) - strain
+
+        return float(brentq(off, 0.5, 2.0, xtol=1e-5))
 
 
-def whole(*, softened_at: float = 1.0) -> Whole:
-    """All that is known without a crack."""
-    constants = elastic_constants(bond_length())
+@cache
+def sheet_to_third_order(bond: float) -> tuple[float, float, CubicEnergy]:
+    """λ and μ [TPa] of a sheet without a crack, and its energy of third order; kept."""
+    constants, cubic = elastic_constants(bond), cubic_constants(bond)
     lam, mu = constants["lambda"], constants["mu"]
-    return Whole(lam, mu, row_law(), stored_energy(), softened_at)
+    return lam, mu, CubicEnergy((lam + mu, mu), *(cubic[name] for name in ("t3", "tq2", "q3")))
+
+
+def whole(*, linear: bool = False) -> Whole:
+    """All that is known without a crack; for comparison, of a linear sheet."""
+    lam, mu, cubic = sheet_to_third_order(bond_length())
+    return Whole(lam, mu, row_law(), None if linear else cubic)

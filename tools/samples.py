@@ -17,11 +17,12 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
-from tools.lammps_session import LammpsError, LammpsSession
+from tools.lammps_session import LammpsSession
 from tools.loads import Load, MixedLoad, RandomRim, WaveLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
+from warp_peri.structures.lammps import LammpsError
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""

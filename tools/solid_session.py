@@ -9,7 +9,7 @@ from typing import Any, Self
 import ase.data
 import numpy as np
 
-from tools.lammps_session import _lammps_class, _lammps_words, potential_file
+from warp_peri.structures.lammps import lammps_class, lammps_words, potential_file
 
 MARGIN = 30.0
 """Room around a free body [Å]."""
@@ -43,8 +43,8 @@ class SolidSession:
         high = np.asarray(box) if box is not None else self._xyz.max(axis=0) + MARGIN
         edges = " ".join(f"{a:.17g} {b:.17g}" for a, b in zip(low, high))
         masses = [ase.data.atomic_masses[ase.data.atomic_numbers[kind]] for kind in kinds]
-        with _lammps_words():
-            self._lammps = _lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        with lammps_words():
+            self._lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
             for line in (
                 "units metal",
                 f"atom_style {'charge' if charges else 'atomic'}",
@@ -82,7 +82,7 @@ class SolidSession:
         atom has gone far."""
         self._xyz[:] = positions
         address = self._xyz.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        with _lammps_words():
+        with lammps_words():
             self._lammps.scatter_atoms("x", 1, 3, address)
             self._lammps.command("run 0 post no")
             flat: Any = np.ctypeslib.as_array(self._lammps.gather_atoms("f", 1, 3))
@@ -90,7 +90,7 @@ class SolidSession:
 
     def nearby_forces(self, positions: np.ndarray) -> np.ndarray:
         """The same within 0.3 Å of the positions last given to `forces`: neighbours are kept."""
-        with _lammps_words():
+        with lammps_words():
             x = self._lammps.numpy.extract_atom("x")
             order = np.array(self._lammps.numpy.extract_atom("id"))[: self.atoms] - 1
             x[: self.atoms] = positions[order]
@@ -112,7 +112,7 @@ class SolidSession:
         lines.append(f"minimize 0 {tolerance:g} {steps} {10 * steps}")
         if held is not None:
             lines += ["unfix held", "group held delete"]
-        with _lammps_words():
+        with lammps_words():
             for line in lines:
                 self._lammps.command(line)
             flat: Any = np.ctypeslib.as_array(self._lammps.gather_atoms("x", 1, 3))
@@ -121,7 +121,7 @@ class SolidSession:
 
     def stress(self) -> np.ndarray:
         """Cauchy stress of the period [TPa], shape [3, 3]."""
-        with _lammps_words():
+        with lammps_words():
             self._lammps.command("run 0 post no")
             names = (("xx", "xy", "xz"), ("xy", "yy", "yz"), ("xz", "yz", "zz"))
             p = [[self._lammps.get_thermo("p" + name) for name in row] for row in names]

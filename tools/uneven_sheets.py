@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.graphene_phonons import force_constants
-from tools.lammps_session import LammpsSession, potential_file
+from tools.lammps_session import LammpsSession
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.statics import Statics
 from warp_peri.micromodulus.elastic import allowed_tensors, voigt
@@ -18,6 +18,7 @@ from warp_peri.micromodulus.groups import point_group
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.structures.lammps import potential_file
 
 CELLS, NODES = (78, 45), 40
 """Of four atoms along x and y, 197.3 × 197.2 Å; and nodes each way."""

@@ -2,19 +2,29 @@
 
 from warp_peri.sources.coarse_graining import coarse_grain, force_on_mesh, smoothing_matrix
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+from warp_peri.sources.dump_files import Frame, dump_frames
 from warp_peri.sources.dumps import (
     Atoms,
     Average,
-    Frame,
     check_box,
     coarse_grain_dumps,
     dump_displacement,
-    dump_frames,
     dump_masses,
     dump_positions,
+    write_atoms,
 )
+from warp_peri.structures.calculators import named_calculator
+from warp_peri.structures.lammps import find_mpi
+from warp_peri.structures.learn import LearnedCrystal, from_atoms, from_force_constants
+from warp_peri.structures.phonopy_files import from_phonopy
 
 __all__ = [
+    "LearnedCrystal",
+    "find_mpi",
+    "from_atoms",
+    "from_force_constants",
+    "from_phonopy",
+    "named_calculator",
     "coarse_grain",
     "force_on_mesh",
     "frames_on_lattice",
@@ -30,4 +40,5 @@ __all__ = [
     "dump_frames",
     "dump_masses",
     "dump_positions",
+    "write_atoms",
 ]

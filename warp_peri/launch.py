@@ -90,7 +90,8 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     try:
         work()
     finally:
-        failures = [helper.exception() for helper in started]
+        # a helper that has not begun finds nothing left to do: nobody waits for it to wake up
+        failures = [None if helper.cancel() else helper.exception() for helper in started]
     for failure in failures:
         if failure is not None:
             raise failure
@@ -143,34 +144,54 @@ def _slices(count: int, work: int, device: Any) -> list[int]:
     return [count * n // slices for n in range(slices + 1)]
 
 
-def recorded_slices(
-    kernel: Any,
-    count: int,
-    inputs: Sequence[Any],
-    outputs: Sequence[Any],
-    *,
-    weight: int = 1,
-) -> Callable[[], None]:
+class Recorded:
     """What `launch_slices` does, packed once, to be called again and again on the same arrays.
 
     Packing arguments takes longer than a sweep over a thousand nodes. The number of threads is that
-    of now.
+    of now. Inputs and outputs that are given later are None here.
     """
-    device = outputs[0].device
-    ends = _slices(count, count * weight, device)
-    kernel.module.load(device)
-    jobs = [
-        wp.launch(
-            kernel,
-            dim=last - first,
-            inputs=[first, *inputs],
-            outputs=list(outputs),
-            device=device,
-            record_cmd=True,
-        ).launch
-        for first, last in pairwise(ends)
-    ]
-    return jobs[0] if len(jobs) == 1 else lambda: at_once(jobs)
+
+    def __init__(
+        self,
+        kernel: Any,
+        count: int,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        *,
+        samples: int = 0,
+        weight: int = 1,
+        device: Any = DEVICE,
+    ) -> None:
+        device = wp.get_device(device)
+        ends = _slices(count, count * max(samples, 1) * weight, device)
+        kernel.module.load(device)
+        self._slices = [
+            wp.launch(
+                kernel,
+                dim=(samples, last - first) if samples else last - first,
+                inputs=[first, *inputs],
+                outputs=list(outputs),
+                device=device,
+                record_cmd=True,
+            )
+            for first, last in pairwise(ends)
+        ]
+        self._jobs = [one.launch for one in self._slices]
+
+    def give(self, place: int, value: Any) -> None:
+        """Another array or struct, the first of the inputs being number 0, outputs after them.
+
+        It must live until the launch is over: its memory is all that is known here.
+        """
+        for one in self._slices:
+            one.set_param_at_index(place + 1, value)
+
+    def __call__(self) -> None:
+        """Launch the slices, and wait for them."""
+        if len(self._jobs) == 1:
+            self._jobs[0]()
+        else:
+            at_once(self._jobs)
 
 
 def zeros(

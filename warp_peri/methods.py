@@ -1,6 +1,7 @@
 """How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
 
 from warp_peri.learning.methods import Constrained, TwoStage
+from warp_peri.learning.resampling import Resampled, resample_loads
 from warp_peri.learning.sweep import Sweep, sweep
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.models.smoothing import Smoothing
@@ -12,11 +13,13 @@ __all__ = [
     "Conditions",
     "Constrained",
     "Optimum",
+    "Resampled",
     "Smoothing",
     "Solid",
     "Sweep",
     "TwoStage",
     "Uncertainty",
     "fit_uncertainty",
+    "resample_loads",
     "sweep",
 ]

@@ -15,7 +15,7 @@ import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
 from tools.graphene import SHEET_CELLS, bond_length, sheet
 from tools.hessian import ColouredHessian
-from tools.lammps_session import CARBON_MASS, LammpsSession, potential_file
+from tools.lammps_session import CARBON_MASS, POTENTIAL, LammpsSession
 from tools.loads import WaveLoad, atom_force
 from tools.make_graphene import point_set
 from tools.samples import Piece, Sample
@@ -30,6 +30,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.problems import Dirichlet
 from warp_peri.solving import move
+from warp_peri.structures.lammps import potential_file
 
 DENSITY = 2147.0
 """Of graphene [kg/m³] where no data set gives one."""
@@ -166,7 +167,7 @@ def energy_drift(model: Model, steps: int) -> Entry:
 
 def phonons(k: np.ndarray) -> np.ndarray:
     """The two acoustic in-plane branches of the atoms at rest [1/ps], shape [K, 2], at k [1/Å]."""
-    potential = potential_file()
+    potential = potential_file(POTENTIAL)
     bond = bond_length(potential)
     positions, box = sheet(bond, cells=(8, 5))
     bonds = find_bonds(positions, box)
@@ -295,7 +296,7 @@ def strained_samples(
 
 def large_strains(model: Model) -> Entry:
     """Error of the linear model against the amplitude of the load."""
-    potential = potential_file()
+    potential = potential_file(POTENTIAL)
     body = Piece(bond_length(potential), str(potential), cells=SHEET_CELLS)
     positions = body.positions()
     aimed = (0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1)

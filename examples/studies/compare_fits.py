@@ -49,7 +49,7 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
     truth = data.provenance["truth"]
     moduli = (truth["lambda"], truth["mu"])
     cases: dict[str, dict[str, Any]] = {
-        "Algorithm 1 as printed (ReLU)": {"method": TwoStage(parametrisation="relu")},
+        "Algorithm 1, ReLU in the loss": {"method": TwoStage(parametrisation="relu")},
         "Algorithm 1, projected bounds": {"method": TwoStage()},
         "constrained, direct": {},
         "constrained, paper's (i), (iii)": {"conditions": warp_peri.methods.Conditions("paper")},

@@ -1,8 +1,8 @@
 """Cracks beside and behind each other, near rims: one factor, fitted on one crack, predicts them.
 
-The sheet around is elastic, with the moduli that store what a whole sheet stores at its strain. The
-rows of bonds ahead of the tips pull by the law of a row between two halves of a sheet
-(theory.md, C20–C22); both come from sheets without a crack. Rows are as strong as the factor says.
+The sheet around is elastic to third order. The rows of bonds ahead of the tips pull by the law of a
+row between two halves of a sheet (theory.md, C20–C23); both come from sheets without a crack. Rows
+are as strong as the factor says.
 """
 
 from __future__ import annotations
@@ -91,13 +91,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", nargs="+", type=int, help="numbers, from 1; 0 is always there")
-    parser.add_argument(
-        "--softened-at",
-        type=float,
-        default=1.0,
-        metavar="TIMES",
-        help="the sheet's strain, of the moduli that it stores; 0 is linear",
-    )
+    parser.add_argument("--linear", action="store_true", help="the sheet around is linear")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crack_groups")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -107,15 +101,14 @@ def main(argv: list[str] | None = None) -> int:
     cases = [FITTED, *(names[number] for number in wanted)]
     args.out.mkdir(parents=True, exist_ok=True)
     measured = atoms(cases, args.out / "atoms.json")
-    known = whole(softened_at=args.softened_at)
+    known = whole(linear=args.linear)
     base, single = measured[FITTED], known.held(ends(FITTED), CASES[FITTED][1])
     factor = known.factor(single, base)
-    table = {
-        FITTED: {"atoms": base, "error without a factor": known.predicted(single, 1) / base - 1}
-    }
+    plain = single.critical_strain(known.law)
+    table = {FITTED: {"atoms": base, "error without a factor": plain / base - 1}}
     for case in tqdm(cases[1:], desc="continuum"):
         cracks = known.held(ends(case), CASES[case][1])
-        strain, predicted = measured[case], known.predicted(cracks, factor)
+        strain, predicted = measured[case], cracks.critical_strain(known.law.times(factor))
         error = predicted / strain - 1
         table[case] = {"atoms": strain, "predicted": predicted, "error": error}
     numbers = {"factor": factor, "strength": float(known.law.traction.max()), "cracks": table}

@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from tools.graphene import THICKNESS, bond_length, sheet
-from tools.lammps_session import LammpsSession, potential_file
+from tools.lammps_session import LammpsSession
 from tools.statics import Statics
 from warp_peri import LPS, Bernstein, Points, Samples, diagnose, fit
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.structures.lammps import potential_file
 
 CELLS = (24, 14)
 """Four-atom cells of a sheet: about 60 Å each way."""

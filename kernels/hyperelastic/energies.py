@@ -136,7 +136,7 @@ def _quadratic(scalar):
 @cache
 def _value(scalar):
     vec = wp.types.vector(3, scalar)
-    half, two = scalar(0.5), scalar(2.0)
+    half, one, two = scalar(0.5), scalar(1.0), scalar(2.0)
     area, direction, of_area = _area(scalar), _direction(scalar), _of_area(scalar)
     of_fibre, quadratic = _of_fibre(scalar), _quadratic(scalar)
 
@@ -147,6 +147,9 @@ def _value(scalar):
             if kind == 9 or kind == 11:
                 total += two * (E[0] + E[1])
             return total
+        if kind == 17:
+            D = area(E)
+            return D + two * (one + E[0] + E[1]) / D - scalar(3.0)
         if kind == 12 or kind == 13:
             return of_fibre(kind, p, wp.dot(direction(angle), E))[0]
         if kind == 16:
@@ -160,7 +163,7 @@ def _value(scalar):
 @cache
 def _slope(scalar):
     vec = wp.types.vector(3, scalar)
-    zero, two = scalar(0.0), scalar(2.0)
+    zero, one, two = scalar(0.0), scalar(1.0), scalar(2.0)
     area, area_slope, direction = _area(scalar), _area_slope(scalar), _direction(scalar)
     of_area, of_fibre, quadratic = _of_area(scalar), _of_fibre(scalar), _quadratic(scalar)
 
@@ -172,6 +175,10 @@ def _slope(scalar):
             if kind == 9 or kind == 11:
                 total += vec(two, two, zero)
             return total
+        if kind == 17:
+            D = area(E)
+            by_area = one - two * (one + E[0] + E[1]) / (D * D)
+            return by_area * area_slope(E) + vec(two / D, two / D, zero)
         if kind == 12 or kind == 13:
             m = direction(angle)
             return of_fibre(kind, p, wp.dot(m, E))[1] * m
@@ -186,6 +193,7 @@ def _slope(scalar):
 @cache
 def _curve(scalar):
     vec = wp.types.vector(3, scalar)
+    zero, one, two = scalar(0.0), scalar(1.0), scalar(2.0)
     area, area_slope, area_curve = _area(scalar), _area_slope(scalar), _area_curve(scalar)
     direction, of_area, of_fibre = _direction(scalar), _of_area(scalar), _of_fibre(scalar)
     quadratic = _quadratic(scalar)
@@ -196,6 +204,12 @@ def _curve(scalar):
         if kind >= 6 and kind <= 11:
             f, d = of_area(kind, area(E)), area_slope(E)
             return f[2] * wp.outer(d, d) + f[1] * area_curve()
+        if kind == 17:
+            D, d, e = area(E), area_slope(E), vec(two, two, zero)
+            T = two * (one + E[0] + E[1])
+            mixed = (wp.outer(d, e) + wp.outer(e, d)) / (D * D)
+            own = two * T / (D * D * D) * wp.outer(d, d) + (one - T / (D * D)) * area_curve()
+            return own - mixed
         if kind == 12 or kind == 13:
             m = direction(angle)
             return of_fibre(kind, p, wp.dot(m, E))[2] * wp.outer(m, m)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.waves import fluctuation
 from warp_peri import Bernstein, InputError, Samples, diagnose
@@ -66,6 +67,11 @@ def test_what_cannot_be_told_is_refused(samples):
     few = replace(samples, u=samples.u[:3], b=samples.b[:3])
     with pytest.raises(InputError, match="expected 8 at least on a lattice, got 3"):
         diagnose(MODEL, few)
+    points = cube(2, 2.0)
+    u = np.random.default_rng(0).normal(size=(8, len(points.x), 3))
+    space = Samples(points, u, u)
+    with pytest.raises(InputError, match="expected samples in the plane, got 3 dimensions"):
+        diagnose(solid(2.0, certified_on=(1.0,)), space)
 
 
 def stretched(points, count):

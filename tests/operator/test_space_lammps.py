@@ -5,11 +5,11 @@ import pytest
 
 from tests.support.cubes import cube
 from tools import peri_lps
-from tools.lammps_session import LammpsError, _lammps_class
 from warp_peri.launch import floats
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.symbol import moduli
+from warp_peri.structures.lammps import LammpsError, lammps_class
 
 HORIZON = 2.0
 
@@ -17,7 +17,7 @@ HORIZON = 2.0
 @pytest.fixture(autouse=True)
 def _lammps():
     try:
-        if not _lammps_class()(cmdargs=["-screen", "none", "-log", "none"]).has_style(
+        if not lammps_class()(cmdargs=["-screen", "none", "-log", "none"]).has_style(
             "pair", "peri/lps"
         ):
             pytest.skip("this LAMMPS has no pair_style peri/lps")

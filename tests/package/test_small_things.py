@@ -19,7 +19,7 @@ from warp_peri.learning.fit import learn as fit
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.families import families_of
-from warp_peri.sources.dumps import dump_frames
+from warp_peri.sources.dump_files import dump_frames
 from warp_peri.stability.conditions import Conditions
 from warp_peri.transfers import one_kernel, onto_lattice
 

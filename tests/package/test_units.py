@@ -11,7 +11,7 @@ from tests.support.problems import kernel, lattice, manufactured, smooth
 from tests.support.sheets import hgo_dictionary, square
 from tests.support.solving import solve_nonlinear
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Bernstein, Samples, choose_model, diagnose, evaluate
+from warp_peri import Bernstein, InputError, Samples, choose_model, diagnose, evaluate
 from warp_peri.choice import Scene
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
@@ -30,7 +30,7 @@ from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
-from warp_peri.points.unit_names import USUAL, factors
+from warp_peri.points.unit_names import USUAL, check_units, factors
 from warp_peri.points.units import in_units_of, scaled
 from warp_peri.shapes import InfluenceFunction
 from warp_peri.statics.body import solve_body
@@ -50,6 +50,17 @@ HOME = dataclasses.replace(
 TWO = dataclasses.replace(kernel("two functions", 3.0), largest_wave_number=2.0)
 TRUE = kernel("positive", 2.5, lam=0.1, mu=0.7)
 LATTICE = lattice(5, 2.5)
+
+
+def test_units_by_one_name_and_moduli_in_gpa():
+    assert check_units("ase") == ("angstrom", "eV/angstrom^3")
+    assert factors("si", "metal") == pytest.approx((1e10, 1e-5))
+    assert "GPa" in repr(TRUE)
+    assert "700 GPa" in repr(TRUE)
+    assert "GPa" in repr(TRUE.in_units("ase"))
+    assert "7e+05 MPa" in repr(TRUE.in_units(("mm", "MPa")))
+    with pytest.raises(InputError, match="or ase, metal, si, reduced, got 'cgs'"):
+        check_units("cgs")
 
 
 def there(samples, units):

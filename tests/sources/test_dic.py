@@ -111,6 +111,34 @@ def test_a_polygon_masks(tmp_path):
     assert samples.x[:, 1].max() <= 350
 
 
+@pytest.mark.parametrize(
+    ("pixel", "header", "units", "spacing"),
+    [
+        ("0.5mm", "x,y", ("mm", "MPa"), 10.0),
+        ("µm", "x,y", ("um", "MPa"), 20.0),
+        (1.0, "x [mm],y [mm]", ("mm", "MPa"), 20.0),
+        (1.0, "x,y", ("angstrom", "TPa"), 20.0),
+    ],
+)
+def test_what_is_made_of_frames_has_the_unit_that_was_said(tmp_path, pixel, header, units, spacing):
+    text = plain(X, field(X))
+    (tmp_path / "frame.csv").write_text(text.replace(text[: text.index(",u")], header, 1))
+    frame = read_frame(tmp_path / "frame.csv", pixel=pixel)
+    samples = frames_on_lattice([frame])
+    assert samples.points.units == units
+    assert samples.spacing == pytest.approx(spacing)
+    if units[0] == "mm":
+        assert frames_on_lattice([frame], units=("mm", "Pa")).points.units == ("mm", "Pa")
+        with pytest.raises(InputError, match="frames are in mm"):
+            frames_on_lattice([frame], units="si")
+
+
+@pytest.mark.parametrize("pixel", ["0.5 inch", "-1mm", "mm mm"])
+def test_pixels_without_sense_are_refused(tmp_path, pixel):
+    with pytest.raises(InputError, match="pixel: expected a length > 0, with a unit of angstrom"):
+        read_frame(tmp_path / "frame.csv", pixel=pixel)
+
+
 def test_what_is_no_frame_is_refused(tmp_path):
     (tmp_path / "bad.csv").write_text("time,load\n0,1\n")
     with pytest.raises(InputError, match="expected columns x, y, u and v"):

@@ -1,17 +1,18 @@
 """A small sheet and a small disk at 300 K, for tests that run LAMMPS."""
 
 from tools.graphene import bond_length
-from tools.lammps_session import potential_file
+from tools.lammps_session import POTENTIAL
 from tools.loads import PatchLoad, RimLoad, WaveLoad
 from tools.plans import Plan
 from tools.samples import Piece
 from tools.thermal import Bath
+from warp_peri.structures.lammps import potential_file
 
 BATH = Bath(steps=90, transient=30)
 
 
 def small_sheet():
-    return Piece(bond_length(), str(potential_file()), cells=(8, 5))
+    return Piece(bond_length(), str(potential_file(POTENTIAL)), cells=(8, 5))
 
 
 def small_plans(sheet):

@@ -58,6 +58,15 @@ def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
     ]
 
 
+def test_mooney_and_rivlin_keep_both_constants():
+    terms = (Term("plane_stress"), Term("mooney"))
+    solid = HyperelasticSolid(Dictionary(3.0, (), (), terms), np.array([3.5, 1.5]), 0.1)
+    root = ElementTree.fromstring(febio_material(solid))
+    assert [float(root.find(f"solid/{name}").text) for name in ("c1", "c2")] == [3.5, 1.5]
+    words = "incompressible matrix: shear modulus 10 (Mooney and Rivlin: C1 = 3.5, C2 = 1.5)"
+    assert in_words(solid) == [words]
+
+
 def test_the_published_constants_are_read_back():
     words = in_words(SOLID)
     assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"

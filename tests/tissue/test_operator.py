@@ -312,3 +312,21 @@ def test_corners_of_cells_are_linear_triangles():
     assert op.energy(u, np.ones(1)) == pytest.approx(total, rel=1e-12)
     with pytest.raises(InputError, match="neither ripple nor across"):
         Term("trace", across=(1, 0), corner=True)
+
+
+def test_the_second_energy_of_mooney_and_rivlin():
+    """I2 − 3 of an incompressible sheet in plane stress, its slopes, and its pull along an axis."""
+    points = square(4)
+    op = HyperelasticOperator(Dictionary(3.0, (), (), (Term("mooney"),)), points)
+    u, v, c = waves(points, 0.3, 1), waves(points, 0.2, 2), np.array([0.7])
+    step = 1e-5
+    ahead, behind = u + step * v, u - step * v
+    slope = (op.energy(ahead, c) - op.energy(behind, c)) / (2 * step)
+    work = SPACING**2 * (op.everywhere(u, c) * v).sum()
+    np.testing.assert_allclose(work, slope, rtol=1e-6)
+    bent = (op.everywhere(ahead, c) - op.everywhere(behind, c)) / (2 * step)
+    np.testing.assert_allclose(op.product(u, c, v), bent, atol=1e-6 * np.abs(bent).max())
+    pulled = points.x * (np.array([1.4, 1.4**-0.5]) - 1)
+    P = piola_stress(op, pulled, c)[op.interior]
+    np.testing.assert_allclose(P[:, 1, 1], 0, atol=1e-10)
+    np.testing.assert_allclose(P[:, 0, 0], 2 * 0.7 * (1 - 1.4**-3), rtol=1e-10)

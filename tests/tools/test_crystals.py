@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from tools.crystals import RECIPES, at_rest, force_constants, session, spacing_of, wave_loads
+from tools.crystals import RECIPES, at_rest, force_constants, session, spacing_of
 from tools.isotropic_rival import isotropic_lps
 from warp_peri.micromodulus.elastic import allowed_tensors
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.learning import from_phonons
+from warp_peri.structures.waves import wave_loads
 
 STRAIN = 1e-3
 """Below it the steps of a tabulated potential show."""

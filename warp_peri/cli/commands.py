@@ -15,16 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warp_peri
-from warp_peri import atoms
 from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
+from warp_peri.cli.learn import run_learn as run_learn
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, locked, write_json
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import LENGTHS, symbols
+from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
+from warp_peri.sources import dump_files, dumps
 from warp_peri.sources.coarse_graining import smoothing_matrix
 from warp_peri.storage import load
 
@@ -51,12 +52,12 @@ def check_output(given: argparse.Namespace) -> None:
     if getattr(given, "out", None) is None:
         return
     out = given.out.resolve()
-    for name in ("data", "model", "body", "reference", "dumps", "force", "unloaded"):
+    for name in ("data", "model", "body", "structure", "reference", "dumps", "force", "unloaded"):
         read = getattr(given, name, None) or []
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command in ("train", "sweep") or getattr(given, "what", "") == "fields"
+    folder = given.command in ("train", "learn", "sweep") or getattr(given, "what", "") == "fields"
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, there = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
@@ -67,10 +68,10 @@ def check_output(given: argparse.Namespace) -> None:
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     _take_sheet(given)
-    frame = next(atoms.dump_frames(given.reference))
+    frame = next(dump_files.dump_frames(given.reference))
     reference, box = frame.x, None
     if given.box:
-        atoms.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
+        dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
         box = frame.box  # typed lengths are rounded
     limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
     if given.radius > limit:
@@ -79,20 +80,20 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = np.ones(len(reference))
     if given.mass:
-        mass = atoms.dump_masses(given.reference, given.mass)
+        mass = dumps.dump_masses(given.reference, given.mass)
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )
-    samples = atoms.coarse_grain_dumps(
+    samples = dumps.coarse_grain_dumps(
         given.dumps,
         omega,
         points,
-        atoms.Atoms(reference, mass, frame.ids, box),
+        dumps.Atoms(reference, mass, frame.ids, box),
         force=force,
         unloaded=given.unloaded or [],
-        average=atoms.Average(given.skip, given.iota),
+        average=dumps.Average(given.skip, given.iota),
         node_area=given.spacing**2,
         thickness=given.thickness,
         progress=not given.json,
@@ -211,8 +212,9 @@ def training_metrics(run: Run) -> Result:
 
 
 def in_percent(metrics: Result) -> Result:
-    """What training prints: errors and shares in %, as `evaluate` does; JSON keeps fractions."""
+    """What training prints: errors and shares in %, moduli in GPa; JSON keeps plain numbers."""
     shown: Result = {}
+    units = tuple(metrics["units"])
     for key, value in metrics.items():
         if key in ("E_res", "E_u"):
             shown[f"{key} [%]"] = {
@@ -222,6 +224,13 @@ def in_percent(metrics: Result) -> Result:
             shown["why"] = value["why"]
             shares = {name: 100 * share for name, share in value.items() if name != "why"}
             shown["shares of the squared residual [%]"] = shares
+        elif key in ("lambda", "mu", "E"):
+            shown[key] = shown_moduli(units, (value,), digits=6)
+        elif key in ("moduli", "deviation"):
+            shown[key] = {
+                name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
+                for name, size in value.items()
+            }
         else:
             shown[key] = value
     return shown

@@ -20,6 +20,7 @@ from warp_peri.errors import exit_status
 
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "coarse-grain": ("LAMMPS dumps to a data file", arguments.coarse_grain),
+    "learn": ("a crystal's structure and calculator to its law", arguments.learn),
     "train": ("a data file to a certified model", arguments.train),
     "certify": ("what is proven of a model", arguments.certify),
     "evaluate": ("errors of a model on data sets", arguments.evaluate),
@@ -93,6 +94,8 @@ def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
         print(json.dumps(result))
     elif given.command == "evaluate":
         _print_table(result, given.unit)
+    elif given.command == "learn":
+        print(given.told)
     else:
         result = commands.in_percent(result) if given.command == "train" else result
         print("\n".join(map(_printable, commands.lines_of(result))))

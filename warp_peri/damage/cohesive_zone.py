@@ -1,7 +1,8 @@
 """Cracks whose tips are held by rows of bonds: the strain at which a bond gives way (C22).
 
 The bonds of a crystal ahead of a tip open one after the other. Each pulls by a law of its own over
-one step of the row; all around is elastic. Nothing says where the tip is: that comes out.
+one step of the row; all around is elastic, linear or to third order (C23). Nothing says where the
+tip is: that comes out.
 """
 
 from __future__ import annotations
@@ -10,12 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from warp_peri.damage.cubic_energy import CubicEnergy, squares
 from warp_peri.damage.straight_cracks import CrackedRectangle
 from warp_peri.errors import InputError
 
 ROUNDS = 60
 NODES = 6
 """Points of a cell over which its opening is averaged, so that the compliance is symmetric."""
+FINER = 2
+"""Points of the sheet in a step, and in a height."""
+CHUNK = 4000
+"""Of these points, whose fields are held at a time."""
 STAGES = 40
 """Steps along the path of equilibria in which a bond alone would come to the end of the law."""
 
@@ -65,6 +71,8 @@ class HeldCracks:
         cells: bonds ahead of each tip that may open. Cracks of one row with twice as many or fewer
             between them share all that are there.
         terms: of the series of each row, as in CrackedRectangle.
+        cubic: the sheet's energy of third order; None for a linear sheet.
+        height: between rows [length]. Over this height the law of a row stands for the sheet.
 
     Attributes:
         bonds: where they are [length], shape [B, 2].
@@ -72,6 +80,8 @@ class HeldCracks:
             held [length], shape [2B].
         compliance: by which unit tractions, normal then shear, undo them [length / stress],
             symmetric, shape [2B, 2B].
+        bent: third derivatives of the sheet's energy by the strain and the tractions, per step,
+            shape [1 + 2B, 1 + 2B, 1 + 2B]; zero in a linear sheet.
 
     Raises what CrackedRectangle raises, and InputError for a step that is not > 0.
     """
@@ -86,9 +96,12 @@ class HeldCracks:
         *,
         cells: int = 4,
         terms: int = 100,
+        cubic: CubicEnergy | None = None,
+        height: float = 0.0,
     ) -> None:
-        if not step > 0:
-            raise InputError(f"step: expected a number > 0, got {step}")
+        for name, value in (("step", step), ("height", 1.0 if cubic is None else height)):
+            if not value > 0:
+                raise InputError(f"{name}: expected a number > 0, got {value}")
         rows = _rows(np.asarray(cracks, dtype=float), step, cells)
         ends = np.array([row[0] for row in rows])
         solid = CrackedRectangle(lam, mu, half, ends, terms=terms)
@@ -113,6 +126,15 @@ class HeldCracks:
         self.drive, self.compliance = both[:, 0], -both[:, 1:]
         middle, arm = ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2
         self.bonds = middle[owner] + places[:, None] * arm[owner]
+        self.bent = np.zeros(3 * (x.shape[1],))
+        if cubic is not None:
+            z, area = squares(half, (step / FINER, height / FINER))
+            local = (z[:, None] - middle @ (1, 1j)) / (arm @ (1, 1j))
+            law_speaks = np.abs(local.imag) * solid.length < height / 2
+            beside = ~(law_speaks & (np.abs(local.real) < 1)).any(axis=1)
+            z, area = z[beside], area[beside] / step
+            for part in np.array_split(np.arange(len(z)), 1 + len(z) // CHUNK):
+                self.bent += cubic.between(*solid.gradients(x, z[part]), area[part])
 
     def opened(self, law: RowLaw) -> tuple[np.ndarray, np.ndarray]:
         """Equilibria as bonds open, along their path through folds, to the end of the law.
@@ -155,14 +177,18 @@ class HeldCracks:
             lost = np.where(np.abs(opening) > 1e-9, k * opening / pull - 1, 0.0)
             by_opening = np.where(lost != 0, (k - (lost + 1) * slope) / pull, 0.0)
             apart = np.concatenate([opening - pull / k, lost * sheared])
-            off = apart + self.compliance @ np.append(pull, k * sheared) - strain * self.drive
+            held = np.concatenate([[strain], pull, k * sheared])
+            bent = self.bent @ held  # what (C23) adds to the drive and takes from the compliance
+            compliance = np.column_stack([-self.drive, self.compliance])
+            off = apart + (compliance - bent[1:] / 2) @ held
+            answer = compliance - bent[1:]
             tangent = np.zeros((len(z), len(z)))
-            tangent[:-1, :-1] = self.compliance * np.append(slope, np.full(count, k))
+            tangent[:-1, :-1] = answer[:, 1:] * np.append(slope, np.full(count, k))
             row = np.arange(count)
             tangent[row, row] += 1 - slope / k
             tangent[count + row, row] += by_opening * sheared
             tangent[count + row, count + row] += lost
-            tangent[:-1, -1], tangent[-1] = -self.drive / unit, move
+            tangent[:-1, -1], tangent[-1] = answer[:, 0] / unit, move
             step = np.linalg.solve(tangent, -np.append(off, move @ (z - at - move)))
             z = z + step
             if np.abs(step).max() < 1e-9 * law.separation[-1]:

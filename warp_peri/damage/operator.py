@@ -16,7 +16,7 @@ import warp as wp
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.launch import floats, ints, launch_slices, recorded_slices, threads, zeros
+from warp_peri.launch import Recorded, floats, ints, launch_slices, threads, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import BondClasses
@@ -219,13 +219,13 @@ class CutOperator:
         shapes = (u, self.bonds, self._table)
         if self.bond_based:
             inputs = (*shapes, self._no_fail)
-            return [recorded_slices(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
+            return [Recorded(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
         excess = self.model.lam - self.model.mu
         return [
-            recorded_slices(
+            Recorded(
                 self._kernels.paired_dilatation, half, (*shapes, links), (self.theta,), weight=PAIR
             ),
-            recorded_slices(
+            Recorded(
                 self._kernels.paired_state_based,
                 half,
                 (*shapes, excess, self._no_fail, self.theta),

@@ -31,6 +31,7 @@ class CrackedRectangle:
 
     Attributes:
         lam, mu, E: constants of the sheet [stress], E = 4μ(λ + μ)/(λ + 2μ).
+        ends, terms: as given.
         length: half lengths [length], shape [K].
 
     Raises InputError for constants without a stable solid, cracks that leave the rectangle, meet or
@@ -50,7 +51,7 @@ class CrackedRectangle:
         if not (mu > 0 and lam + mu > 0):
             raise InputError(f"lam, mu: expected μ > 0 and λ + μ > 0, got {lam:g}, {mu:g}")
         ends = _checked(cracks, half)
-        self.lam, self.mu = lam, mu
+        self.lam, self.mu, self.ends, self.terms = lam, mu, ends, terms
         self.E = 4 * mu * (lam + mu) / (lam + 2 * mu)
         self._kolosov = (lam + 3 * mu) / (lam + mu)
         start, end = (ends[:, a, 0] + 1j * ends[:, a, 1] for a in (0, 1))
@@ -128,6 +129,26 @@ class CrackedRectangle:
         gap: np.ndarray = np.sin(angle[:, None] * self._n) @ local
         return -(self._kolosov + 1) / self.mu * gap
 
+    def gradients(self, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """∂/∂z and ∂/∂z̄ of u + i v at points z = x + i y off the cracks, by columns of x.
+
+        Returns two arrays of shape [points, M]: half the divergence plus i times the rotation, and
+        (ε₁₁ − ε₂₂)/2 + i ε₁₂.
+        """
+        at, m = z[:, None], len(self._powers)
+        rest = x[2 * len(self._along) * len(self._n) :].reshape(4, m, -1)
+        _, first, second = self._polynomials(z)
+        phi, bent = first @ (rest[0] + 1j * rest[1]), second @ (rest[0] + 1j * rest[1])
+        psi = first @ (rest[2] + 1j * rest[3])
+        for k, along in enumerate(self._along):
+            g, (_, first, second) = self._series(x, k), self._powers_of_crack(z, k)
+            arm = np.conj(self._centre[k]) + np.conj(along) ** 2 * (at - self._centre[k])
+            own, curved = first @ g, second @ g
+            phi, bent = phi + own, bent + curved
+            psi = psi + first @ np.conj(g) - np.conj(along) ** 2 * own - arm * curved
+        both = self._kolosov * phi - np.conj(phi), -at * np.conj(bent) - np.conj(psi)
+        return both[0] / (2 * self.mu), both[1] / (2 * self.mu)
+
     def _series(self, x: np.ndarray, k: int) -> np.ndarray:
         """Complex coefficients of one crack."""
         count = len(self._n)
@@ -198,9 +219,14 @@ def _checked(cracks: ArrayLike, half: tuple[float, float]) -> np.ndarray:
         raise InputError(f"cracks: expected a length, and ends within ± {half[0]:g}, {half[1]:g}")
     for k, (a, b) in enumerate(ends):
         for c, d in ends[:k]:
-            if _sides(a, b, c, d) <= 0 and _sides(c, d, a, b) <= 0 and _overlap(a, b, c, d):
+            if meet(a, b, c, d):
                 raise InputError(f"cracks: expected cracks apart, number {k} meets another")
     return ends
+
+
+def meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
+    """Whether the segments from a to b and from c to d have a point in common."""
+    return _sides(a, b, c, d) <= 0 and _sides(c, d, a, b) <= 0 and _overlap(a, b, c, d)
 
 
 def _sides(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> float:

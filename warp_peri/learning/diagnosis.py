@@ -110,16 +110,21 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
 
     Args:
         material: with a linear part, certified on their lattice, or its operator there.
-        samples: training samples on a lattice, eight at least.
+        samples: training samples on a lattice in the plane, eight at least.
         noise: fields of noise alone on their nodes.
 
-    Raises InputError for a material without a linear part, scattered points, too few samples, or
-    no load.
+    Raises InputError for a material without a linear part, scattered points, samples in space, too
+    few of them, or no load.
     """
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         raise InputError(
             f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {len(samples)} at a "
             f"spacing of {samples.spacing:g}"
+        )
+    if samples.points.dimension != 2:
+        raise InputError(
+            f"samples: expected samples in the plane, got {samples.points.dimension} dimensions; "
+            "no cause is known in space"
         )
     (weight,) = sample_weights([samples], normalise=False)
     b = samples.loads[:, samples.interior]

@@ -9,7 +9,7 @@ import numpy as np
 from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.models.lps import Model
 from warp_peri.models.shapes import InfluenceFunction
-from warp_peri.points.unit_names import symbols
+from warp_peri.points.unit_names import shown_moduli, symbols
 from warp_peri.regression.parameters import Parameters
 from warp_peri.shown import as_table, in_rows
 from warp_peri.stability.certificate import Certificate
@@ -72,19 +72,19 @@ class Fit:
     def rows(self) -> list[tuple[str, str]]:
         """What to know of a fit at a glance: name and value."""
         model, last = self.material, self.history[-1] if self.history else None
-        length, stress = symbols(model.units)
+        length = symbols(model.units)[0]
         lattices = ", ".join(f"{h:g} {length}" for h in model.certified_on) or "no lattice"
         lines = [
-            ("λ, μ", f"{model.lam:.4g}, {model.mu:.4g} {stress}"),
-            ("E, ν", f"{model.E:.4g} {stress}, {model.nu:.3g}"),
+            ("λ, μ", shown_moduli(model.units, (model.lam, model.mu))),
+            ("E, ν", f"{shown_moduli(model.units, (model.E,))}, {model.nu:.3g}"),
             (
                 "kernel",
                 f"M = {model.degree}, δ = {model.horizon:g} {length}, α = {model.alpha:.3g}",
             ),
         ]
         for constants in self.moduli[:1]:
-            numbers = ", ".join(f"{constants[key]:.4g}" for key in ("C11", "C12", "C44"))
-            lines.append(("C11, C12, C44", f"{numbers} {stress}"))
+            numbers = (constants[key] for key in ("C11", "C12", "C44"))
+            lines.append(("C11, C12, C44", shown_moduli(model.units, numbers)))
         if last is not None:
             lines.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
         lines.append(("loss", f"{self.loss.name} ({self.loss.reason})"))

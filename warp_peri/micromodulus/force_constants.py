@@ -302,10 +302,13 @@ def _dipoles(
         apart: from the n displaced atoms to all, shape [N, n, 3].
         kind: number in the cell of all atoms, shape [N].
     """
-    repeats = np.rint(np.linalg.norm(box, axis=1) / np.linalg.norm(cell, axis=1)).astype(int)
-    counts = np.array(list(np.ndindex(*repeats.tolist())))
-    counts = np.where(counts > repeats / 2, counts - repeats, counts)
-    k = 2 * np.pi * counts @ np.linalg.inv(box).T
+    inverse = np.linalg.inv(np.rint(box @ np.linalg.inv(cell)))
+    size = int(np.rint(1 / abs(np.linalg.det(inverse))))
+    multiples = np.arange(1, size + 1)[:, None, None] * inverse.T  # of each edge, in the cell's
+    whole = (np.abs(multiples - np.rint(multiples)) < 1e-6).all(axis=2)
+    counts = np.array(list(np.ndindex(*(whole.argmax(axis=0) + 1).tolist())))
+    parts = np.unique(np.round(counts @ inverse.T % 1.0, 9) % 1.0, axis=0)
+    k = 2 * np.pi * (parts - (parts > 0.5)) @ np.linalg.inv(cell).T
     D = polar.matrix(k, cell, x)
     phase = np.exp(-1j * np.einsum("kc,Nnc->kNn", k, apart)) / len(k)
     phi = np.empty((len(x), 3, len(kind), 3))

@@ -33,6 +33,7 @@ from warp_peri.points.unit_names import (
     check_same,
     check_units,
     factors,
+    shown_moduli,
     symbols,
 )
 from warp_peri.shown import as_table, in_rows
@@ -200,12 +201,12 @@ class Crystal:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        length, stress = symbols(self.units)
+        length = symbols(self.units)[0]
         named = self.symmetry if isinstance(self.symmetry, str) else "rotations"
-        constants = (f"{name} {value:.4g}" for name, value in self.moduli().items())
+        constants = self.moduli()
         return [
             ("symmetry", f"{named or 'none'}, {self.dimension} dimensions"),
-            ("moduli", f"{', '.join(constants)} {stress}"),
+            (", ".join(constants), shown_moduli(self.units, constants.values())),
             ("bonds", f"{self.bonds}, up to {self.horizon:.4g} {length}"),
             ("nodes", f"{self.spacing:g} {length} apart"),
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),

@@ -20,7 +20,7 @@ from warp_peri.models.smoothing import Smoothing, fitted_weights
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import Units, factors, symbols
+from warp_peri.points.unit_names import Units, factors, shown_moduli
 from warp_peri.shown import as_table, in_rows
 
 if TYPE_CHECKING:
@@ -85,9 +85,8 @@ class ThirdOrderCrystal:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, those of the tensors last."""
-        stress = symbols(self.units)[1]
-        constants = ", ".join(f"{getattr(self, name):.4g}" for name in CUBIC)
-        rows = [("form", self.form), (", ".join(CUBIC), f"{constants} {stress}")]
+        constants = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
+        rows = [("form", self.form), (", ".join(CUBIC), constants)]
         if self.proven.get("strain"):
             rows.append(("proven", f"one solution up to |H| = {self.proven['strain']:.2%}"))
         return rows + self.linear.rows()

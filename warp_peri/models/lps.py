@@ -19,7 +19,7 @@ from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_ba
 from warp_peri.models.solid import Solid
 from warp_peri.points.arrays import is_number
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
-from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
+from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
 from warp_peri.shown import as_table, error_rows, in_rows, proven_rows
 
 if TYPE_CHECKING:  # the operator stands above its numbers
@@ -306,11 +306,11 @@ class Model:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        length, stress = symbols(self.units)
+        length = symbols(self.units)[0]
         kernels = "K" if np.array_equal(self.D, self.dilatation) else "K, K of dilatation"
         rows = [
-            ("λ, μ", f"{self.lam:.4g}, {self.mu:.4g} {stress}"),
-            ("E, ν", f"{self.E:.4g} {stress}, {self.nu:.3g}"),
+            ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
+            ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
             ("horizon", f"{self.horizon:g} {length}"),
             (kernels, f"degree {self.degree}, α = {self.alpha:.3g}"),
         ]

@@ -23,7 +23,7 @@ from warp_peri.models.lps import (
 )
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
-from warp_peri.points.unit_names import Units, factors, symbols
+from warp_peri.points.unit_names import Units, factors, shown_moduli, symbols
 from warp_peri.shown import as_table, error_rows, in_rows
 
 if TYPE_CHECKING:  # families load Warp
@@ -198,9 +198,9 @@ class NonlinearModel:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, those of the linear solid last."""
-        length, stress = symbols(self.units)
-        constants = ", ".join(f"{getattr(self, name):.4g}" for name in CUBIC)
-        rows = [("form", self.form), (", ".join(CUBIC), f"{constants} {stress}")]
+        length = symbols(self.units)[0]
+        constants = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
+        rows = [("form", self.form), (", ".join(CUBIC), constants)]
         for spacing, figures in self.proven.items():
             if figures.get("strain"):
                 unique = f"one solution up to |H| = {figures['strain']:.2%}"

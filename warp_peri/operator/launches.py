@@ -189,14 +189,10 @@ def _by_rows(
     bonds: Bonds, rows: Rows, law: Any, u: wp.array[Any], Lu: wp.array[Any], theta: Any
 ) -> None:
     """Dilatation and force on a lattice laid out in rows; θ by node where an array is given."""
-    planes, dilatation = rows.planes("forward", len(u))
-    rows.lay_out(rows.pieces.images, u, planes)
-    law_of_bonds = (bonds.arrays, law, planes)
-    rows.sweep(rows.kernels.dilatation, rows.pieces.needed, law_of_bonds, dilatation)
-    rows.sweep(rows.kernels.force, rows.pieces.forces, (*law_of_bonds, dilatation), Lu)
-    if theta is not None:
-        rows.take_up(dilatation, theta)
-    rows.give_back("forward", planes, dilatation)
+    with rows.forward(bonds.arrays, len(u)) as forward:
+        forward(law, u, Lu)
+        if theta is not None:
+            rows.take_up(forward.dilatation, theta)
 
 
 def _launch(

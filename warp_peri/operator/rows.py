@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.lps.rows import BYTES, rows
-from warp_peri.launch import DEVICE, ints, launch_slices, zeros
+from warp_peri.launch import DEVICE, Recorded, ints, launch_slices, threads, zeros
 from warp_peri.points.families import BondClasses, Families
 
 SPARE = 2
@@ -65,6 +68,23 @@ class Rows:
         self.by_place = False
         self.one = wp.ones(1, dtype=scalar, device=DEVICE)
         self._spare: dict[str, list[tuple[wp.array[Any], wp.array[Any]]]] = {}
+        self._ready: list[Forward] = []
+
+    @contextmanager
+    def forward(self, arrays: Any, samples: int) -> Iterator[Forward]:
+        """A forward sweep that nobody else uses meanwhile, kept afterwards unless it is too large.
+
+        arrays: what leads kernels from a node to its bonds.
+        """
+        sweep = None
+        while sweep is None or sweep.fits != (samples, threads()):
+            try:
+                sweep = self._ready.pop()
+            except IndexError:
+                sweep = Forward(self, arrays, samples)
+        yield sweep
+        if sweep.size <= KEPT:
+            self._ready.append(sweep)
 
     def planes(
         self, use: str, samples: int, numbers: int = 1
@@ -116,6 +136,46 @@ class Rows:
         count, samples = len(inputs[0]), output.shape[0]
         weight = self.kernels.lanes // FASTER
         launch_slices(kernel, count, inputs, (output,), samples=samples, weight=weight)
+
+
+class Forward:
+    """Dilatation and force on a lattice laid out in rows, planes and launches made once.
+
+    Attributes:
+        fits: samples and threads that it is for.
+        dilatation: by place, after a sweep.
+        size: numbers in the planes.
+    """
+
+    def __init__(self, rows: Rows, arrays: Any, samples: int) -> None:
+        of, kernels = rows.pieces, rows.kernels
+        vectors = zeros(samples, 2 * rows.places, dtype=rows.scalar)
+        self.dilatation = zeros(samples, rows.places, dtype=rows.scalar)
+        self.fits, self.size = (samples, threads()), vectors.size + self.dilatation.size
+
+        def recorded(weight: int, kernel: Any, pieces: wp.array[Any], *inputs: Any) -> Recorded:
+            *given, output = pieces, *inputs
+            return Recorded(kernel, len(pieces), given, (output,), samples=samples, weight=weight)
+
+        shared = (rows.offset, arrays, structs(rows.scalar, 2).Law(), vectors)
+        sweep = kernels.lanes // FASTER  # a copy is less work than that
+        self._lay_out = recorded(1, kernels.laid_out, of.images, rows.one, None, vectors)
+        self._dilatation = recorded(sweep, kernels.dilatation, of.needed, *shared, self.dilatation)
+        self._force = recorded(sweep, kernels.force, of.forces, *shared, self.dilatation, None)
+
+    def __call__(self, law: Any, u: wp.array[Any], Lu: wp.array[Any]) -> None:
+        """L u into an array, both [S, N] and [S, I] of vectors."""
+        self._lay_out.give(2, u)
+        self._dilatation.give(3, law)
+        self._force.give(3, law)
+        self._force.give(6, Lu)
+        self.launch()
+
+    def launch(self) -> None:
+        """The three kernels on what was given last."""
+        self._lay_out()
+        self._dilatation()
+        self._force()
 
 
 def rows_of(

@@ -4,21 +4,39 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterable
 from typing import Any, TypeAlias
 
 from warp_peri.errors import InputError
 
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
 """Units of length [Å]."""
-STRESSES = {"TPa": 1.0, "GPa": 1e-3, "MPa": 1e-6, "Pa": 1e-12, "eV/angstrom^3": 0.1602176634}
+STRESSES = {
+    "TPa": 1.0,
+    "GPa": 1e-3,
+    "MPa": 1e-6,
+    "bar": 1e-7,
+    "Pa": 1e-12,
+    "eV/angstrom^3": 0.1602176634,
+}
 """Units of stress [TPa]."""
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
 SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
 """How units are printed, where that is not by name."""
 SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
+ATOMIC = ("TPa", "eV/angstrom^3", "bar")
+"""Units of stress in which codes of atoms compute; their moduli are printed in GPa."""
 USUAL_HORIZON = 16.0
 """A horizon [Å] that the numbers of searches suit."""
+
+SYSTEMS: dict[str, Units] = {
+    "ase": ("angstrom", "eV/angstrom^3"),
+    "metal": ("angstrom", "bar"),
+    "si": ("m", "Pa"),
+    "reduced": REDUCED,
+}
+"""Units of length and stress that go by one name: of ASE, of LAMMPS metal, of the SI, none."""
 
 Units: TypeAlias = tuple[str, str]
 """Names of a unit of length and of one of stress."""
@@ -27,11 +45,18 @@ USUAL: Units = ("angstrom", "TPa")
 
 
 def check_units(units: Any) -> Units:
-    """The units, if they are known by name; InputError with the names that are."""
+    """The units, if they are known by name; InputError with the names that are.
+
+    One of SYSTEMS stands for its pair.
+    """
+    if isinstance(units, str) and units in SYSTEMS:
+        return SYSTEMS[units]
     try:
         length, stress = [units] if isinstance(units, str) else list(units)
     except (TypeError, ValueError):
-        raise InputError(f"units: expected (length, stress), got {units!r:.60}") from None
+        raise InputError(
+            f"units: expected (length, stress), or {', '.join(SYSTEMS)}, got {units!r:.60}"
+        ) from None
     if (length, stress) == REDUCED:
         return REDUCED
     for key, name, known in (
@@ -69,6 +94,16 @@ def symbols(units: Units) -> tuple[str, str]:
     """Length and stress as they are printed: "Å", "TPa"."""
     length, stress = units
     return SYMBOLS.get(length, length), SYMBOLS.get(stress, stress)
+
+
+def shown_moduli(units: Units, values: Iterable[float], digits: int = 4) -> str:
+    """Moduli as they are printed: in GPa where they are in an atomic unit, else as they are.
+
+    Who says GPa, MPa or Pa reads that, and reduced units stay as they are.
+    """
+    unit = units[1]
+    factor, shown = (STRESSES[unit] * 1e3, "GPa") if unit in ATOMIC else (1.0, symbols(units)[1])
+    return ", ".join(f"{factor * value:.{digits}g}" for value in values) + f" {shown}"
 
 
 def factors(have: Units, want: Units) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
 
 NAMES = {
     "x": ("x", "coordinatex", "xcoordinate", "xundef", "coorx", "xpixel", "xmm"),
@@ -45,26 +46,29 @@ class SheetFrame:
         x: positions in the reference, shape [P, 2].
         u: displacement, shape [P, 2]; points without one are left out.
         name: of the file.
+        length: name of the unit of length; None where nobody said it.
     """
 
     x: np.ndarray
     u: np.ndarray
     name: str
+    length: str | None = None
 
 
-def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> SheetFrame:
+def read_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> SheetFrame:
     """Read one frame.
 
     Args:
         path: a table with a header.
-        pixel: length of the table's unit; positions and displacements are multiplied by it.
+        pixel: length of the table's unit; positions and displacements are multiplied by it. With
+            its unit, as "0.012mm", or "mm" alone, the frame carries that; without one, the unit in
+            brackets behind a column's name.
 
     Points are left out where a number is missing or not finite, or where DICe's SIGMA is negative
     (the correlation failed). Raises InputError for a table without the columns, or without points,
     and a pixel that is no length > 0.
     """
-    if not 0 < pixel < np.inf:
-        raise InputError(f"pixel: expected a length > 0, got {pixel}")
+    size, unit = length_of(pixel)
     path = Path(path)
     try:
         if path.stat().st_size > LARGEST_FILE:
@@ -76,6 +80,8 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> SheetFram
     if not body:
         raise InputError(f"{path}: expected a table of points, got none")
     columns = columns_of(split(body[0]))
+    if unit is None and columns and size == 1.0:
+        unit = unit_in(split(body[0])[columns["x"]])
     if columns:
         body = body[1:]
     elif any(line.startswith("#") for line in lines) and len(split(body[0])) >= 6:
@@ -86,7 +92,31 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float = 1.0) -> SheetFram
     good = np.isfinite(table[:, :4]).all(axis=1) & ~(table[:, 4] < 0)
     if not good.any():
         raise InputError(f"{path}: expected points with finite numbers, got none")
-    return SheetFrame(pixel * table[good, :2], pixel * table[good, 2:4], path.name)
+    return SheetFrame(size * table[good, :2], size * table[good, 2:4], path.name, unit)
+
+
+def length_of(pixel: float | str) -> tuple[float, str | None]:
+    """A length and the name of its unit, as of 0.012, "0.012mm", "0.5 um" or "mm"."""
+    found = re.fullmatch(r"([-+.\deE]*)\s*(.*)", str(pixel))
+    number, name = found.groups() if found and isinstance(pixel, str) else (str(pixel), "")
+    unit = {"µm": "um", "Å": "angstrom"}.get(name, name) or None
+    try:
+        size = float(number or 1.0)
+    except ValueError:
+        size = np.nan
+    if not 0 < size < np.inf or (unit is not None and unit not in LENGTHS):
+        raise InputError(
+            f"pixel: expected a length > 0, with a unit of {', '.join(LENGTHS)} or none, got "
+            f"{pixel!r}"
+        )
+    return size, unit
+
+
+def unit_in(header: str) -> str | None:
+    """The unit of length in the brackets of a column's name, if it is known."""
+    found = re.search(r"[\[(]\s*(\w+)\s*[\])]", header)
+    unit = found[1].replace("µ", "u") if found else None
+    return unit if unit in LENGTHS else None
 
 
 def split(line: str) -> list[str]:
@@ -137,6 +167,7 @@ def frames_on_lattice(
     radius: float = 0.0,
     reach: int = 3,
     mask: np.ndarray | None = None,
+    units: Units | str | None = None,
 ) -> Samples:
     """All frames on the nodes that every frame has, with the collar that a model needs.
 
@@ -147,12 +178,21 @@ def frames_on_lattice(
             nodes as they are, and takes 1.6 for others.
         reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
         mask: polygon, shape [M, 2], whose inside alone is used.
+        units: of the samples' lengths and of the stresses to be learned; by default the length
+            that the frames carry, with MPa, and Å and TPa where they carry none.
 
-    Raises InputError where points are too few or no node has its surroundings.
+    Raises InputError for frames in several units, or other ones than asked, and where points are
+    too few or no node has its surroundings.
     """
     if not frames:
         raise InputError("frames: expected at least one, got none")
-    first = frames[0].x
+    first, lengths = frames[0].x, {frame.length for frame in frames}
+    if len(lengths) > 1:
+        raise InputError(f"frames: expected one unit of length, got {sorted(map(str, lengths))}")
+    (length,) = lengths
+    named = check_units(units or (USUAL if length is None else (length, "MPa")))
+    if length not in (None, named[0]):
+        raise InputError(f"units: the frames are in {length}, expected that, got {named[0]}")
     step = spacing_of(first) if spacing is None else float(spacing)
     origin = first.min(axis=0)
     counts = np.floor((np.ptp(first, axis=0)) / step + 1 + ON_LATTICE).astype(int)
@@ -174,7 +214,8 @@ def frames_on_lattice(
     interior = binary_erosion(binary_erosion(grid, ball), ball).ravel()[there]
     if not interior.any():
         raise InputError(f"frames: no node has all nodes within {2 * reach} spacings around it")
-    return Samples(Points(x[there], interior, step), fields[:, there])
+    points = Points(x[there], interior, step, units=named)
+    return Samples(points, fields[:, there])
 
 
 def spacing_of(x: np.ndarray) -> float:

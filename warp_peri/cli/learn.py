@@ -1,0 +1,72 @@
+"""`learn`: a structure and a calculator to a law, a picture and what is told of it."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from pathlib import Path
+from typing import Any
+
+import warp_peri
+from warp_peri.cli.settings_file import keep
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
+from warp_peri.storage import save
+
+
+def run_learn(given: argparse.Namespace) -> dict[str, Any]:
+    """A structure → model.json, learn.json, report.txt and law.png, in a folder."""
+    begin = time.perf_counter()
+    units = given.units[0] if len(given.units) == 1 else tuple(given.units)
+    nodes = {"spacing": given.spacing, "horizon": given.horizon, "symmetry": given.symmetry}
+    if given.calculator is None:
+        constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
+        found = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
+    else:
+        found = _from_structure(given, nodes, units)
+    with locked(given.out):
+        save(given.out / "model.json", found.material)
+        write_json(given.out / "learn.json", finite(plain(found.content())))
+        given.told = "\n".join(repr(found).split("\n")[1:])
+        write_text(given.out / "report.txt", given.told + "\n")
+        with whole_file(given.out / "law.png") as path:
+            drawn = io.BytesIO()
+            found.plot().savefig(drawn, format="png", dpi=110)
+            path.write_bytes(drawn.getvalue())
+        keep(given, given.out / "learn.toml")
+    seconds = time.perf_counter() - begin
+    given.told += (
+        f"\n  {seconds:.1f} s; written to {given.out}: model.json, learn.json, report.txt, law.png"
+    )
+    return {**found.content(), "model": str(given.out / "model.json")}
+
+
+def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
+    structure = read_structure(given.structure)
+    calculator = warp_peri.atoms.named_calculator(
+        given.calculator, structure.get_chemical_symbols(), given.potential
+    )
+    return warp_peri.atoms.from_atoms(
+        structure,
+        calculator,
+        source=given.source,
+        thickness=given.thickness,
+        hold=given.hold,
+        supercell=given.supercell,
+        **nodes,
+        units=units,
+    )
+
+
+def read_structure(path: Path) -> Any:
+    """The last structure of a file that ASE reads; InputError for any other."""
+    import ase.io
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        found: Any = ase.io.read(path, index=-1)
+    except Exception as error:  # ASE's readers raise whatever their parsing runs into
+        raise InputError(f"{path}: ASE reads no structure from it ({error})") from None
+    return found

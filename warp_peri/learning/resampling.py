@@ -1,0 +1,131 @@
+"""How sure a fit is where nothing is known of noise: the same fit to other choices of the loads.
+
+What differs from load to load is seen, be it noise, nonlinearity or what the law cannot follow. An
+error that all loads share, as a wrong thickness or a horizon that is too short, is not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+from tqdm import tqdm
+
+from warp_peri.errors import InputError
+from warp_peri.learning.laws import fit
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.samples import Samples
+
+LEAST_LOADS, DRAWS = 4, 40
+REDRAWN = 0.2
+"""Of the draws, that may determine no law and are drawn again."""
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Materials learned from other choices of the loads.
+
+    It is asked as `Uncertainty` of `fit_uncertainty` is.
+
+    Attributes:
+        materials: one of each choice.
+        loads: how many there were.
+        spread: what the materials' standard deviation is multiplied by.
+        knows: what the bands hold and what they do not, in a sentence.
+    """
+
+    materials: list[Any]
+    loads: int
+    spread: float
+    knows: str
+
+    def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
+        """Standard deviation of anything a material determines, of the shape of the quantity."""
+        values = np.array([np.asarray(quantity(material)) for material in self.materials])
+        return np.asarray(self.spread * values.std(axis=0))
+
+    def band(
+        self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: float = 0.9
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper end of the band that holds a quantity with probability `level`.
+
+        About the material learned from all loads, by Student's distribution of their number.
+        Raises InputError for a level that is no probability.
+        """
+        if not 0 < level < 1:
+            raise InputError(f"level: expected a probability between 0 and 1, got {level}")
+        half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)
+        middle = np.asarray(quantity(material))
+        return middle - half, middle + half
+
+
+def resample_loads(
+    samples: Samples | Dataset,
+    law: Any,
+    *,
+    leave_one_out: bool = False,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: bool = False,
+    **options: Any,
+) -> Resampled:
+    """The same fit to other choices of the loads: bootstrap, or each load left out in turn.
+
+    Args:
+        samples: that the law is learned from; of a Dataset `train`, or its only set.
+        law: as for `fit`; one with symmetry="auto" is given the symmetry that all loads have.
+        leave_one_out: as many fits as loads, instead of `draws` choices with repetition.
+        draws, seed: of the bootstrap.
+        progress: show a progress bar.
+        options: of `fit`.
+
+    Raises InputError for fewer than four loads or ten draws, and what `fit` raises: for a load left
+    out always, of a bootstrap where a fifth of the draws determine no law.
+    """
+    one = samples.obvious("train") if isinstance(samples, Dataset) else samples
+    count = len(one)
+    if count < LEAST_LOADS:
+        raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
+    if not leave_one_out and draws < 10:
+        raise InputError(f"draws: expected at least 10, got {draws}")
+    if getattr(law, "symmetry", None) == "auto":
+        law = dataclasses.replace(law, symmetry=fit(one, law, **options).material.symmetry)
+    rng, again = np.random.default_rng(seed), 0
+    wanted = count if leave_one_out else draws
+    bar = tqdm(total=wanted, desc="fits", unit="fit", disable=not progress)
+    materials: list[Any] = []
+    while len(materials) < wanted:
+        if leave_one_out:
+            choice = np.delete(np.arange(count), len(materials))
+        else:
+            choice = rng.integers(count, size=count)
+        try:
+            materials.append(fit(_chosen(one, choice), law, **options).material)
+        except InputError:
+            again += 1
+            if leave_one_out or again > REDRAWN * draws:
+                raise
+            continue
+        bar.update()
+    bar.close()
+    if leave_one_out:
+        spread, how = float(np.sqrt(count - 1)), "each load left out in turn"
+    else:
+        spread = float(np.sqrt(count / (count - 1) * draws / (draws - 1)))
+        how = f"{draws} choices of the loads with repetition"
+        how += f" ({again} more told of no law)" if again else ""
+    knows = (
+        f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
+        "loads share"
+    )
+    return Resampled(materials, count, spread, knows)
+
+
+def _chosen(samples: Samples, choice: np.ndarray) -> Samples:
+    arrays = {name: values[choice] for name, values in samples.arrays.items()}
+    b = None if samples.b is None else samples.b[choice]
+    return dataclasses.replace(samples, u=samples.u[choice], b=b, arrays=arrays)

@@ -1,0 +1,353 @@
+"""Frames of atoms from files: LAMMPS dumps as text or binary, packed or not, H5MD, and ASE's."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import struct
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.unit_names import LENGTHS
+
+FRAME = "ITEM: TIMESTEP"
+BEFORE_FRAME = ("ITEM: UNITS", "ITEM: TIME")
+"""What `dump_modify units yes` and `time yes` write ahead of a frame."""
+ANGSTROM_UNITS = ("metal", "real")
+"""Units of LAMMPS whose lengths are in Å."""
+POSITIONS = ("x", "xs", "xu", "xsu")
+"""Columns of positions, in the order in which they are looked for."""
+IMAGES = ("ix", "iy", "iz")
+GZIP, ZSTD, HDF5, MAGIC = b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\x89HDF", b"DUMPCUSTOM"
+OF_ASE = (".xyz", ".extxyz", ".traj")
+"""Endings of files that ASE reads, frame by frame."""
+H5MD_LENGTHS = {"å": 1.0, "a": 1.0, "ang": 1.0} | LENGTHS
+LARGEST_HEADER = 2**16
+"""Bytes of a text in a binary dump."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame, its atoms in the order of their ids.
+
+    Attributes:
+        ids: rising, shape [A]; 1, 2, … in a file without them.
+        x: positions [Å], shape [A, 2].
+        types: of the atoms, shape [A]; None without that column.
+        box: periods [Å]; None where the box is tilted, or there is none.
+        columns: of the file.
+        z: third coordinates [Å], shape [A].
+        cell: edges of the box as rows [Å], shape [3, 3].
+        unwrapped: whether images of the box were added to positions.
+    """
+
+    ids: np.ndarray
+    x: np.ndarray
+    types: np.ndarray | None
+    box: tuple[float, float] | None
+    columns: tuple[str, ...]
+    z: np.ndarray
+    cell: np.ndarray
+    unwrapped: bool = False
+
+
+def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
+    """Every frame of a trajectory, one in memory at a time.
+
+    LAMMPS dumps (`dump custom`) as text, packed by gzip or zstd, or binary; H5MD with units; and
+    .xyz, .extxyz and .traj by ASE. What it is is told from the content. Wrapped positions are
+    unwrapped where the file has the images ix, iy, iz, and a warning says so.
+
+    Args:
+        path: a dump with the columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the
+            last three; in a tilted box xu, yu, zu, or x, y, z with ix, iy, iz.
+
+    Raises InputError for a file that is no such thing, or ends in the middle of a frame; for ids
+    that are missing, come twice, or are others than those of the first frame; for a packed file
+    whose packer is not installed.
+    """
+    number, first = 0, None
+    try:
+        for frame in _frames_of(path):
+            if first is None:
+                first = frame.ids
+                if frame.unwrapped:
+                    warnings.warn(f"{path}: unwrapped by the images ix, iy, iz", stacklevel=2)
+            elif not np.array_equal(first, frame.ids):
+                raise ValueError("expected the ids of frame 1, got others")
+            yield frame
+            number += 1
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such dump") from None
+    except InputError:
+        raise
+    # What reads a broken file runs into anything.
+    except Exception as error:
+        raise InputError(
+            f"{path}: frame {number + 1} is not one of a LAMMPS dump ({error})"
+        ) from None
+    if number == 0:
+        raise InputError(f"{path}: expected a LAMMPS text dump, found no '{FRAME}'")
+
+
+def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
+    with open(path, "rb") as file:
+        head = file.read(64)
+    if head.startswith(HDF5):
+        yield from _h5md(path)
+    elif str(path).endswith(OF_ASE) and not head.startswith(b"ITEM:"):
+        yield from _by_ase(path)
+    else:
+        with _unpacked(path, head) as stream:
+            if MAGIC in head:
+                yield from _binary(stream)
+                return
+            with io.TextIOWrapper(stream, encoding="utf-8") as lines:
+                for text in _texts(lines):
+                    yield _of_text(text)
+
+
+def _unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
+    if head.startswith(GZIP):
+        return gzip.open(path, "rb")
+    if head.startswith(ZSTD):
+        try:
+            import zstandard
+        except ImportError:
+            raise InputError(f"{path}: packed by zstd: pip install 'warp_peri[dumps]'") from None
+        return zstandard.open(path, "rb")
+    return open(path, "rb")
+
+
+# ------------------------------------------------------------------ LAMMPS
+
+
+def _texts(file: io.TextIOWrapper) -> Iterator[str]:
+    """The text of one frame after the other, with what stands before its time step."""
+    lines: list[str] = []
+    begun = False
+    for line in file:
+        if line.startswith("ITEM:"):
+            starts = line.startswith((FRAME, *BEFORE_FRAME))
+            if starts and begun:
+                yield "".join(lines)
+                lines, begun = [], False
+            begun = begun or line.startswith(FRAME)
+            if not (starts or begun):
+                raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
+        if lines or line.startswith("ITEM:"):
+            lines.append(line)
+        elif line.strip():
+            raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
+    if lines:
+        yield "".join(lines)
+
+
+def _of_text(text: str) -> Frame:
+    """A frame from its text. Raises ValueError, or what parsing runs into."""
+    head, _, rest = text.partition("ITEM: ATOMS ")
+    header, _, rows = rest.partition("\n")
+    items: dict[str, list[str]] = {}
+    for part in head.split("ITEM: ")[1:]:
+        title, *lines = part.rstrip("\n").split("\n")
+        items[title] = lines
+    units = items.get("UNITS", ["metal"])[0].strip()
+    (bounds,) = (title for title in items if title.startswith("BOX BOUNDS"))
+    if "abc" in bounds:
+        raise ValueError("a box of general edges (triclinic/general yes) is not read")
+    limits = np.array([[float(word) for word in line.split()] for line in items[bounds]])
+    announced = int(items["NUMBER OF ATOMS"][0])
+    columns = tuple(header.split())
+    wanted = _wanted(columns)
+    places = [columns.index(name) for name in wanted]
+    table = np.loadtxt(io.StringIO(rows), usecols=places, ndmin=2) if rows.strip() else None
+    if table is None or len(table) != announced:
+        raise ValueError(f"{announced} atoms announced, {0 if table is None else len(table)} there")
+    tilt = limits[:, 2] if limits.shape[1] == 3 else np.zeros(3)
+    return _frame(columns, dict(zip(wanted, table.T)), limits[:, :2], tilt, units)
+
+
+def _binary(file: BinaryIO) -> Iterator[Frame]:
+    """Frames of `dump custom FILE.bin`, of revision 2 on, on machines of this byte order."""
+
+    def read(form: str) -> Any:
+        part = file.read(struct.calcsize("=" + form))
+        found = struct.unpack("=" + form, part)
+        return found[0] if len(found) == 1 else found
+
+    def words() -> str:
+        size = read("i")
+        if not 0 <= size <= LARGEST_HEADER:
+            raise ValueError("a header of no sense")
+        return file.read(size).decode()
+
+    units = "metal"
+    while begin := file.read(8):
+        (mark,) = struct.unpack("=q", begin)
+        if mark != -len(MAGIC) or file.read(len(MAGIC)) != MAGIC or read("i") != 1:
+            raise ValueError("expected a binary dump custom of this machine's byte order")
+        if read("i") < 2:
+            raise ValueError("expected a binary dump of revision 2 or later, which names columns")
+        _, atoms, tilted = read("q"), read("q"), read("i")
+        read("6i")
+        limits = np.array(read("6d")).reshape(3, 2)
+        if tilted > 1:
+            raise ValueError("a box of general edges (triclinic/general yes) is not read")
+        tilt = np.array(read("3d")) if tilted else np.zeros(3)
+        width = read("i")
+        units = words() or units
+        if read("c") != b"\0":
+            read("d")
+        columns = tuple(words().split())
+        chunks = [np.frombuffer(file.read(8 * read("i"))) for _ in range(read("i"))]
+        table = np.concatenate(chunks).reshape(-1, width)
+        if len(table) != atoms:
+            raise ValueError(f"{atoms} atoms announced, {len(table)} there")
+        wanted = _wanted(columns)
+        values = {name: table[:, columns.index(name)] for name in wanted}
+        yield _frame(columns, values, limits, tilt, units)
+
+
+def _wanted(columns: Sequence[str]) -> list[str]:
+    """The columns that a frame is made of. Raises ValueError for those that are not there."""
+    shown = " ".join(columns)
+    if "id" not in columns:
+        raise ValueError(f"expected the column id, got {shown}")
+    used = next((name for name in POSITIONS if name in columns), None)
+    if used is None or used.replace("x", "y") not in columns:
+        raise ValueError(f"expected x and y of one kind, as xu yu, got {shown}")
+    height = used.replace("x", "z")
+    if height not in columns:
+        others = [name for name in ("z", "zu", "zs", "zsu") if name in columns]
+        if not others:
+            raise ValueError(f"expected z beside x and y, got {shown}")
+        height = others[0]  # a sheet's: nobody looks at it
+    wanted = ["id", used, used.replace("x", "y"), height]
+    wanted += [name for name in ("type", *IMAGES) if name in columns]
+    return wanted
+
+
+def _frame(
+    columns: tuple[str, ...],
+    values: dict[str, np.ndarray],
+    limits: np.ndarray,
+    tilt: np.ndarray,
+    units: str,
+) -> Frame:
+    """A frame of LAMMPS from its columns, the limits of the box's frame and its tilts."""
+    if units not in ANGSTROM_UNITS:
+        raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
+    xy, xz, yz = tilt
+    x_out, y_out = (0.0, xy, xz, xy + xz), (0.0, yz)
+    low = limits[:, 0] - [min(x_out), min(y_out), 0.0]
+    high = limits[:, 1] - [max(x_out), max(y_out), 0.0]
+    cell = np.diag(high - low)
+    cell[1, 0], cell[2, 0], cell[2, 1] = tilt
+    _, used, *_ = values
+    positions = np.stack([values[name] for name in list(values)[1:4]], axis=1)
+    if used in ("xs", "xsu"):
+        positions = low + positions @ cell
+    unwrapped = used in ("x", "xs") and set(IMAGES) <= set(values)
+    if unwrapped:
+        positions = positions + np.stack([values[name] for name in IMAGES], axis=1) @ cell
+    tilted = bool(tilt.any())
+    if tilted and used in ("x", "xs") and not unwrapped:
+        raise ValueError(
+            f"expected the columns xu, yu, zu in a tilted box, got {used}; or {used} with the "
+            "images ix, iy, iz"
+        )
+    ids = values["id"].astype(np.int64)
+    types = values["type"].astype(np.int64) if "type" in values else None
+    return _ordered(ids, positions, types, cell, columns, tilted=tilted, unwrapped=unwrapped)
+
+
+def _ordered(
+    ids: np.ndarray,
+    positions: np.ndarray,
+    types: np.ndarray | None,
+    cell: np.ndarray,
+    columns: tuple[str, ...],
+    *,
+    tilted: bool,
+    unwrapped: bool = False,
+) -> Frame:
+    """Atoms by rising id, none twice, all somewhere."""
+    if not np.isfinite(positions).all():
+        raise ValueError("positions that are not finite")
+    order = np.argsort(ids)
+    ids = ids[order]
+    if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
+        raise ValueError(f"the id {twice[0]} comes twice")
+    types = None if types is None else types[order]
+    x = positions[order]
+    sides = (float(cell[0, 0]), float(cell[1, 1]))
+    box = None if tilted or not min(sides) > 0 else sides
+    return Frame(ids, x[:, :2], types, box, columns, x[:, 2], cell, unwrapped)
+
+
+# ------------------------------------------------------------------ other formats
+
+
+def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:
+    """Types are 1, 2, … in the order of atomic numbers; ids a column id, or the file's order."""
+    import ase.io
+
+    for atoms in ase.io.iread(os.fspath(path), index=":"):
+        ids = np.asarray(atoms.arrays.get("id", np.arange(1, len(atoms) + 1)))
+        types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
+        cell = np.array(atoms.cell) * atoms.pbc[:, None]
+        tilted = bool(np.abs(cell - np.diag(np.diag(cell))).max() > 0)
+        columns = tuple(atoms.arrays)
+        yield _ordered(ids, np.array(atoms.positions), types, cell, columns, tilted=tilted)
+
+
+def _h5md(path: str | os.PathLike[str]) -> Iterator[Frame]:
+    """The only group of particles of an H5MD file; its lengths must name their unit."""
+    import h5py
+
+    with h5py.File(path) as file:
+        groups = list(file.get("particles", ()))
+        if len(groups) != 1:
+            raise ValueError(f"expected H5MD with one group of particles, got {len(groups)}")
+        group = file["particles"][groups[0]]
+        place = group["position/value"]
+        unit = place.attrs.get("unit", b"")
+        unit = unit.decode() if isinstance(unit, bytes) else str(unit)
+        factor = H5MD_LENGTHS.get(unit.strip().lower())
+        if factor is None:
+            raise ValueError(
+                f"expected the unit of position/value as an attribute, one of "
+                f"{', '.join(sorted(LENGTHS))}, got {unit!r}"
+            )
+
+        def at(name: str, number: int) -> Any:
+            """A quantity that changes with time, or does not; None without it."""
+            found = group.get(name)
+            if found is None:
+                return None
+            return found["value"][number] if isinstance(found, h5py.Group) else found[()]
+
+        for number in range(len(place)):
+            x = np.asarray(place[number], dtype=float) * factor
+            x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
+            edges, images = at("box/edges", number), at("image", number)
+            cell = np.zeros((3, 3))
+            if edges is not None:
+                edges = np.asarray(edges, dtype=float) * factor
+                size = edges.shape[-1]
+                cell[:size, :size] = edges if edges.ndim == 2 else np.diag(edges)
+            if images is not None:
+                x = x + np.pad(images, ((0, 0), (0, 3 - images.shape[1]))) @ cell
+            ids, types = at("id", number), at("species", number)
+            ids = np.arange(1, len(x) + 1) if ids is None else np.asarray(ids)
+            tilted = bool(np.abs(cell - np.diag(np.diag(cell))).max() > 0)
+            types = None if types is None else np.asarray(types)
+            yield _ordered(
+                ids, x, types, cell, tuple(group), tilted=tilted, unwrapped=images is not None
+            )

@@ -1,0 +1,1 @@
+"""From a structure of atoms and what holds them together to a law of their crystal."""

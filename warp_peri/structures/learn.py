@@ -1,0 +1,299 @@
+"""A structure and its calculator, or its force constants, to the law of the crystal, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import ase
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.elastic import (
+    acoustic,
+    allowed_tensors,
+    brackets_from_elastic,
+    directional,
+    named_moduli,
+    stress_brackets,
+    voigt,
+)
+from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.groups import Symmetry, point_group
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.learning import fit, from_phonons
+from warp_peri.micromodulus.regression import directions
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.shown import as_table, in_rows
+from warp_peri.structures.campaign import load_campaign
+from warp_peri.structures.phonons import check_phonons, force_constants, strained_moduli
+from warp_peri.structures.rest import at_rest, usual_spacing
+from warp_peri.structures.waves import Loads, wave_loads
+
+REACH = {2: 3.0, 3: 6**0.5}
+"""Horizons over the spacing: 28 bonds in the plane, 80 in space."""
+WITHIN = 0.02
+"""Relative error of the answer to a plane wave that a law is said to hold with."""
+SIZES, DIRECTIONS = 80, 60
+"""Of the waves that are looked at for it."""
+UNSEEN = {"waves ≥ 4 spacings": (18.0, 4.0, 8, 2), "waves of 2.7 to 4 spacings": (4.0, 2.7, 4, 3)}
+"""Longest and shortest wave, loads and seed of what a law is put to."""
+
+Symbol = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCrystal:
+    """A crystal's law, what it was learned from, and how it compares.
+
+    Attributes:
+        material: the law with its certificate.
+        atoms: force constants of the crystal at rest.
+        strained: C_ijkl [TPa] by finite strains of the cell, [d, d, d, d], or None.
+        said: what was found or chosen on the way, by name.
+    """
+
+    material: Crystal
+    atoms: ForceConstants
+    strained: np.ndarray | None
+    said: dict[str, str]
+
+    @property
+    def certificate(self) -> Any:
+        """What is proven of the law."""
+        return self.material.certificate
+
+    @cached_property
+    def law(self) -> Crystal:
+        """The law in Å and TPa, as the force constants have it."""
+        return self.material.in_units(USUAL)
+
+    @cached_property
+    def tensor(self) -> np.ndarray:
+        """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
+        d, symmetry = self.atoms.dimension, self.material.symmetry
+        allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
+        return self.atoms.elastic(allowed)
+
+    @cached_property
+    def local(self) -> Symbol:
+        """Γ(k) [TPa/Å²]: the local solid with the atoms' moduli, without any error of a mesh."""
+        brackets = brackets_from_elastic(self.tensor)
+        if self.atoms.stress is not None:
+            brackets = brackets + stress_brackets(self.atoms.stress)
+        return lambda k: acoustic(brackets, k)
+
+    @cached_property
+    def holds_to(self) -> dict[str, float]:
+        """Shortest wave [Å] down to which answers are within 2 % of the atoms', by law and rival.
+
+        In sixty directions, down to two spacings; infinite where no wave is.
+        """
+        d, h = self.atoms.dimension, self.law.spacing
+        sizes = np.linspace(0.05, np.pi, SIZES) / h
+        k = (sizes[:, None, None] * directions(DIRECTIONS, d)).reshape(-1, d)
+        true = np.linalg.inv(self.atoms.effective(k))
+        found = {}
+        for name, symbol in (("law", self.law.symbol), ("local", self.local)):
+            answer = np.linalg.inv(symbol(k))
+            off = np.linalg.norm(answer - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
+            worst = off.reshape(SIZES, -1).max(axis=1)
+            good = int(np.argmax(np.append(worst, np.inf) > WITHIN))
+            found[name] = float(2 * np.pi / sizes[good - 1]) if good else float("inf")
+        return found
+
+    @cached_property
+    def unseen(self) -> dict[str, dict[str, float]]:
+        """Mean E_u [%] on loads of waves that the law never saw, by law and rival."""
+        found = {}
+        for name, loads in self.loads.items():
+            found[name] = {
+                "law": loads.errors_of(self.law)[1],
+                "local": loads.errors(self.local)[1],
+            }
+        return found
+
+    @cached_property
+    def loads(self) -> dict[str, Loads]:
+        """The loads of `unseen`."""
+        h = self.law.spacing
+        return {
+            name: wave_loads(self.atoms, h, longest=a, shortest=b, loads=count, seed=seed)
+            for name, (a, b, count, seed) in UNSEEN.items()
+        }
+
+    def directional(self, count: int = 181) -> tuple[np.ndarray, np.ndarray]:
+        """Angles in the plane of the first and the last axis, and Young's modulus along [GPa]."""
+        angle, one = np.linspace(0, 2 * np.pi, count), np.eye(self.atoms.dimension)
+        along = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
+        across = np.outer(-np.sin(angle), one[0]) + np.outer(np.cos(angle), one[-1])
+        C = 1e3 * self.law.tensor()
+        return angle, np.array([directional(C, *pair)[0] for pair in zip(along, across)])
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        d, held = self.atoms.dimension, self.atoms.stress
+        columns = {"law": self.law.tensor(), "atoms' long waves": self.tensor}
+        if self.strained is not None:
+            columns["finite strains"] = self.strained
+        shown = [
+            (
+                f"moduli, {name}",
+                ", ".join(f"{key} {value:.2f}" for key, value in named_moduli(1e3 * C).items())
+                + " GPa",
+            )
+            for name, C in columns.items()
+        ]
+        if held is not None:
+            stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
+            shown.append(("stress held", f"{stress} GPa (upper triangle)"))
+        law = self.law
+        shown += [
+            ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
+            ("proven", "nothing" if law.certificate is None else law.certificate.statement),
+            (
+                f"within {WITHIN:.0%} down to",
+                f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
+                f"{_length(self.holds_to['local'])}",
+            ),
+        ]
+        shown += [
+            (f"unseen {name}", f"E_u {e['law']:.2f} %; local elasticity {e['local']:.2f} %")
+            for name, e in self.unseen.items()
+        ]
+        return [*self.said.items(), *shown]
+
+    def __repr__(self) -> str:
+        return in_rows("LearnedCrystal", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
+
+    def plot(self) -> Any:
+        """A matplotlib Figure: dispersion, E over direction, unseen loads."""
+        from warp_peri.structures.picture import picture
+
+        return picture(self)
+
+    def content(self) -> dict[str, Any]:
+        """The same as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
+        C = {"law": self.law.tensor(), "atoms": self.tensor}
+        if self.strained is not None:
+            C["finite strains"] = self.strained
+        proof = self.law.certificate
+        return {
+            "said": self.said,
+            "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
+            "moduli_GPa": {key: named_moduli(1e3 * v) for key, v in C.items()},
+            "spacing": self.law.spacing,
+            "horizon": self.law.horizon,
+            "holds_to": self.holds_to,
+            "unseen_E_u": self.unseen,
+            "statement": "" if proof is None else proof.statement,
+            "proven_GPa": None if proof is None else 1e3 * proof.proven,
+        }
+
+
+def _length(wave: float) -> str:
+    return f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
+
+
+def from_atoms(
+    atoms: ase.Atoms,
+    calculator: Any = None,
+    *,
+    source: str = "phonons",
+    thickness: float | None = None,
+    hold: Sequence[str] = (),
+    spacing: float | None = None,
+    horizon: float | None = None,
+    supercell: Sequence[int] | None = None,
+    symmetry: Symmetry = "auto",
+    units: Units | str = USUAL,
+) -> LearnedCrystal:
+    """The law of a crystal from its structure and a calculator.
+
+    The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
+    smallest cell; force constants are made, the law is learned from them or from loads, and put to
+    loads that it never saw.
+
+    Args:
+        atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
+        calculator: any ASE calculator; None takes the one of the atoms.
+        source: "phonons", or "loads": supercells under waves of force, relaxed and smoothed.
+        thickness: of a sheet [Å]; by default from the lowest to the highest nucleus and a van der
+            Waals radius beyond each.
+        hold: strains that are not relaxed: of xx, yy, zz, yz, xz, xy, or "all".
+        spacing: of the nodes [Å]; by default the edge of a cube as large as the conventional cell,
+            of a sheet the longer edge of its smallest rectangle.
+        horizon: of the longest bond [Å]; by default 3 spacings, in space √6.
+        supercell: repeats of the smallest cell for force constants; by default until forces end.
+        symmetry: "auto" asks spglib, or a point group by name.
+        units: of the law: "ase", "metal", "si", or names of a length and a stress.
+
+    Raises InputError for what is no crystal, does not come to rest, or has imaginary phonons.
+    """
+    units = check_units(units)
+    calculator = atoms.calc if calculator is None else calculator
+    if calculator is None:
+        raise InputError("calculator: expected an ASE calculator, or atoms that have one")
+    if source not in ("phonons", "loads"):
+        raise InputError(f"source: expected phonons or loads, got {source!r}")
+    reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
+    constants, taken = force_constants(reference, calculator, supercell)
+    said = reference.said | {"force constants": taken}
+    h = reference.spacing if spacing is None else spacing
+    strained = strained_moduli(reference, calculator)
+    samples = None
+    if source == "loads":
+        reach = h * REACH[reference.dimension] if horizon is None else horizon
+        samples = load_campaign(reference, constants, calculator, h, reach)
+        said |= {"loads": f"{len(samples)}, on {int(samples.interior.sum())} interior nodes"}
+    return _learned(constants, h, horizon, symmetry, units, said, strained, samples)
+
+
+def from_force_constants(
+    atoms: ForceConstants,
+    *,
+    spacing: float | None = None,
+    horizon: float | None = None,
+    symmetry: Symmetry = "auto",
+    units: Units | str = USUAL,
+) -> LearnedCrystal:
+    """The law of a crystal whose force constants are known, as `from_atoms` gives it.
+
+    Args:
+        atoms: force constants, as of `from_phonopy`.
+        spacing, horizon, symmetry, units: as for `from_atoms`.
+
+    Raises InputError for a crystal with imaginary phonons.
+    """
+    check_phonons(atoms)
+    if spacing is None:
+        cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
+        spacing = usual_spacing(cell, atoms.dimension == 2)
+    return _learned(atoms, spacing, horizon, symmetry, check_units(units), {}, None, None)
+
+
+def _learned(
+    atoms: ForceConstants,
+    spacing: float,
+    horizon: float | None,
+    symmetry: Symmetry,
+    units: Units,
+    said: dict[str, str],
+    strained: np.ndarray | None,
+    samples: Samples | None,
+) -> LearnedCrystal:
+    d = atoms.dimension
+    reach = spacing * REACH[d] if horizon is None else horizon
+    auto = isinstance(symmetry, str) and symmetry == "auto"
+    group = atoms.group() if auto else symmetry
+    if samples is None:
+        law = from_phonons(atoms, spacing, reach, symmetry=group)
+    else:
+        law = fit(samples, reach, symmetry=group)
+    return LearnedCrystal(law.in_units(units), atoms, strained, said)

@@ -1,0 +1,304 @@
+"""A structure made ready: sheet or solid, its axes, its smallest cell, at rest."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import ase
+import numpy as np
+from ase.data import vdw_radii
+from ase.filters import FrechetCellFilter
+from ase.optimize import BFGS
+from ase.stress import voigt_6_to_full_3x3_stress
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.groups import group_of_structure
+from warp_peri.points.unit_names import STRESSES
+
+VACUUM = 8.0
+"""A gap between atoms [Å] that counts as vacuum."""
+HEIGHT = 40.0
+"""Of the box around a sheet, beside the sheet itself [Å]."""
+USUAL_RADIUS = 2.0
+"""Van der Waals radius [Å] of elements that have none in ASE's table."""
+QUIET, STEPS = 1e-5, 1000
+"""Forces [eV/Å] that a structure is relaxed to, and the steps that it may take."""
+RESIDUAL_FORCE, RESIDUAL_STRESS = 1e-3, 1e-4
+"""Forces [eV/Å] and stress [TPa] that are taken for none."""
+VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
+PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+ON_SITES = 1e-4
+"""Distance [Å] within which atoms are on their sites."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A crystal at rest.
+
+    Attributes:
+        cell: its smallest cell, an ase.Atoms without a calculator; a sheet lies across z.
+        thickness: of a sheet [Å], or None.
+        stress: that it is held under [TPa], shape [d, d]; None for one at rest.
+        spacing: that its nodes have unless another is asked for [Å].
+        said: what was found or chosen, by name.
+    """
+
+    cell: ase.Atoms
+    thickness: float | None
+    stress: np.ndarray | None
+    spacing: float
+    said: dict[str, str]
+
+    @property
+    def dimension(self) -> int:
+        """2 for a sheet, 3 for a solid."""
+        return 3 if self.thickness is None else 2
+
+
+def at_rest(
+    atoms: ase.Atoms,
+    calculator: Any,
+    *,
+    thickness: float | None = None,
+    hold: Sequence[str] = (),
+) -> Reference:
+    """The smallest cell of a structure where no atom feels a force and what is free no stress.
+
+    Args:
+        atoms: the structure, periodic in the plane (a sheet) or in space.
+        calculator: with forces, and stress unless all strains are held.
+        thickness: of a sheet [Å]; by default from the lowest to the highest nucleus and a van der
+            Waals radius beyond each.
+        hold: strains that stay as they are: of xx, yy, zz, yz, xz, xy, or "all".
+
+    Raises InputError for a structure that is no crystal, for strains that are not known, and where
+    relaxation leaves a force or a stress.
+    """
+    held = set(VOIGT) if "all" in hold else set(hold)
+    if not held <= set(VOIGT):
+        raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
+    cell, flat = _oriented(atoms)
+    if not flat and thickness is not None:
+        raise InputError("thickness: the structure is a solid, periodic in space; expected none")
+    cell = _smallest(cell, flat)
+    cell.calc = calculator
+    _relax(cell, flat, held)
+    size, rule = thickness, "as given"
+    if flat and size is None:
+        size, rule = thickness_of(cell)
+    stress = _stress_left(cell, size, flat, held)
+    said = {
+        "structure": f"{cell.get_chemical_formula()}, {'a sheet' if flat else 'a solid'}",
+        "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
+        + f" Å, {len(cell)} atoms",
+    }
+    if size is not None:
+        said["thickness"] = f"{size:.4g} Å, {rule}"
+    cell.calc = None
+    return Reference(cell, size, stress, usual_spacing(cell, flat), said)
+
+
+def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
+    """The structure with a sheet across z, amid a high box, and whether it is one."""
+    periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
+    if not periodic.any():
+        raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
+    empty = [a for a in range(3) if not periodic[a] or gap(atoms, a) >= VACUUM]
+    if len(empty) > 1:
+        raise InputError(
+            f"structure: expected a sheet or a solid; along {len(empty)} edges of the cell there "
+            "is vacuum or no period"
+        )
+    ready: ase.Atoms = atoms.copy()
+    ready.set_constraint()
+    ready.calc = None
+    if not empty:
+        ready.pbc = True
+        return _turned(ready), False
+    first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
+    normal = np.cross(cell[first], cell[second])
+    along = cell[first] / np.linalg.norm(cell[first])
+    up = normal / np.linalg.norm(normal)
+    turn = np.array([along, np.cross(up, along), up])
+    x = np.array(ready.positions) @ turn.T
+    if periodic[empty[0]]:  # a sheet that the period cuts is put together at the gap
+        x = _joined(atoms, empty[0], x, turn)
+    edges = np.array([turn @ cell[first], turn @ cell[second], [0, 0, HEIGHT + np.ptp(x[:, 2])]])
+    x[:, 2] += edges[2, 2] / 2 - (x[:, 2].min() + x[:, 2].max()) / 2
+    ready.set_cell(edges)
+    ready.positions[:] = x
+    ready.pbc = True
+    return ready, True
+
+
+def _heights(atoms: ase.Atoms, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Parts of an edge at which atoms are, rising, their order, and how far its faces are apart."""
+    part = np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis] % 1.0
+    order = np.argsort(part)
+    apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
+    return part[order], order, float(apart)
+
+
+def gap(atoms: ase.Atoms, axis: int) -> float:
+    """Largest distance between neighbours along an edge [Å]."""
+    part, _, apart = _heights(atoms, axis)
+    return float(np.diff(np.append(part, part[0] + 1)).max() * apart)
+
+
+def _joined(atoms: ase.Atoms, axis: int, x: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    part, order, _ = _heights(atoms, axis)
+    last = int(np.diff(np.append(part, part[0] + 1)).argmax())
+    edge = turn @ np.array(atoms.cell)[axis]
+    whole = np.floor(np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis])
+    x = x - np.outer(whole, edge)
+    if last < len(part) - 1:
+        x[order[: last + 1]] += edge
+    return x
+
+
+def _turned(atoms: ase.Atoms) -> ase.Atoms:
+    """A solid turned to spglib's standard axes, where these share more turns with nodes."""
+    import spglib
+
+    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found: Any = spglib.get_symmetry_dataset(given, symprec=ON_SITES)
+    if found is None:
+        return atoms
+    group = group_of_structure(*given)
+    turn = np.array(found.std_rotation_matrix)
+
+    def shared(turns: np.ndarray) -> int:
+        return int((np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum())
+
+    if shared(turn @ group @ turn.T) > shared(group):
+        atoms = atoms.copy()
+        atoms.set_cell(np.array(atoms.cell) @ turn.T, scale_atoms=True)
+    return atoms
+
+
+def _smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
+    """The primitive cell in the same axes; a sheet's third edge stays."""
+    import spglib
+
+    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        small: Any = spglib.standardize_cell(
+            given, to_primitive=True, no_idealize=True, symprec=ON_SITES
+        )
+    if small is None or len(small[2]) >= len(atoms):
+        return atoms
+    edges = np.array(small[0])
+    x = small[1] @ edges
+    if flat:
+        (up,) = np.flatnonzero(np.abs(edges[:, :2]).max(axis=1) < 1e-6)
+        edges = edges[[(up + 1) % 3, (up + 2) % 3, up]]
+        if np.linalg.det(edges) < 0:
+            edges[2] *= -1
+        x[:, 2] %= abs(edges[2, 2])
+    return ase.Atoms(small[2], positions=x, cell=edges, pbc=True)
+
+
+def _relax(cell: ase.Atoms, flat: bool, held: set[str]) -> None:
+    free = [name not in held and not (flat and "z" in name) for name in VOIGT]
+    try:
+        moving: Any = FrechetCellFilter(cell, mask=free) if any(free) else cell
+        done = BFGS(moving, logfile=None).run(fmax=QUIET, steps=STEPS)
+    except NotImplementedError as error:
+        raise InputError(
+            f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold=all"
+        ) from None
+    force = float(np.abs(cell.get_forces(apply_constraint=False)).max())
+    if not done and force > RESIDUAL_FORCE:
+        raise InputError(
+            f"structure: after {STEPS} steps of relaxation a force of {force:.2g} eV/Å is left"
+        )
+
+
+def stress_of(cell: ase.Atoms, thickness: float | None) -> np.ndarray:
+    """Cauchy stress [TPa] of a structure with its calculator, [3, 3]; a sheet's over its own."""
+    stress = voigt_6_to_full_3x3_stress(cell.get_stress(apply_constraint=False))
+    if thickness is not None:
+        stress = stress * (cell.cell[2, 2] / thickness)
+    return np.asarray(stress * STRESSES["eV/angstrom^3"])
+
+
+def _stress_left(
+    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str]
+) -> np.ndarray | None:
+    """The stress of the strains that are held, [d, d]; None where there is none.
+
+    Raises InputError for a stress where the strain is free.
+    """
+    d = 2 if flat else 3
+    try:
+        stress = stress_of(cell, thickness)[:d, :d]
+    except NotImplementedError:
+        warnings.warn(
+            "calculator: it gives no stress; the crystal is taken to be at rest", stacklevel=3
+        )
+        return None
+    for name, (i, j) in zip(VOIGT, PLACES):
+        if max(i, j) < d and name not in held and abs(stress[i, j]) > RESIDUAL_STRESS:
+            raise InputError(
+                f"structure: relaxation left a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
+            )
+    if np.abs(stress).max() <= RESIDUAL_STRESS:
+        return None
+    return np.asarray((stress + stress.T) / 2)
+
+
+def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
+    """By the rule that Reference states [Å]."""
+    z = np.array(cell.positions)[:, 2]
+    radii = [vdw_radii[cell.numbers[n]] for n in (z.argmin(), z.argmax())]
+    radii = [USUAL_RADIUS if np.isnan(r) else float(r) for r in radii]
+    return float(np.ptp(z) + sum(radii)), (
+        f"{np.ptp(z):.4g} Å between outermost nuclei and van der Waals radii of "
+        f"{radii[0]:.3g} and {radii[1]:.3g} Å"
+    )
+
+
+def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
+    """Of nodes [Å]: by the conventional cell's volume, of a sheet by its smallest rectangle."""
+    return _sheet_spacing(cell) if flat else _solid_spacing(cell)
+
+
+def _solid_spacing(cell: ase.Atoms) -> float:
+    """Edge of a cube with the volume of the conventional cell, twice that of a hexagonal one."""
+    import spglib
+
+    given: Any = (np.array(cell.cell), cell.get_scaled_positions(), cell.numbers)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found: Any = spglib.get_symmetry_dataset(given, symprec=ON_SITES)
+    if found is None:
+        return float(abs(cell.get_volume()) ** (1 / 3))
+    volume = abs(cell.get_volume()) * len(found.std_types) / len(cell)
+    hexagonal = 143 <= found.number <= 194 and "R" not in found.international
+    return float((volume * (2 if hexagonal else 1)) ** (1 / 3))
+
+
+def _sheet_spacing(cell: ase.Atoms) -> float:
+    """The longer edge of the smallest rectangle; √(2 area) where no small one is a cell."""
+    a, b = np.array(cell.cell)[:2, :2]
+    for _ in range(100):
+        if b @ b < a @ a:
+            a, b = b, a
+        shift = np.rint((a @ b) / (a @ a))
+        if not shift:
+            break
+        b = b - shift * a
+    part = abs(a @ b) / (a @ a)
+    if part < 1e-3:
+        return float(np.linalg.norm(b))
+    if abs(part - 0.5) < 1e-3:  # a, and what stands on it
+        return float(max(np.linalg.norm(a), 2 * abs(a[0] * b[1] - a[1] * b[0]) / np.linalg.norm(a)))
+    if abs(np.linalg.norm(a) / np.linalg.norm(b) - 1) < 1e-3:  # a rhombus: its diagonals
+        return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
+    return float(np.sqrt(2 * abs(a[0] * b[1] - a[1] * b[0])))
