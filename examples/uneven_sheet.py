@@ -1,7 +1,9 @@
-"""Maps of an uneven sheet's moduli from four loads: boron nitride in graphene.
+"""Maps of an uneven sheet's moduli from four loads: boron nitride in graphene; and how moduli
+follow the density of a sheet with vacancies, learned on one and used on another.
 
 python examples/uneven_sheet.py           numbers, and a picture in runs/uneven_sheet
 python examples/uneven_sheet.py --json    one object on stdout
+python examples/uneven_sheet.py --all     sheets with vacancies too
 """
 
 from __future__ import annotations
@@ -21,12 +23,15 @@ import numpy as np
 import warp_peri as wp
 from tools.graphene_phonons import force_constants
 from tools.uneven_sheets import Sheet, moduli, uneven_sheet
-from warp_peri.dressed import fit_maps, from_phonons
+from warp_peri.dressed import DressedSolid, fit_density, fit_maps, from_phonons
 from warp_peri.errors import exit_status
 
+LOADS_OF_DENSITY = 12
 RADIUS, SIDE = 45.0, 197.25
 """Of the disc of boron nitride, and of the sheet [Å]."""
 POTENTIAL = "BNC.tersoff"
+MOST, MIDDLE, WIDTH = (0.04, 0.05), (0.15, -0.1), 0.14
+"""Share of atoms missing at the middle of ramp and blob; where the blob is, over the box."""
 INNER = 27.0
 """Radius within which the disc's moduli are read [Å]: no smoothing reaches its edge from there."""
 
@@ -49,10 +54,44 @@ def parts_of(V: np.ndarray) -> dict[str, float]:
     return {"bulk": float(V[0, 0] + V[0, 1]) / 2, "shear": float(V[2, 2])}
 
 
+def graphene(potential: str, spacing: float) -> DressedSolid:
+    """The even sheet, from its phonons alone."""
+    return from_phonons(
+        force_constants(potential), spacing, neighbours=8, symmetry="isotropic", split=False
+    )
+
+
+def vacancies(loads: int) -> dict[str, Any]:
+    """E_u [%] on a sheet with a blob of vacancies that no fit saw: as if even, with the law of
+    density learned on a ramp of vacancies, and with a map of its own."""
+    ramp = uneven_sheet(vacant=lambda at: MOST[0] * (1 - np.abs(2 * at[:, 0])), train=loads)
+    blob = uneven_sheet(
+        vacant=lambda at: MOST[1] * np.exp(-((at - MIDDLE) ** 2).sum(axis=1) / (2 * WIDTH**2)),
+        train=loads, seed=1,
+    )  # fmt: skip
+    points = blob.sets["train"].points
+    law = graphene("SiC_1989.tersoff", points.spacing)
+    found = fit_density(law, ramp.sets["train"], ramp.density)
+    own = fit_maps(law, blob.sets["train"], parts="one")
+    even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
+    maps = {"uniform": even, "density": found.maps(blob.density), "own map": own.maps}
+    errors = {name: displacement_errors(law.on(points, maps=m), blob) for name, m in maps.items()}
+    over = {key: errors["density"][key] / errors["own map"][key] for key in ("val", "patch")}
+    return {
+        "coefficients": found.coefficients["shear"].tolist(),
+        "spread": found.spread["shear"].tolist(),
+        "densities": {"learned": [found.least, found.most],
+                      "used": [float(blob.density.min()), float(blob.density.max())]},
+        "unseen": errors,
+        "over its own map": over,
+    }  # fmt: skip
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--loads", type=int, default=4, help="to learn from")
+    parser.add_argument("--all", action="store_true", help="sheets with vacancies too")
     parser.add_argument("--json", action="store_true", help="one object on stdout")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "uneven_sheet")
     given = parser.parse_args(arguments)
@@ -62,10 +101,7 @@ def main(arguments: list[str] | None = None) -> int:
             lambda at: np.linalg.norm(at, axis=1) * SIDE < RADIUS, train=given.loads
         )
         points = sheet.sets["train"].points
-        law = from_phonons(
-            force_constants(POTENTIAL), points.spacing, neighbours=8, symmetry="isotropic",
-            split=False,
-        )  # fmt: skip
+        law = graphene(POTENTIAL, points.spacing)
         carbon, nitride = (parts_of(moduli(names)) for names in (("C",), ("B", "N")))
         even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
         numbers: dict[str, Any] = {"uniform": displacement_errors(law.on(points, maps=even), sheet)}
@@ -77,6 +113,9 @@ def main(arguments: list[str] | None = None) -> int:
                 **displacement_errors(body, sheet), "smoothness": fit.smoothness,
             }  # fmt: skip
         found = fits["each"]
+        numbers["maps"]["resolution"] = found.resolution
+        if given.all:
+            numbers["density"] = vacancies(LOADS_OF_DENSITY)
         numbers["moduli"] = {
             part: {
                 "found": float(found.maps[part][middle].mean()),

@@ -5,6 +5,7 @@
     python tools/benchmark.py launch [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py crystals [--quick]
+    python tools/benchmark.py dressed [--quick]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
@@ -34,6 +35,7 @@ import warp as wp
 
 from tools import (
     benchmark_crystals,
+    benchmark_dressed,
     launch_costs,
     numba_rival,
     numba_rows,
@@ -405,7 +407,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    kinds = ["operator", "roofline", "launch", "solve", "crystals", "choice"]
+    kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "choice"]
     parser.add_argument("what", choices=kinds)
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
@@ -420,6 +422,8 @@ def main(arguments: list[str] | None = None) -> int:
         solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "crystals":
         benchmark_crystals.crystals(quick=given.quick)
+    elif given.what == "dressed":
+        benchmark_dressed.dressed(quick=given.quick)
     elif given.what == "choice":
         solver_choice.solver_choice(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "roofline":

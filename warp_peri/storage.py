@@ -26,6 +26,7 @@ READERS = {
     "warp_peri.soft_solid": ("damage.softening", "load_soft_solid"),
     "warp_peri.micromodulus": ("micromodulus.law", "load_crystal"),
     "warp_peri.dressed": ("dressed.law", "load_dressed"),
+    "warp_peri.dressed_finite": ("dressed.finite", "load_finite"),
     "warp_peri.hyperelastic": ("tissue.solid", "load_hyperelastic"),
     "warp_peri.neural": ("neural.file", "load"),
     "warp_peri.conductor": ("diffusion.conductor", "load_conductor"),

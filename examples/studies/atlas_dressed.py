@@ -1,19 +1,23 @@
-"""Stability atlas: learned bonds that are cut where a body ends."""
+"""Stability atlas: learned bonds that are cut where a body ends; sheets strained too far."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import scipy.sparse as sp
 
 import warp_peri
-from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.dressed import DressedSolid
+from examples.studies.atlas_entry import Entry, square_lattice, words, written
+from warp_peri.dressed import DressedSolid, FiniteSolid
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points
 
 SIDES = (9, 13, 17, 25, 33)
 STYLES = {"learned bonds, cut": "C3o-", "elements, dressed": "C0o-", "bonds, dressed": "C1o-"}
+SIDE = 8
+"""Unknown nodes a side of a strained sheet."""
 STRESS = 0.01
 """At the outermost nodes of a bent sheet [TPa]."""
 
@@ -99,3 +103,37 @@ def _rigid(x: np.ndarray) -> np.ndarray:
     turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
     shifts = [np.tile(e, len(x)) for e in np.eye(2)]
     return np.linalg.qr(np.stack([*shifts, turn.ravel()], axis=1))[0]
+
+
+def stretched_beyond(law: FiniteSolid | None = None) -> Entry:
+    """The least eigenvalue of a strained sheet's tangent against |H|, and what is proven."""
+    law = law or FiniteSolid(5.0, -0.197, 0.722, -0.120, 0.034, 0.047, -0.44, -7.32, 1.11)
+    points = square_lattice(SIDE, 1.5 * law.spacing, law.spacing)
+    points = replace(points, axis=0.0)
+    body, inside = law.on(points), np.repeat(points.interior, 2)
+    x = points.x - points.x[points.interior].mean(axis=0)
+    k = 2 * np.pi / (6 * law.spacing)
+    ways = {
+        "stretched both ways": x,
+        "stretched one way": x * [1, 0],
+        "sheared": x[:, ::-1] * [1, 0],
+        "a wave of six spacings": np.stack([np.sin(k * x[:, 0]), 0 * x[:, 0]], axis=1) / k,
+    }
+    sizes = np.linspace(0, 0.16, 33)
+    curves: dict[str, list[float]] = {}
+    for name, u in ways.items():
+        u = u / body.largest_gradient(u)
+        least = [np.linalg.eigvalsh(body.tangent(s * u).toarray()[:, inside])[0] for s in sizes]
+        curves[name] = [float(value / least[0]) for value in least]
+    first = min(float(np.interp(0, -np.array(c), sizes)) for c in curves.values() if min(c) < 0)
+    beyond = (first + 0.01) * ways["stretched both ways"] / 2**0.5
+    seen = words(lambda: body.rest(0 * beyond, beyond))
+    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for name, values in curves.items():
+        ax.plot(100 * sizes, values, label=name)
+    ax.axvspan(0, 100 * law.strain, color="C2", alpha=0.2, lw=0, label="proven")
+    ax.axhline(0, color="k", lw=0.8)
+    ax.set(xlabel="largest |H| [%]", ylabel="least eigenvalue over that at rest", ylim=(-1, 1.5))
+    ax.legend(frameon=False)
+    numbers = {"proven": 100 * law.strain, "first": 100 * first}
+    return Entry(*written("stretched", **numbers), [seen], figure, dict(curves) | numbers)

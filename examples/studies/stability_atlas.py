@@ -80,6 +80,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
         "edges": lambda: atlas_dressed.cut_at_edges(data),
+        "stretched": atlas_dressed.stretched_beyond,
         "uneven": atlas_uneven.uneven_as_even,
         "noise-of-its-own": atlas_flow.independent_noise,
         "stretched-and-turned": atlas_flow.stretched_and_turned,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -164,6 +165,16 @@ def dressed():
     return wp.dressed.DressedSolid(1.0, "elements", C, steps, [g], symmetry="4mm").certified()
 
 
+def finite():
+    """The same elements under a G and an F of numbers, with third-order constants."""
+    return wp.dressed.FiniteSolid(1.0, -0.2, 0.72, -0.05, 0.02, 0.04, *CONSTANTS)
+
+
+def of_finite(material, H):
+    constants = {name: getattr(material, name) for name in ("t3", "tq2", "q3")}
+    return of_third_order(SimpleNamespace(linear=material, **constants), H)
+
+
 def plain(side, angle=0.0):
     return replace(lattice(side, 3.0, angle=angle), axis=np.rad2deg(angle))
 
@@ -217,6 +228,15 @@ LAWS = {
     "third order, energy": Law(third_order(None), **CUBIC),
     "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),
     "dressed": Law(dressed, plain, of_tensors, sheet=plain_cell, horizon=18**0.5),
+    "dressed, finite strain": Law(
+        finite,
+        crystal,
+        of_finite,
+        sheet=cell,
+        stress_turns=True,
+        force_turns=True,
+        horizon=18**0.5,
+    ),
     "neural operator": Law(
         network,
         plain,

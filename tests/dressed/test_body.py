@@ -1,11 +1,15 @@
 """Bodies that are uneven, end at edges, or are broken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import warp_peri as wp
 from tests.dressed.solids import SPACING, nodes, rigid, solid
-from warp_peri.dressed import torn
+from tests.micromodulus.crystals import lattice
+from warp_peri.dressed import grown, torn
+from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
 
 REACHES = {2: (1.0, 2**0.5, 2.0, 5**0.5), 3: (1.0, 2**0.5, 3**0.5)}
@@ -213,3 +217,53 @@ def test_what_does_not_fit_is_refused(options, message):
         options = {"edges": lambda x: np.ones(3, bool)}
     with pytest.raises(InputError, match=message):
         solid().on(nodes(2, 10), **({"edges": True} | options))
+
+
+@pytest.mark.parametrize("base", ["elements", "bonds"])
+@pytest.mark.parametrize("periodic", [True, False])
+def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, periodic):
+    """L as G, K, G by rows: of even solids, on one precision and two, and with maps."""
+    law = solid(2, base, 2.0 if base == "bonds" else 2**0.5)
+    points = wp.Points.sheet((15, 18), SPACING) if periodic else lattice(2, 5, 7, SPACING)
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=(2, *points.x.shape))
+    placed, known = law.on(points), law.crystal.on(points, method="rows")
+    assert isinstance(placed.pull, ByLayers)
+    expected, size = known(u), np.abs(known(u)).max()
+    np.testing.assert_allclose(placed(u), expected, atol=1e-14 * size)
+    single = law.on(points, dtype=np.float32)(u)
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, expected, atol=1e-5 * size)
+    maps = {name: rng.uniform(0, 2, len(points.x)) for name in law.parts.names}
+    body = law.on(points, maps=maps)
+    by_matrix = (body.L @ u.reshape(2, -1).T).T.reshape(u.shape)[:, points.interior]
+    np.testing.assert_allclose(body(u), by_matrix, atol=1e-13 * size)
+    assert (body._sweep is not None) == (base == "elements")
+
+
+def test_cracks_grow_in_the_base_and_the_atoms_show_them():
+    """The ledger of the base is the energy of the dressed body, event after event."""
+    law = solid(2, "bonds", 2.0, 0.02)
+    points = nodes(2, 13, interior=lambda x: np.abs(x[:, 1] - 6 * SPACING) < 5.5 * SPACING)
+    x = points.x - 6 * SPACING
+    pulled = wp.Cracked(points, u=x * [0, 1], cracks=[[(4 * SPACING, 6.5 * SPACING),
+                                                      (8 * SPACING, 6.5 * SPACING)]])  # fmt: skip
+    energies, lost = [], []
+    for events in (2, 5):
+        growth = wp.move(law.plain, pulled, events=events + 1)
+        growth_before = wp.move(law.plain, pulled, events=events)
+        pairs = grown(points, growth_before)
+        body = law.on(points, edges=True, broken=pairs)
+        plain = replace(law, tensors=0 * law.tensors).on(points, edges=True, broken=pairs)
+        asked = wp.Dirichlet(points, 0 * x, x * [0, 1])
+        u, v = (wp.solve(one, asked).u for one in (body, plain))
+        np.testing.assert_allclose(body.displacement(v), u, atol=1e-10)
+        np.testing.assert_allclose(v, growth.u / growth.time[-1], atol=1e-8)
+        ledger = growth["energy"][-1]
+        assert body.energy(u) == pytest.approx(ledger, rel=1e-9)
+        energies.append(ledger)
+        lost.append(len(pairs))
+    assert energies[1] < energies[0]
+    assert lost[1] > lost[0] > 10
+    with pytest.raises(InputError, match="expected slow growth"):
+        grown(nodes(2, 4), growth)

@@ -14,7 +14,7 @@ from tests.micromodulus.crystals import cubic_tensor, lattice
 from tests.micromodulus.test_learning import waves
 from warp_peri.dressed.bases import base, half
 from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.learning import from_phonons
+from warp_peri.dressed.learning import from_phonons, transferred
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import from_calculator
@@ -92,6 +92,31 @@ def test_a_crystal_is_learned_from_phonons():
     bare = replace(law, tensors=0 * law.tensors)
     off, alone = (np.abs(one.symbol(k) - true).max() / np.abs(true).max() for one in (law, bare))
     assert off < 0.02 < 0.2 * alone
+
+
+def test_a_law_is_carried_to_other_nodes():
+    """To its own spacing it is itself; to others it answers long waves as at home."""
+    law = solid(2, "elements", size=0.01)
+    lifted = np.where(np.abs(law.steps).sum(axis=1) == 1, -0.12, 0.034)  # about graphene's
+    law = replace(law, tensors=law.tensors + lifted[None, :, None, None] * np.eye(2))
+    same = transferred(law, SPACING)
+    np.testing.assert_allclose(same.tensors, law.tensors, atol=1e-6)
+    k = 0.5 / SPACING * np.array([[1.0, 0.0], [0.6, 0.8]])
+    for spacing, turn in ((0.8 * SPACING, None), (1.4 * SPACING, None), (SPACING, 90.0)):
+        there = transferred(law, spacing, rotation=turn)
+        assert there.spacing == spacing
+        np.testing.assert_allclose(there.symbol(k), law.symbol(k), rtol=0.02, atol=0.01)
+        np.testing.assert_allclose(there.elastic, law.elastic, atol=1e-12)
+        assert there.certificate.proven > 0.9 * there.certificate.sampled
+    turned = transferred(law, SPACING, rotation=30.0)
+    bare = replace(turned, tensors=0 * turned.tensors)
+    R = np.array([[3**0.5, -1], [1, 3**0.5]]) / 2
+    k = 2 * k  # of six spacings
+    expected = R @ law.symbol(k @ R) @ R.T
+    off, alone = (np.abs(one.symbol(k) - expected).max() for one in (turned, bare))
+    assert off < 0.2 * alone
+    with pytest.raises(InputError, match="neighbours: expected one of 4, 8, 12, 20"):
+        transferred(law, SPACING, neighbours=7)
 
 
 def test_nodes_that_state_another_axis_are_refused():

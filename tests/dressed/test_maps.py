@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.dressed.solids import SPACING, solid
-from warp_peri.dressed import fit_maps
+from warp_peri.dressed import fit_density, fit_maps
 from warp_peri.errors import InputError
 
 
@@ -23,6 +23,36 @@ def sheet(law, maps, points, loads=6):
     body = law.on(points, maps=maps)
     u = wp.solve(body, wp.Dirichlet(points, b, 0 * b)).u
     return wp.Samples(points, u, b)
+
+
+def test_a_law_of_density_is_carried_to_another_sheet():
+    """Learned on a ramp, it answers on a blob; far beyond its densities the nearest is taken."""
+    law, points = solid(), wp.Points.sheet((16, 16), SPACING)
+    x, y = points.x.T / SPACING
+    ramp = 1 - 0.08 * (1 - np.abs(x - 8) / 8)
+    blob = 1 - 0.07 * np.exp(-((x - 5) ** 2 + (y - 9) ** 2) / 8)
+    truth = {"bulk": (-5.0, 9.0), "shear": (-4.0, 2.0), "tetragonal": (-2.0, 3.0)}
+
+    def maps(rho):
+        return {name: 1 + a * (1 - rho) + b * (1 - rho) ** 2 for name, (a, b) in truth.items()}
+
+    found = fit_density(law, sheet(law, maps(ramp), points), ramp, parts="each")
+    # sites have means of d and d² of their nodes, in the maps and in the fit alike
+    for name, numbers in truth.items():
+        np.testing.assert_allclose(found.coefficients[name], numbers, rtol=1e-6)
+        assert (found.spread[name] < 1e-3).all()
+    for name, values in maps(blob).items():
+        np.testing.assert_allclose(found.maps(blob)[name], values, rtol=1e-7)
+    with pytest.warns(UserWarning, match="learned from 0.920 to 1.000, got 0.800"):
+        clipped = found.maps(1 - 0.2 * (1 - ramp) / 0.08)
+    assert clipped["bulk"].min() == pytest.approx(1 - 5 * 0.08 + 9 * 0.08**2)
+    one = fit_density(law, sheet(law, maps(ramp), points), ramp)
+    assert -5 < one.coefficients["bulk"][0] < -2
+    assert one.spread["bulk"][0] > found.spread["bulk"][0]
+    with pytest.raises(InputError, match="expected one that varies enough"):
+        fit_density(law, sheet(law, maps(ramp), points), 1 - 0 * ramp)
+    with pytest.raises(InputError, match="density: expected 256 numbers"):
+        fit_density(law, sheet(law, maps(ramp), points), ramp[:9])
 
 
 def test_a_map_is_found_again():
@@ -41,6 +71,7 @@ def test_a_map_is_found_again():
         assert (fit.spread[name] > 0).all()
     chosen = fit_maps(law, samples)
     assert chosen.smoothness < 0.1
+    assert SPACING < fit.resolution < chosen.resolution < 16 * SPACING
     assert np.abs(chosen.maps["shear"] - maps["shear"]).max() < 0.1
     same = fit_maps(law, samples, parts="one")
     assert np.array_equal(same.maps["bulk"], same.maps["shear"])

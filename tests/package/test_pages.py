@@ -71,6 +71,7 @@ def of_dressed(home):
     return {
         "atoms": own_atoms(),
         "samples": wp.Samples(sheet, field, field),
+        "density": 1 - 0.02 * np.cos(2 * np.pi * sheet.x[:, 0] / 60.0) ** 2,
     }
 
 

@@ -1,9 +1,10 @@
-"""Dressed bodies that are uneven, end at edges or are broken, as sparse matrices (D9–D11)."""
+"""Dressed bodies that are uneven, end at edges or are broken (theory.md, D9–D11, D22)."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +12,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from warp_peri.damage.lattice_body import cracked, lattice_body
+from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
+from warp_peri.dressed.sweeps import ByLayers
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
@@ -47,11 +51,8 @@ class Body:
         edges, maps, broken: as of DressedSolid.on.
 
     Attributes:
-        strains: B/h of all sites, those left out zero, [N S, d N].
-        dressings: G, one or one for each part, [d N, d N].
         factors: modulus of each part over that of the even solid at each site, [A, N].
         grid, sides: steps of the nodes, [N, d], and of the box or the period around them.
-        L: [d N, d N], symmetric, [stress/length²]; vectors are along the nodes' axes.
     """
 
     def __init__(
@@ -76,12 +77,11 @@ class Body:
         self.share = self._inside(edges) if callable(edges) else np.ones(count)
         self.factors = self._factors(maps or {}) * self.share
         torn = _pairs(broken, count)
-        there, self._linked = self._sites(torn)
+        self._there, self._linked = self._sites(torn)
         if not edges:
             self._refuse_edges()
-        self.strains = self._strains(there)
-        self.dressings = [self._dressing(g) for g in solid.tensors]
-        self.L = self._assembled()
+        alive = bool((self.factors > 0).any(axis=0).all())
+        self._even = alive and not edges and not len(torn)  # whole rows of G at every unknown
 
     def _neighbours(self, steps: np.ndarray) -> np.ndarray:
         """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
@@ -178,7 +178,10 @@ class Body:
                 "itself ends there"
             )
 
-    def _strains(self, there: np.ndarray) -> sp.csr_array:
+    @cached_property
+    def strains(self) -> sp.csr_array:
+        """B/h of all sites, those left out zero, [N S, d N]."""
+        there = self._there
         base, (count, _) = self.model.parts, self._corner.shape
         s, p, i = np.nonzero(np.abs(base.strains) > 0)
         site, entry = np.nonzero(there[:, s])
@@ -238,7 +241,29 @@ class Body:
         inner = sp.kron(sp.eye_array(len(factor)), M, format="csr") @ weight
         return sp.csr_array(self.strains.T @ (inner @ self.strains))
 
-    def _assembled(self) -> sp.csr_array:
+    @cached_property
+    def dressings(self) -> list[sp.csr_array]:
+        """G, or one for each part, [d N, d N]."""
+        return [self._dressing(g) for g in self.model.tensors]
+
+    @cached_property
+    def _sweep(self) -> tuple[Nodes, ByLayers] | None:
+        """L by rows, of sheets of square elements that nothing cuts."""
+        law = self.model
+        if not (self._even and law.layered and law.base == "elements" and law.dimension == 2):
+            return None
+        nodes = lay_out(self.points, law.crystal.steps)
+        factors = np.ones((len(self.factors), int(np.prod(nodes.shape))))
+        factors[:, nodes.place] = self.factors[:, nodes.near]
+        factors = factors.reshape(-1, *nodes.shape)
+        if nodes.periodic:
+            factors = np.pad(factors, [(0, 0), *[(nodes.reach,) * 2] * 2], mode="wrap")
+        sweep = ByLayers(nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors)
+        return nodes, sweep
+
+    @cached_property
+    def L(self) -> sp.csr_array:
+        """[d N, d N], symmetric, [stress/length²]; vectors are along the nodes' axes."""
         each = [self.part(a, factor) for a, factor in enumerate(self.factors)]
         if len(self.dressings) == 1:
             each = [sum(each[1:], each[0])]
@@ -248,6 +273,10 @@ class Body:
 
     def __call__(self, u: ArrayLike) -> np.ndarray:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
+        if self._sweep is not None:
+            nodes, sweep = self._sweep
+            found = nodes.take_up(sweep(nodes.lay_out(self._fields(u))))
+            return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
         flat = self._flat(u)
         force = (self.L @ flat.T).T.reshape(*np.shape(u)) @ self.axes.T
         return np.asarray(force[..., self.points.interior, :])
@@ -362,8 +391,27 @@ def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
         cracks: polylines [length], shape [P, 2] each.
     """
     body = lattice_body(points.x, points.spacing, 2 * points.spacing)
-    cut = (cracked(body, cracks) < 0) & (body.neighbour >= 0)
-    node, bond = np.nonzero(cut & (body.r < 1.5 * points.spacing))
+    return _parted(body, cracked(body, cracks))
+
+
+def grown(points: Points, growth: Motion) -> np.ndarray:
+    """Pairs of neighbouring nodes whose bond was cut or broke when cracks grew in the base, [n, 2].
+
+    Args:
+        points: of the body.
+        growth: of its `plain` solid, move(law.plain, Cracked(points, …), events=…) (D12, C7).
+
+    Raises InputError for another motion.
+    """
+    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
+    if np.shape(growth.details) != body.neighbour.shape:
+        raise InputError("growth: expected slow growth, move(…, events=…), on these points")
+    return _parted(body, np.asarray(growth.details))
+
+
+def _parted(body: LatticeBody, neighbour: np.ndarray) -> np.ndarray:
+    cut = (neighbour < 0) & (body.neighbour >= 0)
+    node, bond = np.nonzero(cut & (body.r < 1.5 * body.spacing))
     other = body.neighbour[node, bond]
     return np.stack([node, other], axis=1)[node < other]
 

@@ -16,6 +16,7 @@ from warp_peri.micromodulus.certificate import Certificate
 from warp_peri.micromodulus.elastic import from_voigt, voigt
 from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.models.lps import Model, read_content
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
@@ -114,6 +115,14 @@ class DressedSolid:
         )  # fmt: skip
 
     @property
+    def layered(self) -> bool:
+        """Whether L is swept as G, K, G: of one G whose reach, with the base's, is that of L."""
+        if len(self.tensors) > 1 or not len(self.steps):
+            return False
+        reach = 2 * np.abs(self.steps).max() + np.abs(half(self.parts.stencils.sum(0))[0]).max()
+        return bool(np.abs(self.crystal.steps).max() == reach)
+
+    @property
     def plain(self) -> Model:
         """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (D12).
 
@@ -173,6 +182,7 @@ class DressedSolid:
         edges: bool | Callable[[np.ndarray], np.ndarray] = False,
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
+        dtype: Any = np.float64,
     ) -> Any:
         """The operator on nodes of the law's own spacing, its steps along their axes.
 
@@ -184,22 +194,30 @@ class DressedSolid:
             maps: modulus of each part over that of the even solid, by the part's name ("bulk",
                 "shear", …), at the nodes, shape [N], ≥ 0.
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
+            dtype: float64 or float32, of even solids.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
         """
         from warp_peri.dressed.body import Body  # which stands above the numbers
+        from warp_peri.dressed.sweeps import ByLayers
         from warp_peri.micromodulus.operator import Operator
 
         if edges or maps or broken is not None:
             return Body(self, points, edges=edges, maps=maps or {}, broken=broken)
         law = self.crystal
+
+        def layers(nodes: Nodes, dtype: Any) -> ByLayers:
+            return ByLayers(
+                nodes, self.steps, self.tensors[0], self.parts, self.spacing, dtype=dtype
+            )
+
         why = (
             f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
         )
         return Operator(
             law.fitting(points), law.spacing, law.steps, law.tensors, self.tensor(), why=why,
-            model=self,
+            model=self, dtype=dtype, product=layers if self.layered else None,
         )  # fmt: skip
 
     def content(self) -> dict[str, Any]:

@@ -43,7 +43,9 @@ class Dressed:
         orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
             the points' own axis by default.
         moduli: "long waves" holds those that the longest waves of the fields have, a Voigt matrix
-            (crystal's axes) [stress] its own. They are never learned with G: left free they drift.
+            (crystal's axes) [stress] its own; of isotropic sheets at a percent of strain or more
+            the Smoothing of the data finds better ones (D20). They are never learned with G: left
+            free they drift.
         split: a G for each part of the base (bulk, shear, …) in place of one.
     """
 

@@ -20,13 +20,17 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
-from warp_peri.micromodulus.learning import LARGEST_WAVE, wave_rows
+from warp_peri.micromodulus.learning import LARGEST_WAVE, SAME, carried_symbol, wave_rows
+from warp_peri.micromodulus.third_order_learning import fit_third_order
+from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, factors
 
 REACH = {2: {4: 1.0, 8: 2**0.5, 12: 2.0, 20: 5**0.5}, 3: {6: 1.0, 18: 2**0.5, 26: 3**0.5}}
 """Of G in spacings, by dimension and number of neighbours."""
+REACH_OF_MODULI = 3.0
+"""Of tensors beside which moduli are found, in spacings."""
 CONVERGED = 1e-12
 FELT = 1e-6
 """Least change of L u, over the load, by which a number of G is felt."""
@@ -55,6 +59,8 @@ def fit(
     group = point_group(symmetry, d)
     if isinstance(moduli, str):
         C = fields.long_wave_moduli(samples, allowed_tensors(symmetry, group, turn))[0]
+    elif isinstance(moduli, Smoothing):
+        C = third_order_moduli(samples, moduli)
     else:
         C = turned(from_voigt(moduli), turn)
     dressing = _dressing(neighbours, shared_with_nodes(group, turn))
@@ -62,6 +68,17 @@ def fit(
     q, record = found.solve(*fields.rows(samples, found.family))
     record |= {"from": "fields", "samples": len(samples.u)}
     return found.law(q, samples.points.units, symmetry, turn, record)
+
+
+def third_order_moduli(samples: Samples, smoothing: Smoothing) -> np.ndarray:
+    """The isotropic elastic tensor of a sheet's long waves, what is of third order taken off (N29).
+
+    At 2 % of strain third order looks like moduli; a fit that knows it finds them better.
+    Raises InputError as fit_third_order does.
+    """
+    horizon = REACH_OF_MODULI * samples.spacing
+    found = fit_third_order(samples, horizon, smoothing, form="energy").material
+    return found.linear.tensor()
 
 
 def from_phonons(
@@ -110,6 +127,43 @@ def from_phonons(
     q, record = found.solve(*rows)
     record |= {"from": "phonons", "largest_wave": largest_wave / spacing}
     return found.law(q, units, name, turn, record)
+
+
+def transferred(
+    law: DressedSolid,
+    spacing: float,
+    *,
+    rotation: Any = None,
+    neighbours: int | None = None,
+    largest_wave: float = LARGEST_WAVE,
+) -> DressedSolid:
+    """The law of the same solid on other nodes: a fit to its own symbol, moduli held (T17).
+
+    Args:
+        law: to be carried over.
+        spacing: of the new nodes.
+        rotation: by which the crystal is turned on its nodes, [d, d], or degrees in the plane.
+        neighbours: of the new G; as many as the old one's.
+        largest_wave: |k| times the larger spacing up to which waves weigh fully.
+
+    Returns a law with its certificate. Raises InputError for neighbours that no G has, and a turn
+    that the base does not take.
+    """
+    crystal, d = law.crystal, law.dimension
+    turn = checked_orientation(rotation, d)
+    if neighbours is None and abs(spacing / law.spacing - 1) < SAME and (turn == np.eye(d)).all():
+        return law.certified()
+    orientation = turn @ crystal.orientation
+    shared = shared_with_nodes(point_group(law.symmetry, d), orientation)
+    dressing = _dressing(neighbours or 2 * len(law.steps), shared)
+    C = turned(law.tensor(), turn)
+    found = _Monomials(law.base, C, dressing, len(law.tensors) > 1, spacing)
+    share = largest_wave * min(1.0, spacing / law.spacing)
+    q, record = found.solve(
+        *wave_rows(carried_symbol(crystal, turn), spacing, found.family, shared, share)
+    )
+    record |= {"from": "a law on other nodes", "spacing": law.spacing}
+    return found.law(q, law.units, law.symmetry, orientation, record)
 
 
 def _isotropic(symmetry: Symmetry) -> bool:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from warp_peri.dressed.body import Body
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.samples import Samples
 
 SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
@@ -18,6 +21,8 @@ SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
 SINGLE = 0.1
 """With one load, which leaves none to judge by."""
 FOLDS = 4
+CONDITION = 1e12
+"""Of the normal equations of a density law."""
 EXPONENT = 0.5
 """Of D in the weight D^(−1/2) of a residual: D^(−1) fits u better and blurs the map."""
 
@@ -31,6 +36,9 @@ class MapFit:
             takes them.
         spread: standard deviation of the same values, as if what the fit leaves were noise.
         smoothness: that was taken.
+        resolution: side of the square (cube) that one independent value of a map stands for, in the
+            unit of length, a mean over the sheet: finer features are blurred. What smoothing of
+            the fields hides comes on top.
         history: mean squared residual left out, by smoothness; the share of values that fell below
             zero and were set there.
     """
@@ -38,6 +46,7 @@ class MapFit:
     maps: dict[str, np.ndarray]
     spread: dict[str, np.ndarray]
     smoothness: float
+    resolution: float
     history: dict[str, Any]
 
 
@@ -60,25 +69,10 @@ def fit_maps(
 
     Raises InputError for samples that are not periodic or have no loads, and for other parts.
     """
-    nodes = samples.points
-    if nodes.box is None:
-        raise InputError("samples: expected a periodic sheet for a map")
-    if parts not in ("each", "one"):
-        raise InputError(f"parts: expected 'each' or 'one', got {parts!r:.50}")
-    body = Body(solid, nodes)
+    body, kinds = _periodic(solid, samples), _kinds(solid, parts)
     basis, bend = _hats(body, coarse)
     names = solid.parts.names
-    kinds = [[a] for a in range(len(names))] if parts == "each" else [list(range(len(names)))]
-    weight = _Weight(body)
-    right = weight(samples.loads.reshape(len(samples.u), -1).T)
-    size = np.linalg.norm(right, axis=0)
-    if not (size > 0).all():
-        raise InputError("samples: expected loads, got some that are zero")
-    grams, sides = [], []
-    for u, b, norm in zip(samples.u, right.T, size):
-        A = weight(_design(body, u, basis, kinds)) / norm
-        grams.append(A.T @ A)
-        sides.append(A.T @ (b / norm))
+    grams, sides, size, _ = _normal_equations(body, samples, basis, kinds, known=False)
     penalty = np.kron(np.eye(len(kinds)), bend) * np.trace(sum(grams)) / len(grams[0])
     tried = SMOOTHNESS if smoothness is None and len(size) > 1 else (smoothness or SINGLE,)
     left = {alpha: _left_out(grams, sides, alpha * penalty) for alpha in tried}
@@ -87,7 +81,10 @@ def fit_maps(
     x = np.linalg.solve(H, sum(sides))
     rounding = len(size) * np.finfo(float).eps  # what the difference of large numbers cannot tell
     residual = max(len(size) - 2 * x @ sum(sides) + x @ sum(grams) @ x, rounding)
-    cover = residual / right.size * np.diag(np.linalg.inv(H))
+    inverse = np.linalg.inv(H)
+    cover = residual / samples.u.size * np.diag(inverse)
+    seen = float(np.einsum("ij,ji->", inverse, sum(grams))) / len(kinds)  # independent values
+    volume = len(samples.points.x) * samples.points.spacing**solid.dimension
     below = float((x < 0).mean())
     values, spread = (
         (basis @ v.reshape(len(kinds), -1).T).T for v in (np.maximum(x, 0), np.sqrt(cover))
@@ -97,8 +94,122 @@ def fit_maps(
         {name: values[place[a]] for a, name in enumerate(names)},
         {name: spread[place[a]] for a, name in enumerate(names)},
         float(alpha),
+        float((volume / seen) ** (1 / solid.dimension)),
         {"left_out": {str(a): v for a, v in left.items()}, "below_zero": below},
     )
+
+
+@dataclass(frozen=True, eq=False)
+class DensityLaw:
+    """Moduli as a function of a density ρ (1 for the even solid): 1 + Σ_n c_n (1 − ρ)^n (D21).
+
+    Attributes:
+        coefficients: c of each part, [degree].
+        spread: their standard deviations.
+        least, most: densities that it was learned on; beyond them the nearest counts.
+    """
+
+    coefficients: dict[str, np.ndarray]
+    spread: dict[str, np.ndarray]
+    least: float
+    most: float
+
+    def maps(self, density: ArrayLike) -> dict[str, np.ndarray]:
+        """Maps for DressedSolid.on, of densities at the nodes, [N].
+
+        A UserWarning says where densities lie beyond those learned on: a polynomial is none there.
+        """
+        rho = checked("density", density, float)
+        beyond = (rho < self.least) | (rho > self.most)
+        if beyond.any():
+            warnings.warn(
+                f"density: learned from {self.least:.3f} to {self.most:.3f}, got {rho.min():.3f} "
+                f"to {rho.max():.3f}; at {int(beyond.sum())} of {rho.size} nodes the nearest is "
+                "taken",
+                stacklevel=2,
+            )
+        d = 1 - np.clip(rho, self.least, self.most)
+        return {
+            name: np.maximum(1 + np.vander(d, len(c) + 1, increasing=True)[:, 1:] @ c, 0)
+            for name, c in self.coefficients.items()
+        }
+
+
+def fit_density(
+    solid: DressedSolid,
+    samples: Samples,
+    density: ArrayLike,
+    *,
+    parts: str = "one",
+    degree: int = 2,
+) -> DensityLaw:
+    """How moduli follow a density, learned on one uneven periodic sheet, for any other.
+
+    Args:
+        solid: learned on the even sheet, of elements.
+        samples: displacement and load on a period.
+        density: over that of the even sheet, at the nodes, [N].
+        parts: "one" has the same law for all moduli, "each" one for each part.
+        degree: of the polynomial.
+
+    Raises InputError as fit_maps does, and for densities that do not tell the numbers apart.
+    """
+    body, kinds = _periodic(solid, samples), _kinds(solid, parts)
+    rho = checked("density", density, float)
+    if rho.shape != (len(samples.points.x),):
+        raise InputError(f"density: expected {len(samples.points.x)} numbers, got {rho.shape}")
+    powers = np.vander(1 - rho, degree + 1, increasing=True)[:, 1:]
+    scale = np.maximum(np.abs(powers).max(axis=0), 1e-300)
+    basis = sp.csr_array(powers / scale)
+    grams, sides, _, left = _normal_equations(body, samples, basis, kinds, known=True)
+    H, y = np.sum(grams, axis=0), np.sum(sides, axis=0)
+    if np.linalg.cond(H) > CONDITION:
+        raise InputError(f"density: expected one that varies enough for {len(y)} numbers")
+    x = np.linalg.solve(H, y)
+    cover = max(left - x @ y, 0.0) / samples.u.size * np.diag(np.linalg.inv(H))
+    found, spread = (v.reshape(len(kinds), degree) / scale for v in (x, np.sqrt(cover)))
+    place = {solid.parts.names[a]: n for n, kind in enumerate(kinds) for a in kind}
+    return DensityLaw(
+        {name: found[n] for name, n in place.items()},
+        {name: spread[n] for name, n in place.items()},
+        float(rho.min()),
+        float(rho.max()),
+    )
+
+
+def _periodic(solid: DressedSolid, samples: Samples) -> Body:
+    if samples.points.box is None:
+        raise InputError("samples: expected a periodic sheet for a map")
+    return Body(solid, samples.points)
+
+
+def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
+    """Which parts share a map."""
+    if parts not in ("each", "one"):
+        raise InputError(f"parts: expected 'each' or 'one', got {parts!r:.50}")
+    numbers = list(range(len(solid.parts.names)))
+    return [[a] for a in numbers] if parts == "each" else [numbers]
+
+
+def _normal_equations(
+    body: Body, samples: Samples, basis: sp.csr_array, kinds: list[list[int]], *, known: bool
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, float]:
+    """AᵗA and Aᵗb of each load (D13), sizes of the loads, and Σ bᵗb; b less what the even solid
+    answers where that is `known`."""
+    weight = _Weight(body)
+    loads = samples.loads.reshape(len(samples.u), -1).T
+    size = np.linalg.norm(weight(loads), axis=0)
+    if not (size > 0).all():
+        raise InputError("samples: expected loads, got some that are zero")
+    if known:
+        loads = loads - (body(samples.u)).reshape(len(samples.u), -1).T
+    right = weight(loads) / size
+    grams, sides = [], []
+    for u, b, norm in zip(samples.u, right.T, size):
+        A = weight(_design(body, u, basis, kinds)) / norm
+        grams.append(A.T @ A)
+        sides.append(A.T @ b)
+    return grams, sides, size, float((right**2).sum())
 
 
 def _left_out(grams: list[np.ndarray], sides: list[np.ndarray], penalty: np.ndarray) -> float:

@@ -367,15 +367,9 @@ def transferred(
         )  # fmt: skip
         return same.certified()
 
-    def target(k: np.ndarray) -> np.ndarray:
-        # beyond the zone of coarser nodes their symbol repeats; the local limit goes on there
-        near = _inside(k @ turn, law.spacing)
-        D = law.symbol(near) * ((k**2).sum(axis=1) / (near**2).sum(axis=1))[:, None, None]
-        return np.asarray(turn @ D @ turn.T)
-
     wanted = law.horizon / law.spacing * spacing if horizon is None else horizon
     return fit_symbol(
-        target,
+        carried_symbol(law, turn),
         spacing,
         wanted,
         symmetry=law.symmetry,
@@ -386,6 +380,18 @@ def transferred(
         largest_wave=largest_wave * min(1.0, spacing / law.spacing),
         record={"from": "a law on other nodes", "spacing": law.spacing},
     )
+
+
+def carried_symbol(law: Crystal, turn: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """D(k) of a crystal turned on its nodes, for k [..., d] of any other nodes."""
+
+    def symbol(k: np.ndarray) -> np.ndarray:
+        # beyond the zone of coarser nodes their symbol repeats; the local limit goes on there
+        near = _inside(k @ turn, law.spacing)
+        D = law.symbol(near) * ((k**2).sum(axis=1) / (near**2).sum(axis=1))[:, None, None]
+        return np.asarray(turn @ D @ turn.T)
+
+    return symbol
 
 
 def _inside(k: np.ndarray, spacing: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ class Operator:
         dtype: float64 or float32.
         why: said beside the error for nodes whose bonds are cut.
         model: the law, as it is told.
+        product: of these nodes and dtype, in place of rows of the law's own bonds.
 
     Raises InputError as nodes.lay_out does.
     """
@@ -48,6 +50,7 @@ class Operator:
         dtype: Any = np.float64,
         why: str = "",
         model: Any = None,
+        product: Callable[[Nodes, Any], Product] | None = None,
     ) -> None:
         if method not in METHODS:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
@@ -61,7 +64,11 @@ class Operator:
             method = "fft" if len(steps) >= FFT_BONDS[self.nodes.dimension] else "rows"
         self.method = method
         make = ByFFT if method == "fft" else ByRows
-        self.pull: Product = make(self.nodes, steps, tensors, self.dtype)
+        self.pull: Product = (
+            product(self.nodes, self.dtype)
+            if product is not None and method == "rows"
+            else make(self.nodes, steps, tensors, self.dtype)
+        )
 
     def __call__(self, u: ArrayLike) -> np.ndarray:
         """L u, minus the internal force density [stress/length], at the interior nodes.

@@ -55,7 +55,7 @@ class ByRows:
         core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
         mask[nodes.core] = core
         self.places = int(mask.size)
-        self.pieces: Any = wp.array(_pieces(mask.ravel(), lanes), dtype=wp.vec2i, device=DEVICE)
+        self.pieces: Any = wp.array(row_pieces(mask.ravel(), lanes), dtype=wp.vec2i, device=DEVICE)
         self.core = (slice(None), slice(None), *nodes.core)
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
@@ -66,7 +66,7 @@ class ByRows:
         laid = spare[: count * d * self.places].reshape(count, d * self.places)
         laid[:] = planes.reshape(count, -1)
         out = np.zeros_like(laid)
-        inputs = (self.pieces, self.offset, self.tensors, floats(laid, self.scalar))
+        inputs = (self.pieces, 0, self.offset, self.tensors, floats(laid, self.scalar))
         launch_slices(
             self.kernels.pulled,
             len(self.pieces),
@@ -79,7 +79,7 @@ class ByRows:
         return force[self.core] if nodes.periodic else force
 
 
-def _pieces(asked: np.ndarray, lanes: int) -> np.ndarray:
+def row_pieces(asked: np.ndarray, lanes: int) -> np.ndarray:
     """Runs of asked places, cut to so many lanes, as (first place, count), shape [P, 2]."""
     edge = np.diff(np.concatenate([[0], asked.astype(np.int8), [0]]))
     begin, length = (

@@ -123,12 +123,7 @@ class PlacedThirdOrder(NonlinearOperator):
 
     def figures(self, solution: Solution) -> dict[str, Any]:
         """What solves took, and whether their answers are the only ones, for `evaluate`."""
-        records = solution.details
-        return {
-            "linear_solves": max(record.solves for record in records),
-            "largest_gradient": max(record.largest_gradient for record in records),
-            "unique": all(record.unique for record in records),
-        }
+        return figures_of(solution.details)
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on the interior nodes, which the operator equals in equilibrium."""
@@ -185,7 +180,7 @@ class PlacedThirdOrder(NonlinearOperator):
                 record.eigenvalue = way.smallest_eigenvalue(one)
             records.append(record)
         proven = self.model.proven_strain(self.points.spacing)
-        _warn(records, proven)
+        warn_beyond(records, proven)
         sure = f"no other solution has |H| ≤ {proven:.2%}" if proven > 0 else None
         return Solution(
             answers.reshape(field.shape),
@@ -385,7 +380,17 @@ def _unknown_columns(operator: NonlinearOperator, matrix: sp.csr_array) -> sp.cs
     return sp.csr_array(matrix.tocsc()[:, np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()])
 
 
-def _warn(records: list[NonlinearRecord], proven: float) -> None:
+def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
+    """Most solves, largest gradient, and whether all answers are the only ones."""
+    return {
+        "linear_solves": max(record.solves for record in records),
+        "largest_gradient": max(record.largest_gradient for record in records),
+        "unique": all(record.unique for record in records),
+    }
+
+
+def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
+    """A UserWarning where answers go beyond the proven strain."""
     beyond = [n for n, record in enumerate(records) if not record.unique]
     if not beyond:
         return

@@ -1,0 +1,137 @@
+"""Laws of a sheet side by side: numbers, errors, what is proven, a turn, the time of a force.
+
+python examples/studies/which_law.py           a table, and a picture in runs/which_law
+python examples/studies/which_law.py --json    one object on stdout
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri as wp
+from examples.nonlinear import errors, strained_file
+from examples.train_graphene import SMOOTHING_RADIUS, make_data
+from tools.benchmark_crystals import least
+from warp_peri.dressed import FiniteStrain
+from warp_peri.errors import exit_status
+from warp_peri.methods import Optimum, Smoothing
+
+SHEET = 200
+"""Nodes a side of the periodic sheet that a force is timed on."""
+TURN = np.deg2rad(10)
+ENERGY = Smoothing(SMOOTHING_RADIUS, 0.2)
+
+
+def laws(truth: dict[str, float]) -> dict[str, Any]:
+    """What is learned, by name; all with the moduli of the atoms held, but the first."""
+    lam, mu = truth["lambda"], truth["mu"]
+    C = [[lam + 2 * mu, lam, 0.0], [lam, lam + 2 * mu, 0.0], [0.0, 0.0, mu]]
+    two = wp.LPS(20.0, wp.Bernstein(10, two_functions=True), method=Optimum(moduli=(lam, mu)),
+                 normalise=True)  # fmt: skip
+    return {
+        "LPS": wp.LPS(20.0, wp.Bernstein(10)),
+        "LPS, two functions": two,
+        "tensors, 20 bonds": wp.Micromodulus(12.5, "isotropic", moduli=C),
+        "dressed bonds, G 12": wp.Dressed("bonds", 12, moduli=C),
+        "dressed elements, G 8": wp.Dressed("elements", 8, moduli=C),
+        "third order on two functions": wp.ThirdOrder(two),
+        "third order on tensors": wp.ThirdOrder(wp.Micromodulus(15.0, moduli=C), ENERGY, "energy"),
+        "dressed, finite strain": FiniteStrain(C),
+    }
+
+
+def turned(material: Any, samples: wp.Samples) -> float:
+    """E_res of fields and loads turned by 10° with the body, over that of straight ones."""
+    op, (x, u, b) = material.on(samples.points), (samples.x, samples.u, samples.loads)
+    R = np.array([[np.cos(TURN), -np.sin(TURN)], [np.sin(TURN), np.cos(TURN)]])
+
+    def left(u: np.ndarray, b: np.ndarray) -> float:
+        load = op.load(b)
+        sizes = (np.linalg.norm(v.reshape(len(u), -1), axis=1) for v in (op(u) - load, load))
+        return float(np.divide(*sizes).mean())
+
+    return left((x + u) @ R.T - x, b @ R.T) / left(u, b)
+
+
+def nanoseconds(material: Any, rounds: int = 9) -> float:
+    """Of a force a node on one thread, from a field of nodes to a field of nodes."""
+    points = wp.Points.sheet((SHEET, SHEET), 5.0)
+    op = material.on(wp.Points(points.x, points.interior, 5.0, box=points.box, axis=0.0))
+    u = 1e-3 * np.random.default_rng(0).normal(size=points.x.shape)
+    return 1e9 * least(lambda: op(u), rounds) / len(points.x)
+
+
+def proven(material: Any) -> str:
+    """In few words."""
+    if hasattr(material, "proven_strain"):
+        return f"one answer to |H| = {100 * material.proven_strain(5.0):.1f} %"
+    proof = material.certificate
+    if hasattr(proof, "proven"):
+        return f"one answer, D ≥ {proof.proven:.2f} s"
+    return "one answer, D ≥ 0.01 s"
+
+
+def picture(table: dict[str, Any], path: Path) -> None:
+    """Errors over strain."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained", sharey=True)
+    for ax, (role, title) in zip(axes, (("val", "patches"), ("test", "disks"))):
+        for number, (name, row) in enumerate(table.items()):
+            values = [row["E_u"][key] for key in (role, f"{role}_4", f"{role}_6")]
+            ax.plot([2, 4, 6], values, "os^vD<>p"[number] + "-", label=name)
+        ax.set(xlabel="largest bond strain [%]", title=f"unseen {title}", yscale="log")
+    axes[0].set_ylabel("error of displacement [%]")
+    axes[0].legend(frameon=False, fontsize=7, loc="lower right")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--data", type=Path, help="made with LAMMPS where it is not there")
+    parser.add_argument("--strained", type=Path, help="larger strains, made likewise")
+    parser.add_argument("--json", action="store_true", help="one object on stdout")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "which_law")
+    given = parser.parse_args(arguments)
+
+    def work() -> None:
+        wp.launch.set_threads(1)
+        data = wp.load(given.data or make_data(-1, SMOOTHING_RADIUS))
+        larger = wp.load(strained_file(given))
+        table: dict[str, Any] = {}
+        for name, law in laws(larger.provenance["truth"]).items():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                material = wp.fit(data["train"], law).material
+                found = errors(material, data, larger)["E_u"]
+                table[name] = {
+                    "E_u": {key: 100 * value for key, value in found.items()},
+                    "proven": proven(material),
+                    "turned": turned(material, data["val"]),
+                    "nanoseconds": nanoseconds(material),
+                }
+        if given.json:
+            print(json.dumps(table))
+        else:
+            for name, row in table.items():
+                cells = "".join(f"{value:7.2f}" for value in row["E_u"].values())
+                print(f"{name:30}{cells}{row['turned']:9.2f}{row['nanoseconds']:7.0f}  "
+                      f"{row['proven']}")  # fmt: skip
+        picture(table, given.out / "which_law.png")
+
+    return exit_status(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

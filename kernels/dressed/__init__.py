@@ -1,0 +1,1 @@
+"""Dressed solids: elements whose moduli vary."""

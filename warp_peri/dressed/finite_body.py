@@ -1,0 +1,310 @@
+"""A dressed sheet at finite strain on its nodes: force, tangent, energy, rest (theory.md, D14)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from warp_peri.dressed.finite import STEPS, FiniteSolid, curvature, density, strains, stress
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
+from warp_peri.points.axis import axis_of
+from warp_peri.points.lattice import lattice_steps, neighbour_table
+from warp_peri.points.samples import PointsLike
+from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.statics.direct import factorised
+from warp_peri.statics.nonlinear import NonlinearRecord, anderson, figures_of, warn_beyond
+from warp_peri.statics.settings import Newton, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
+
+CORNERS = np.array(list(itertools.product((0, 1), repeat=2)))
+WEIGHT = 1 / 4
+"""Of a Gauss point, in parts of h²."""
+MOST_NEWTON, MOST_HALVINGS = 30, 20
+
+
+class Slopes:
+    """Gradients of convolved displacement at the Gauss points of a lattice's elements.
+
+    Args:
+        points: lattice nodes with a collar, or periodic.
+
+    Attributes:
+        plain: slopes of the nodes' values, [8 E, N]: of each element and Gauss point ∂₁ and ∂₂.
+        shells: what G and F add, by neighbours along the axes and across: of a field u
+            Σ (u(x + ξ) − u(x)), [N, N] each.
+        around: elements around each node, in parts of one, [I, E].
+
+    Raises InputError for nodes without a collar of three spacings.
+    """
+
+    def __init__(self, points: PointsLike) -> None:
+        grid, axes = lattice_steps(points)
+        count = len(grid)
+        box = getattr(points, "box", None)
+        period = None if box is None else np.rint(np.asarray(box) / points.spacing).astype(int)
+        near = neighbour_table(grid, np.concatenate([STEPS, -STEPS]), period)
+        corner = neighbour_table(grid, CORNERS, period)
+        inside = points.interior
+        moved = inside | np.append(inside, False)[near].any(axis=1)
+        kept = np.append(moved, False)[corner].any(axis=1)
+        corner = corner[kept]
+        asked = moved | np.isin(np.arange(count), corner)
+        lacking = asked & (near < 0).any(axis=1)
+        first = neighbour_table(grid, CORNERS - 1, period)[moved]  # elements that touch a node
+        if lacking.any() or (corner < 0).any() or (first < 0).any():
+            raise InputError(
+                "points: some interior nodes have cut bonds; give a collar of three spacings each "
+                f"way, {3 * points.spacing:g}, or a period"
+            )
+        self.plain = _slopes(corner, count, points.spacing, axes)
+        self.shells = [_shell(near[:, pair], count) for pair in ([0, 1, 4, 5], [2, 3, 6, 7])]
+        whole = np.full(corner.shape, 0.25).ravel()
+        numbers = np.repeat(np.arange(len(corner)), 4)
+        around = sp.csr_array((whole, (corner.ravel(), numbers)), shape=(count, len(corner)))
+        self.around = around[np.flatnonzero(inside)]
+
+    def of(self, along: float, across: float) -> sp.csr_array:
+        """Slopes after one convolution, [8 E, N]."""
+        first, second = (self.plain @ shell for shell in self.shells)
+        return sp.csr_array(self.plain + along * first + across * second)
+
+
+def gradients(D: sp.csr_array, u: np.ndarray) -> np.ndarray:
+    """H at the Gauss points of fields [S, N, 2], [S, 4 E, 2, 2]."""
+    count = len(u)
+    flat = D @ u.transpose(1, 2, 0).reshape(u.shape[1], -1)
+    return np.asarray(flat.reshape(-1, 2, 2, count).transpose(3, 0, 2, 1))
+
+
+def gathered(D: sp.csr_array, P: np.ndarray) -> np.ndarray:
+    """What stresses [S, 4 E, 2, 2] pull at nodes, D of those nodes' columns: [S, I, 2]."""
+    count = len(P)
+    flat = P.transpose(1, 3, 2, 0).reshape(D.shape[0], -1)
+    return np.asarray((WEIGHT * (D.T @ flat)).reshape(-1, 2, count).transpose(2, 0, 1))
+
+
+class FiniteBody:
+    """The operator of a FiniteSolid on nodes, made by its `on`; b in equilibrium.
+
+    Attributes:
+        parts: slopes under G and F, with Ψ₂'' and Ψ₃''' of each.
+
+    Raises InputError as FiniteSolid.on.
+    """
+
+    def __init__(self, solid: FiniteSolid, points: PointsLike) -> None:
+        self.points, self.model = solid.at_rest.crystal.fitting(points), solid
+        self.slopes = Slopes(self.points)
+        axis = axis_of(self.points) if solid.q3 else 0.0
+        none = np.zeros((3, 3, 3))
+        self.parts = (
+            (self.slopes.of(solid.along, solid.across), solid.second(), none),
+            (self.slopes.of(solid.share, 0.0), np.zeros((3, 3)), solid.third(axis)),
+        )
+        first, second = self.slopes.shells
+        one = sp.eye_array(len(self.points.x), format="csr")
+        G, F = one + solid.along * first + solid.across * second, one + solid.share * first
+        self._spreads = [sp.csr_array(G), sp.csr_array(F)]
+        unknown = np.flatnonzero(self.points.interior)
+        self.columns = [sp.csr_array(D.tocsc()[:, unknown]) for D, _, _ in self.parts]
+
+    def __call__(self, u: ArrayLike) -> np.ndarray:
+        """Minus the internal force density [stress/length], [..., N, 2] to [..., I, 2]."""
+        return self._force(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
+
+    def _force(self, fields: np.ndarray) -> np.ndarray:
+        each, plain = [], self.slopes.plain
+        for spread, (_, C, T) in zip(self._spreads, self.parts):  # shorter than with D itself
+            moved = np.stack([spread @ one for one in fields])
+            pulled = gathered(plain, stress(gradients(plain, moved), C, T))
+            each.append(np.stack([spread.T @ one for one in pulled]))
+        return np.asarray(each[0] + each[1])[:, self.points.interior]
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on the interior nodes, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+    def energy(self, u: ArrayLike) -> np.ndarray:
+        """[stress · length²] of the elements that interior nodes move, shape [...] (D14)."""
+        fields = self._fields(u)
+        each = [density(strains(gradients(D, fields))[0], C, T) for D, C, T in self.parts]
+        total = WEIGHT * self.points.spacing**2 * np.sum(each, axis=0).sum(axis=-1)
+        return np.asarray(total.reshape(np.shape(u)[:-2]))
+
+    def stress(self, u: ArrayLike) -> np.ndarray:
+        """P [stress] at the interior nodes, the mean of four elements, [..., I, 2, 2]."""
+        fields = self._fields(u)
+        P = sum(stress(gradients(D, fields), C, T) for D, C, T in self.parts)
+        mean = np.asarray(P).reshape(len(fields), -1, 4, 4).mean(axis=2)
+        found = np.stack([self.slopes.around @ one for one in mean])
+        return found.reshape(*np.shape(u)[:-2], -1, 2, 2)
+
+    def tangent(self, u: ArrayLike) -> sp.csr_array:
+        """∂(op(u))/∂u at a field [N, 2], symmetric on the unknowns: [2 I, 2 N]."""
+        fields = self._fields(u)
+        found = []
+        for own, (D, C, T) in zip(self.columns, self.parts):
+            A = curvature(gradients(D, fields)[0], C, T)
+            blocks = A.transpose(0, 2, 1, 4, 3).reshape(-1, 4, 4)  # rows and columns (j, i)
+            place = np.arange(len(blocks) + 1)
+            middle = sp.bsr_array((WEIGHT * blocks, place[:-1], place), shape=(4 * len(A),) * 2)
+            left, right = (sp.kron(one, sp.eye_array(2), format="csr") for one in (own, D))
+            found.append(left.T @ (middle.tocsr() @ right))
+        return sp.csr_array(found[0] + found[1])
+
+    def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+        """The derivative at u along v, shape [..., I, 2]."""
+        pairs = zip(self._fields(u), self._fields(v), strict=True)
+        rates = [self.tangent(f) @ a.ravel() for f, a in pairs]
+        return np.reshape(rates, (*np.shape(u)[:-2], -1, 2))
+
+    def largest_gradient(self, u: ArrayLike) -> np.ndarray:
+        """Largest |H| of each field under G or F at a Gauss point, shape [...]."""
+        fields = self._fields(u)
+        sizes = [np.linalg.norm(gradients(D, fields), axis=(2, 3)) for D, _, _ in self.parts]
+        return np.asarray(np.max(sizes, axis=(0, 2)).reshape(np.shape(u)[:-2]))
+
+    @cached_property
+    def _at_rest(self) -> sp.csr_array:
+        return self.tangent(np.zeros(self.points.x.shape))
+
+    def straight(self, u: ArrayLike) -> np.ndarray:
+        """The tangent at rest along u, shape [..., I, 2]."""
+        fields = self._fields(u)
+        rates = self._at_rest @ fields.reshape(len(fields), -1).T
+        return np.asarray(rates.T.reshape(*np.shape(u)[:-2], -1, 2))
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """In equilibrium with b on the interior, u given on the collar, shape [..., N, 2].
+
+        Steps of the tangent at rest, mixed (Anderson); where they stall, Newton's method.
+        A UserWarning says where |H| exceeds the proven strain. The details of the solution are a
+        NonlinearRecord for each sample.
+
+        Raises InputError for another solver, a body that nothing holds, and a sample for which no
+        equilibrium was found.
+        """
+        refuse_solver(solver, (Newton,), "a dressed solid at finite strain")
+        asked = solver if isinstance(solver, Newton) else Newton()
+        inside = self.points.interior
+        if inside.all():
+            raise InputError("interior: expected some nodes that are held, got none")
+        held = np.where(inside[:, None], 0.0, np.asarray(u, dtype=float))
+        answers, loads = self._fields(held).copy(), self._fields(b)[:, inside]
+        inverse = self._inverse(np.zeros(self.points.x.shape))
+        records, proven = [], self.model.proven_strain(self.points.spacing)
+        for number, (field, load) in enumerate(zip(answers, loads)):
+            record = self._solve(field, load, inverse, asked.tolerance)
+            if not record.residual <= asked.tolerance:
+                raise InputError(
+                    f"sample {number}: no equilibrium was found: residual {record.residual:.1e} of "
+                    "the right-hand side; the load may be more than the solid bears"
+                )
+            record.largest_gradient = float(self.largest_gradient(field))
+            record.unique = record.largest_gradient <= proven
+            if asked.eigenvalues:
+                record.eigenvalue = smallest_eigenvalue(self._unknowns(field))
+            records.append(record)
+        warn_beyond(records, proven)
+        sure = f"no other solution has |H| ≤ {proven:.2%}" if proven > 0 else None
+        return Solution(
+            answers.reshape(np.shape(u)),
+            self.points,
+            self,
+            self.load(np.asarray(b)),
+            "newton" if any(record.method == "newton" for record in records) else "fixed point",
+            tuple(record.solves for record in records),
+            sure if all(record.unique for record in records) else None,
+            details=tuple(records),
+            measured=max(record.residual for record in records),
+        )
+
+    def figures(self, solution: Solution) -> dict[str, Any]:
+        """What solves took, and whether their answers are the only ones, for `evaluate`."""
+        return figures_of(solution.details)
+
+    def _unknowns(self, field: np.ndarray) -> sp.csc_array:
+        free = np.repeat(self.points.interior, 2)
+        return sp.csc_array(self.tangent(field).tocsc()[:, free])
+
+    def _inverse(self, field: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        factors = factorised(self._unknowns(field))
+        return lambda right: np.asarray(factors.solve(right.ravel()).reshape(-1, 2))
+
+    def _solve(
+        self,
+        field: np.ndarray,
+        load: np.ndarray,
+        inverse: Callable[[np.ndarray], np.ndarray],
+        tolerance: float,
+    ) -> NonlinearRecord:
+        """Fills the unknowns of a field whose collar is given."""
+        inside, record = self.points.interior, NonlinearRecord()
+        right = load - self.straight(field)
+        size = float(np.linalg.norm(right))
+        if size == 0:
+            record.residual = 0.0
+            return record
+
+        def left(inner: np.ndarray) -> np.ndarray:
+            field[inside] = inner
+            with np.errstate(all="ignore"):  # of a step that ran away
+                return np.asarray((load - self._force(field[None])[0]) / size)
+
+        def correction(residual: np.ndarray) -> np.ndarray:
+            record.solves += 1
+            return inverse(residual * size)
+
+        inner, record.residual = anderson(left, correction, correction(right / size), tolerance)
+        for _ in range(MOST_NEWTON):
+            residual = left(inner)
+            if np.linalg.norm(residual) <= tolerance:
+                break
+            record.method, record.solves = "newton", record.solves + 1
+            step, share = self._inverse(field)(residual * size), 1.0
+            for _ in range(MOST_HALVINGS):
+                if np.linalg.norm(left(inner + share * step)) < np.linalg.norm(residual):
+                    break
+                share /= 2
+            else:  # no step helps
+                break
+            inner = inner + share * step
+        record.residual = float(np.linalg.norm(left(inner)))
+        return record
+
+    def _fields(self, u: ArrayLike) -> np.ndarray:
+        """Fields [S, N, 2] of finite numbers."""
+        values = checked("u", u, float)
+        if values.ndim < 2 or values.shape[-2:] != self.points.x.shape:
+            expected = ", ".join(map(str, self.points.x.shape))
+            raise InputError(f"u: expected shape [..., {expected}], got {list(values.shape)}")
+        return values.reshape(-1, *self.points.x.shape)
+
+
+def _slopes(corner: np.ndarray, count: int, spacing: float, axes: np.ndarray) -> sp.csr_array:
+    """∂₁ and ∂₂ of bilinear elements at four Gauss points, [8 E, N]."""
+    side, values = 2 * CORNERS - 1, []
+    for y in itertools.product((0.5 - 12**-0.5, 0.5 + 12**-0.5), repeat=2):
+        along = np.where(CORNERS == 1, y, 1 - np.array(y))
+        values.append(axes @ np.array([side[:, 0] * along[:, 1], side[:, 1] * along[:, 0]]))
+    value = np.array(values).reshape(8, 4) / spacing
+    size = len(corner)
+    row = np.repeat(np.arange(8 * size), 4)
+    column = np.repeat(corner, 8, axis=0).ravel()
+    return sp.csr_array((np.tile(value, (size, 1)).ravel(), (row, column)), shape=(8 * size, count))
+
+
+def _shell(near: np.ndarray, count: int) -> sp.csr_array:
+    """Σ (u(x + ξ) − u(x)) over neighbours [N, 4], at nodes that have them all."""
+    node = np.flatnonzero((near >= 0).all(axis=1))
+    row = np.repeat(node, near.shape[1])
+    ones = np.ones(len(row))
+    total = sp.csr_array((ones, (row, near[node].ravel())), shape=(count, count))
+    return total - sp.csr_array((ones, (row, row)), shape=(count, count))
