@@ -11,9 +11,10 @@ import numpy as np
 import scipy.fft
 from scipy.spatial import cKDTree
 
-from tools.crystals import session
+from tools.crystals import RECIPES, session
 from tools.solid_session import SolidSession
 from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.groups import point_group
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
@@ -64,7 +65,9 @@ def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5
     filtered = lattice_inverse(constants, cells, sites)
     with session(name, atoms, free=True) as lammps:
         rest = at_rest(lammps, filtered, lambda y, f: _without(f, _rigid(y)))
-        strain = np.diag(np.linalg.lstsq(x[inside], (rest - x)[inside])[0])
+        slope = np.linalg.lstsq(x[inside], (rest - x)[inside])[0]
+        group = point_group(RECIPES[name].symmetry, 3)  # the ball is not quite as symmetric
+        strain = np.diag((group @ slope @ group.transpose(0, 2, 1)).mean(axis=0))
         rigid = _rigid(rest)
         pushes = [_without(push, rigid) for push in _loads(rest, RADIUS * h, INNER * h)[:loads]]
         pull = stiffness(lammps, rest)
