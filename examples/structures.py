@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -22,7 +23,7 @@ from warp_peri.micromodulus.elastic import voigt
 
 EMT = "ase.calculators.emt:EMT"
 TERSOFF = ("lammps:tersoff", "SiC_1989.tersoff")
-CASES = {
+CASES: dict[str, tuple[Any, str, str | None, dict[str, Any]]] = {
     "Cu": (ase.build.bulk("Cu"), "lammps:eam/alloy", "Cu_mishin1.eam.alloy", {}),
     "Si": (ase.build.bulk("Si"), "lammps:sw", "Si.sw", {}),
     "MoS2": (ase.build.mx2("MoS2", vacuum=10), "lammps:sw/mod", "tmd.sw.mod", {}),

@@ -145,7 +145,7 @@ def data_file(given: argparse.Namespace) -> Path:
     if given.data:
         return Path(given.data)
     if given.temperature == 0:
-        return make_data(given.jobs, given.smoothing_radius)
+        return make_data(given.jobs, given.smoothing_radius, given.loads)
     from tools.make_thermal import make_thermal
     from tools.thermal import Bath
 
@@ -166,17 +166,24 @@ def data_file(given: argparse.Namespace) -> Path:
     return paths[given.reduction, given.factor]
 
 
-def make_data(jobs: int, smoothing_radius: float) -> Path:
+def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
     """The data set in the checkout, made if it is not there."""
-    path = DATA
+    name = DATA.stem + ("" if loads == "waves" else f"_{loads}")
     if smoothing_radius != SMOOTHING_RADIUS:
-        path = DATA.with_name(f"{DATA.stem}_R{smoothing_radius:g}.h5")
+        name += f"_R{smoothing_radius:g}"
+    path = DATA.with_name(f"{name}.h5")
     if not path.exists():
-        from tools.make_graphene import make_graphene
+        from tools.make_graphene import LOADS, make_graphene
 
         print("making graphene data with LAMMPS (once; finished samples are kept)")
-        cache = DATA.with_suffix(".cache")  # atoms do not depend on the smoothing
-        make_graphene(path, jobs=jobs, cache=cache, smoothing_radius=smoothing_radius)
+        cache = DATA.with_suffix(".cache")  # atoms depend neither on smoothing nor on other loads
+        make_graphene(
+            path,
+            jobs=jobs,
+            cache=cache,
+            smoothing_radius=smoothing_radius,
+            training=LOADS.get(loads),
+        )
     return path
 
 
@@ -252,6 +259,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0])
     parser.add_argument("--conditions", choices=("direct", "paper"), default="direct")
+    parser.add_argument(
+        "--loads",
+        choices=("waves", "designed"),
+        default="waves",
+        help="to learn from at 0 K: seventy waves, or two loads of all waves, each both ways",
+    )
     parser.add_argument("--linear", action="store_true", help="leave out the nonlinear model's row")
     parser.add_argument(
         "--temperature", type=float, default=0.0, help="[K]; 300 K takes LAMMPS 15 to 30 minutes"

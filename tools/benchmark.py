@@ -391,13 +391,14 @@ def launches(*, quick: bool, threads: int = 2) -> None:
                 set_threads(count)
                 torch.set_num_threads(count)
                 forward, _ = ours(bonds, fields, getattr(torch, precision))
-                seconds = launch_costs.parts(bonds, Solid(**MODEL), fields[0], forward)
+                others = {}
                 if rival_there:
                     import numba
 
                     numba.set_num_threads(count)
-                    rival = numba_rows.numba_rows(t, getattr(np, precision))
-                    seconds["Numba by rows"] = launch_costs.least(rival)
+                    others["Numba by rows"] = numba_rows.numba_rows(t, getattr(np, precision))
+                solid = Solid(**MODEL)
+                seconds = launch_costs.parts(bonds, solid, fields[0], forward, others)
                 told = "; ".join(f"{name} {1e3 * part:.2f}" for name, part in seconds.items())
                 print(f"{side}², {precision}, {count} threads, ms: {told}", flush=True)
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,20 +22,26 @@ from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import filled, influence, influence_inputs
 from warp_peri.operator.rows import Forward
 
-ROUNDS = 100
+ROUNDS, SECONDS = 1000, 6.0
+"""Most rounds, and after how long no other is begun."""
 
 
-def least(function: Callable[[], Any], rounds: int = ROUNDS) -> float:
-    """Least seconds over the rounds, after one that compiles: by the clock, of one thread by the
-    processor's time."""
+def least(functions: Sequence[Callable[[], Any]]) -> list[float]:
+    """Least seconds of each over rounds in turn, after one that compiles: by the clock, of one
+    thread by the processor's time."""
     clock = time.process_time if threads() == 1 else time.perf_counter
-    function()
-    times = []
-    for _ in range(rounds):
-        start = clock()
+    for function in functions:
         function()
-        times.append(clock() - start)
-    return min(times)
+    times: list[list[float]] = []
+    begin = time.perf_counter()
+    while len(times) < ROUNDS and time.perf_counter() - begin < SECONDS:
+        times.append([])
+        for function in functions:
+            start = clock()
+            function()
+            times[-1].append(clock() - start)
+    found: list[float] = np.min(times, axis=0).tolist()
+    return found
 
 
 def kernels(bonds: Bonds, solid: Solid, u: np.ndarray) -> Callable[[], None]:
@@ -71,9 +77,13 @@ def kernels(bonds: Bonds, solid: Solid, u: np.ndarray) -> Callable[[], None]:
 
 
 def parts(
-    bonds: Bonds, solid: Solid, u: np.ndarray, forward: Callable[[], Any]
+    bonds: Bonds,
+    solid: Solid,
+    u: np.ndarray,
+    forward: Callable[[], Any],
+    rivals: dict[str, Callable[[], Any]],
 ) -> dict[str, float]:
-    """Seconds of a sweep, and of its parts, which add up to it."""
+    """Seconds of a sweep, of its parts, which add up to it, and of others that do the same."""
     alone = kernels(bonds, solid, u)
     dtype = getattr(torch, bonds.scalar.__name__)
     tensors = [torch.zeros(1, dtype=dtype) for _ in range(5)]  # u, λ, μ, α, D
@@ -82,10 +92,11 @@ def parts(
         for tensor in tensors:
             wp.from_torch(tensor.detach().contiguous(), dtype=bonds.scalar)
 
-    whole, bare, shared = (least(f) for f in (forward, alone, converted))
+    whole, bare, shared, *others = least([forward, alone, converted, *rivals.values()])
     return {
         "a sweep": whole,
         "kernels, recorded": bare,
         "torch to Warp": shared,
         "packing, memory, K, checks": whole - bare - shared,
+        **dict(zip(rivals, others, strict=True)),
     }

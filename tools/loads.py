@@ -6,6 +6,7 @@ times shape is a body force density.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -126,6 +127,21 @@ class MixedLoad:
 
 
 @dataclass(frozen=True)
+class Reversed:
+    """A MixedLoad the other way round: what answers have of even order cancels between the two."""
+
+    load: MixedLoad
+
+    @property
+    def load_id(self) -> str:
+        return f"{self.load.load_id} reversed"
+
+    def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
+        """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
+        return -self.load.shape(positions, box)
+
+
+@dataclass(frozen=True)
 class RandomRim:
     """A random load on the disk outside UNLOADED_RADIUS: waves around it, of any seed."""
 
@@ -147,7 +163,7 @@ class RandomRim:
         return field
 
 
-Load = WaveLoad | PatchLoad | RimLoad | MixedLoad | RandomRim
+Load = WaveLoad | PatchLoad | RimLoad | MixedLoad | Reversed | RandomRim
 
 TRAINING = [
     WaveLoad(axis, (p1, p2))
@@ -156,6 +172,16 @@ TRAINING = [
     for p2 in range(6)
     if (p1, p2) != (0, 0)
 ]
+
+
+def both_ways(seeds: Sequence[int], shortest: float = 20.0) -> list[Load]:
+    """Loads that hold all waves, each and its reverse."""
+    loads = [MixedLoad(seed, shortest) for seed in seeds]
+    return [way for load in loads for way in (load, Reversed(load))]
+
+
+DESIGNED = both_ways(range(2))
+"""In place of TRAINING: one tells a law whose moduli are known, two one that is to find them."""
 VALIDATION = [
     PatchLoad(case, axis, edge, radius)
     for case, (axis, edge, radius) in enumerate(

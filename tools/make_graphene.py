@@ -24,7 +24,7 @@ from tqdm import tqdm
 from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, POTENTIAL
-from tools.loads import TEST, TRAINING, VALIDATION, Load, WaveLoad
+from tools.loads import DESIGNED, TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
@@ -37,6 +37,8 @@ from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.structures.lammps import potential_file
 
+LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
+"""What the training set may be made of in place of TRAINING, by name."""
 SPACINGS = {"": 5.0, "_fine": 2.5}
 """Node spacing [Å] by suffix of the set names."""
 
@@ -56,6 +58,7 @@ def make_graphene(
     jobs: int = -1,
     cache: str | os.PathLike[str] | None = None,
     smoothing_radius: float = SMOOTHING_RADIUS,
+    training: Sequence[Load] | None = None,
     progress: bool = True,
 ) -> Path:
     """Make the data set: training and validation loads on a sheet, test loads on a disk.
@@ -70,6 +73,7 @@ def make_graphene(
             chooses another backend.
         cache: folder of finished samples; by default beside `path`, with the suffix .cache.
         smoothing_radius: R of the coarse graining [Å].
+        training: loads to learn from, on the sheet; TRAINING without.
         progress: show a bar on stderr.
 
     Returns:
@@ -84,21 +88,28 @@ def make_graphene(
     path = Path(path)
     cache = path.with_suffix(".cache") if cache is None else Path(cache)
     with locked(path), locked(cache):
-        return _make(path, cache, jobs, smoothing_radius, progress)
+        return _make(path, cache, jobs, smoothing_radius, training or TRAINING, progress)
 
 
-def _make(path: Path, cache: Path, jobs: int, smoothing_radius: float, progress: bool) -> Path:
+def _make(
+    path: Path,
+    cache: Path,
+    jobs: int,
+    smoothing_radius: float,
+    asked: Sequence[Load],
+    progress: bool,
+) -> Path:
     cache.mkdir(parents=True, exist_ok=True)
     sheet, disk = graphene_bodies()
     potential, bond = Path(sheet.potential), sheet.bond
     # The disk first: it is the longest piece of work.
-    samples = solve_all({disk: TEST, sheet: [*TRAINING, *VALIDATION]}, cache, jobs, progress)
+    samples = solve_all({disk: TEST, sheet: [*asked, *VALIDATION]}, cache, jobs, progress)
 
-    training, validation = samples[sheet][: len(TRAINING)], samples[sheet][len(TRAINING) :]
+    training, validation = samples[sheet][: len(asked)], samples[sheet][len(asked) :]
     sets = {}
     for suffix, spacing in SPACINGS.items():
         for name, body, loads, group in (
-            ("train", sheet, TRAINING, training),
+            ("train", sheet, asked, training),
             ("val", sheet, VALIDATION, validation),
             ("test", disk, TEST, samples[disk]),
         ):
@@ -121,10 +132,11 @@ def _make(path: Path, cache: Path, jobs: int, smoothing_radius: float, progress:
             "radius": smoothing_radius,
             "normalisation": "infinite lattice",
         },
-        "u_change_cone_to_paraboloid": shape_change(
-            sets["train"], sheet, training, smoothing_radius
-        ),
     }
+    if "wave_number" in sets["train"].arrays:
+        provenance["u_change_cone_to_paraboloid"] = shape_change(
+            sets["train"], sheet, training, smoothing_radius
+        )
     save_dataset(path, Dataset(sets, THICKNESS, mass_density(bond), provenance))
     return path
 
@@ -357,6 +369,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R [Å] (default: 10)"
     )
+    parser.add_argument(
+        "--loads",
+        choices=("waves", *LOADS),
+        default="waves",
+        help="to learn from: seventy waves, or two loads, each both ways",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     if given.jobs == 0 or given.jobs < -1:
@@ -370,6 +388,7 @@ def main(arguments: list[str] | None = None) -> int:
                 jobs=given.jobs,
                 cache=given.cache,
                 smoothing_radius=given.smoothing_radius,
+                training=LOADS.get(given.loads),
                 progress=not given.quiet,
             )
         print(path)

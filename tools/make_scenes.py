@@ -33,16 +33,19 @@ from warp_peri.points.samples import Samples
 OUT = Path("data/graphene_0K_scenes.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-SHEET = (MixedLoad(41, 30.0), MixedLoad(42, 45.0), MixedLoad(43, 70.0))
-DISK = (RandomRim(301), RandomRim(302), RandomRim(303))
-TURN = 17.0
+SHEET = (MixedLoad(61, 26.0), MixedLoad(62, 36.0), MixedLoad(63, 80.0))
+DISK = (RandomRim(501), RandomRim(502), RandomRim(503))
+"""The form of the error was chosen on MixedLoad(41, 30), (42, 45), (43, 70), (51, 28), (52, 40),
+(53, 60) and RandomRim(301–303, 401–403), on other rectangles, another L and at 17 and 41 degrees;
+these came after."""
+TURN = 29.0
 """Angle of the crystal to the nodes of the turned sets [degrees]."""
 
 
 def shape(points: Samples, name: str) -> Samples:
-    """The samples with another interior: an L, or a rectangle of half the height."""
+    """The samples with another interior: an L, or a rectangle off the middle."""
     x, y = points.x.T
-    kept = (x < 0) | (y < 0) if name == "L" else np.abs(y) <= 25
+    kept = (x < 10) | (y < -10) if name == "L" else np.abs(y - 15) <= 30
     return dataclasses.replace(
         points, points=dataclasses.replace(points.points, interior=points.interior & kept)
     )

@@ -18,7 +18,7 @@ import numpy as np
 
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsSession
-from tools.loads import Load, MixedLoad, RandomRim, WaveLoad, atom_force
+from tools.loads import Load, MixedLoad, RandomRim, Reversed, WaveLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
@@ -176,7 +176,7 @@ def solve(body: Piece, statics: Statics, load: Load) -> Sample:
     shape = load.shape(statics.reference, body.box)
     unit = atom_force(shape, area_per_atom(body.bond), THICKNESS)
     try:
-        if isinstance(load, (WaveLoad, MixedLoad, RandomRim)):
+        if isinstance(load, (WaveLoad, MixedLoad, Reversed, RandomRim)):
             amplitude, rest = _strained(statics, unit, load.load_id)
         else:
             amplitude = load.amplitude

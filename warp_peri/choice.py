@@ -15,9 +15,12 @@ from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.learning import transferred
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.points.arrays import is_positive
-from warp_peri.points.unit_names import symbols
-from warp_peri.statics.lps import DIRECT
+from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.lattice import lattice_steps, neighbour_table
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import USUAL, factors, symbols
+from warp_peri.prediction.spectrum import KNOTS, Spectrum
+from warp_peri.statics.lps import DIRECT, cheapest_method
 from warp_peri.transfer.cache import on_lattice
 
 LU_POWER = 1.5
@@ -26,6 +29,12 @@ WAVES = (1.0, 1.5, 2.5, 5.0)
 """Wavelengths that a dressed solid is compared on, over the scene's shortest."""
 SPACINGS, RATIO = 8, 2**0.25
 """Lattices that a model is tried on, each so much finer than the one before."""
+LEFT = 0.01
+"""Share of the square of a displacement that is left to shorter waves than the shortest."""
+ANSWERS = {"FEM Q1": "elements", "FEM Q2": "elements", "third order": "nonlinear"}
+"""What the kinds of rows that are no linear solids answer with; `predict` is its own."""
+UNSOLVED = ("positive kernel", "atoms", "network")
+"""Kinds that are in the table to compare with."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +45,18 @@ class Scene:
         size: extents of the domain [Å]; where a model is given, in its unit of length.
         shortest_wave: shortest wavelength of the load, likewise.
         rectangle: whether the unknown nodes fill the box of that size.
+        strain: root mean square of |grad u|, where it is known: rows are held to their errors at
+            it, and to those at 2 % of bond strain without.
+        loads: how many are solved for.
+        stiff: λ ≫ μ.
     """
 
     size: tuple[float, float]
     shortest_wave: float
     rectangle: bool = False
+    strain: float | None = None
+    loads: int = 1
+    stiff: bool = False
 
     def __post_init__(self) -> None:
         pair = isinstance(self.size, (tuple, list, np.ndarray)) and np.ndim(self.size[:1]) == 1
@@ -50,6 +66,72 @@ class Scene:
             raise InputError(
                 f"scene: expected lengths > 0 Å, got size {self.size}, wave {self.shortest_wave}"
             )
+        if self.strain is not None and not is_positive(self.strain):
+            raise InputError(f"scene: expected a strain > 0 or None, got {self.strain!r:.40}")
+        if not (is_number(self.loads) and self.loads >= 1):
+            raise InputError(f"scene: expected a number of loads ≥ 1, got {self.loads!r:.40}")
+
+    @classmethod
+    def of(cls, problem: Any, *, modulus: float) -> Scene:
+        """The scene of a problem: size, wavelengths and strain, without a solve.
+
+        Waves of the load move a solid by b/(μ k²); the strain is that of these and of the collar.
+
+        Args:
+            problem: Dirichlet(points, b, u) on a lattice in the plane.
+            modulus: a shear modulus μ [stress], in the points' unit.
+
+        Raises InputError for scattered points, and a problem without load and displacement.
+        """
+        points = nodes_of(problem.points)
+        if not (points.spacing > 0 and points.dimension == 2):
+            raise InputError("scene: expected a problem on a lattice in the plane")
+        grid = lattice_steps(points)[0]
+        sides = np.ptp(grid[points.interior], axis=0) + 1
+        shape = (-1, *points.x.shape)
+        load, field = (np.reshape(np.asarray(one, float), shape) for one in (problem.b, problem.u))
+        moved = np.stack([_answered(grid, points.spacing, b) for b in load]) / modulus
+        moved += np.where(points.interior[:, None], 0.0, field)  # the collar as it is given
+        knots = points.spacing * KNOTS
+        shares = np.mean([Spectrum(points, knots).shares(u) for u in moved], axis=0)
+        if not shares.sum() > 0:
+            raise InputError("scene: expected a load, or displacement on the collar")
+        below = np.cumsum(shares) <= LEFT * shares.sum()
+        strain = float(np.sqrt(np.mean([gradient_size(points, u) ** 2 for u in moved])))
+        unit, _ = factors(points.units, USUAL)
+        size = (float(unit * points.spacing * sides[0]), float(unit * points.spacing * sides[1]))
+        short = float(unit * knots[min(int(below.sum()), len(knots) - 1)])
+        rectangle = bool(np.prod(sides) == np.count_nonzero(points.interior))
+        return cls(size, short, rectangle, strain or None, len(moved))
+
+
+def _answered(grid: np.ndarray, spacing: float, load: np.ndarray) -> np.ndarray:
+    """μ u of a solid without λ + μ and without edges: b̂/k² of a load [N, 2]."""
+    grid = grid - grid.min(axis=0)
+    shape = tuple(2 * (grid.max(axis=0) + 1))
+    field = np.zeros((2, *shape))
+    field[:, *grid.T] = load.T
+    k = np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n, spacing) for n in shape), indexing="ij")
+    square = k[0] ** 2 + k[1] ** 2
+    square[0, 0] = np.inf
+    answer = np.fft.ifft2(np.fft.fft2(field) / square).real
+    return np.asarray(answer[:, *grid.T].T)
+
+
+def gradient_size(points: PointsLike, u: np.ndarray) -> float:
+    """Root mean square of |grad u| of a field [N, d] on a lattice, by central differences where
+    both neighbours are nodes."""
+    grid = lattice_steps(points)[0]
+    d = grid.shape[1]
+    table = neighbour_table(grid, np.concatenate([np.eye(d, dtype=int), -np.eye(d, dtype=int)]))
+    square, count = 0.0, 0
+    for axis in range(d):
+        ahead, behind = table[:, axis], table[:, d + axis]
+        both = (ahead >= 0) & (behind >= 0)
+        slope = (u[ahead[both]] - u[behind[both]]) / (2 * points.spacing)
+        square += float((slope**2).sum() / max(int(both.sum()), 1))
+        count += int(both.sum())
+    return float(np.sqrt(square)) if count else 0.0
 
 
 @dataclass(frozen=True)
@@ -58,12 +140,14 @@ class Choice:
 
     Attributes:
         spacing: h [Å].
-        horizon: δ [Å].
-        degree: M of the influence function.
-        method: of `solve`.
+        horizon: δ [Å]; 0 of elements.
+        degree: M of the influence function; of elements their order.
+        method: of `solve`; "elements", or "predict".
         error: measured displacement error, a fraction.
-        seconds: expected for set-up and one solve on the machine that measured.
+        seconds: expected for set-up and the solves on the machine that measured.
         reason: the sentence.
+        answer: "elements", "linear", "nonlinear" or "predict".
+        label: of the row in the table.
     """
 
     spacing: float
@@ -73,6 +157,8 @@ class Choice:
     error: float
     seconds: float
     reason: str
+    answer: str = "linear"
+    label: str = ""
 
 
 def shipped_table() -> dict[str, Any]:
@@ -82,28 +168,65 @@ def shipped_table() -> dict[str, Any]:
     return table
 
 
-def _measured(
-    table: dict[str, Any], scene: Scene, name: str
-) -> list[tuple[float, float, dict[str, Any], str, float]]:
-    """Seconds, error, row, method and nodes of every way in a table that `solve` can go."""
-    measured = []
-    for row in table["rows"]:
-        # What `solve` can do: its factorisations are float64.
-        if row["method"] != "lu" or row["kind"] == "positive kernel":
+@dataclass(frozen=True, order=True)
+class _Way:
+    """One row of a table, for one scene."""
+
+    seconds: float
+    error: float
+    nodes: float
+    method: str
+    answer: str
+    number: int
+
+
+def _ways(table: dict[str, Any], scene: Scene, name: str) -> list[_Way]:
+    """Every row of a table that can be gone, with what it costs and errs."""
+    found = []
+    for number, row in enumerate(table["rows"]):
+        kind = row["kind"]
+        own = row["method"] in ("rest", "predict") or kind.startswith("FEM")
+        # What `solve` can do of the linear solid: its factorisations are float64.
+        if kind in UNSOLVED or not (own or row["method"] == "lu"):
             continue
         nodes = math.prod(length / row["spacing"] for length in scene.size)
-        if nodes <= DIRECT:
-            method = "lu"
-            growth = nodes / row["disks_nodes"]
-            seconds = (row["disks_setup"] + row["disks_solve"]) * growth**LU_POWER
+        growth = nodes / row["disks_nodes"]
+        setup, each = row["disks_setup"], row["disks_solve"]
+        if scene.loads > 1 and "hundred" in row:
+            each = (row["hundred"] - setup) / 100
+        seconds = setup + scene.loads * each
+        method = cheapest_method(
+            int(nodes), rectangle=scene.rectangle, stiff=scene.stiff, loads=scene.loads
+        )
+        if kind.startswith("FEM"):
+            method, seconds = "elements", seconds * growth**LU_POWER
+        elif own:
+            seconds *= growth
+        elif nodes <= DIRECT:
+            method, seconds = "lu", seconds * growth**LU_POWER
         else:
-            method = "sine" if scene.rectangle else "multigrid"
-            seconds = table["seconds_per_node"][method] * nodes
-        error = row[f"{name}_error"]
-        if name == "disks" and "agrees" in row:
-            error = max(error, _agreement(row["agrees"], scene.shortest_wave))
-        measured.append((seconds, error, row, method, nodes))
-    return measured
+            iterated = "sine" if scene.rectangle else "multigrid"
+            seconds = table["seconds_per_node"][iterated] * nodes * scene.loads
+        answer = ANSWERS.get(kind, "predict" if row["method"] == "predict" else "linear")
+        method = "predict" if answer == "predict" else method
+        found.append(_Way(seconds, _error(row, scene, name), nodes, method, answer, number))
+    return found
+
+
+def _error(row: dict[str, Any], scene: Scene, name: str) -> float:
+    """Of a row on loads as long or short as a scene's, at its strain."""
+    error: float = row[f"{name}_error"]
+    agreed = 0.0
+    if name == "disks" and "agrees" in row:
+        agreed = _agreement(row["agrees"], scene.shortest_wave)
+    if scene.strain is None or "strained" not in row:
+        return float(max(error, agreed))
+    strain, measured = np.array(row["strained"]).T
+    at = float(np.exp(np.interp(np.log(scene.strain), np.log(strain), np.log(measured))))
+    at *= max(1.0, scene.strain / strain[-1])
+    if name == "waves":
+        return float(np.hypot(error, at))
+    return float(max(at, agreed))
 
 
 def _agreement(pairs: list[list[float]], wave: float) -> float:
@@ -130,13 +253,15 @@ def choose_model(
             of a dressed solid the coarsest to which its G is carried so. Costs are those of the
             table's solvers.
 
-    The table holds models learned on a lattice, and transfers of some of them from 2.5 to 10 Å
-    (`kind` of a row, which the reason names). Loads at least as long as `long_wave` of the table
-    are held to the errors on the disks, shorter ones to those on the short waves; a transfer has
-    at least the error that it agrees with home to at the scene's shortest wave. Costs are the
-    measured ones: of LU grown with the power 1.5 of the unknowns, of conjugate gradients in
-    proportion to them from a large domain, where the horizon hardly matters. Of two that cost the
-    same the more accurate is taken.
+    The table holds models learned on a lattice, transfers of some of them from 2.5 to 10 Å,
+    nonlinear forms, tensors, dressed solids, `predict`, and elements for those who know the
+    constants (`kind` of a row, which the reason names). Loads at least as long as `long_wave` of
+    the table are held to the errors on the disks, at the scene's strain where both know it,
+    shorter ones to those on the short waves; a transfer has at least the error that it agrees with
+    home to at the scene's shortest wave. Costs are the measured ones: of factorisations grown with
+    the power 1.5 of the unknowns, of all else in proportion to them, of conjugate gradients from a
+    large domain, where the horizon hardly matters. Of two that cost the same the more accurate is
+    taken.
 
     Raises InputError for a wave shorter than any that was measured, or a tolerance that is no
     number above zero or that nothing in the table keeps.
@@ -156,24 +281,32 @@ def choose_model(
             f"{table['short_wave']:.6g} Å"
         )
     short = scene.shortest_wave < table["long_wave"]
-    name = "waves" if short else "disks"
-    measured = _measured(table, scene, name)
-    good = [way for way in measured if way[1] <= tolerance]
+    ways = _ways(table, scene, "waves" if short else "disks")
+    good = [way for way in ways if way.error <= tolerance]
     if not good:
-        best = min((way[1] for way in measured), default=math.inf)
+        best = min((way.error for way in ways), default=math.inf)
         raise InputError(
             f"tolerance: no measured model comes within {100 * tolerance:g} % on such loads; the "
             f"best has {100 * best:.2g} %"
         )
-    seconds, error, row, method, nodes = min(good, key=lambda way: way[:2])
+    way = min(good)
+    row = table["rows"][way.number]
     kind = "short waves" if short else "long waves"
+    at = "" if scene.strain is None else f" at |H| = {100 * scene.strain:.2g} %"
+    what = f"δ = {row['horizon']:.4g} Å, M = {row['degree']} ({row['kind']})"
+    if way.answer == "elements":
+        what = f"{row['label'].split(',')[0]} with known constants"
+    elif way.answer != "linear" or row["method"] == "rest":
+        what = str(row["label"])
     reason = (
-        f"h = {row['spacing']:g} Å, δ = {row['horizon']:.4g} Å, M = {row['degree']} "
-        f"({row['kind']}) by {method} is the cheapest of {len(good)} measured ways within "
-        f"{100 * tolerance:g} % on {kind}: {100 * error:.2g} %, about {seconds:.2g} s for "
-        f"{nodes:.0f} nodes."
+        f"h = {row['spacing']:g} Å, {what} by {way.method} is the cheapest of {len(good)} measured "
+        f"ways within {100 * tolerance:g} % on {kind}{at}: {100 * way.error:.2g} %, about "
+        f"{way.seconds:.2g} s for {way.nodes:.0f} nodes."
     )
-    return Choice(row["spacing"], row["horizon"], row["degree"], method, error, seconds, reason)
+    return Choice(
+        row["spacing"], row["horizon"], row["degree"], way.method, way.error, way.seconds, reason,
+        way.answer, row.get("label", ""),
+    )  # fmt: skip
 
 
 def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str, Any]) -> Choice:
@@ -240,9 +373,10 @@ def _of_dressed(law: DressedSolid, tolerance: float, scene: Scene, table: dict[s
 def _way(spacing: float, scene: Scene, table: dict[str, Any]) -> tuple[float, str, float]:
     """Nodes of a scene, how they are solved for, and in how many seconds."""
     nodes = math.prod(length / spacing for length in scene.size)
-    method = "lu" if nodes <= DIRECT else "sine" if scene.rectangle else "multigrid"
-    if method != "lu":
-        return nodes, method, table["seconds_per_node"][method] * nodes
+    method = cheapest_method(int(nodes), rectangle=scene.rectangle, stiff=scene.stiff)
+    if nodes > DIRECT:
+        iterated = "sine" if scene.rectangle else "multigrid"
+        return nodes, method, table["seconds_per_node"][iterated] * nodes
     row = next(row for row in table["rows"] if row["method"] == "lu")
     whole = row["disks_setup"] + row["disks_solve"]
     return nodes, method, whole * (nodes / row["disks_nodes"]) ** LU_POWER

@@ -67,6 +67,13 @@ class Material(Protocol):
         """What its file holds; `load` reads it again."""
 
 
+class Doubting(Protocol):
+    """A material that can tell how wrong it is: what `predict` asks of it."""
+
+    def with_doubts(self, points: Any) -> Any:
+        """The material on points with its `doubts`, the fields of what it does not know there."""
+
+
 class Problem(Protocol):
     """What is given of a body, and what is asked."""
 
@@ -97,13 +104,31 @@ def linear_part(given: Any, verb: str) -> Any:
     return offered(getattr(given, "model", given), "linear", verb, kinds)
 
 
-def placed(material: Any, points: Any, *, verb: str = "solve", **options: Any) -> Any:
+MATERIAL = "a material, as fit(…).material or load(…)"
+
+
+def placed(
+    material: Any,
+    points: Any,
+    *,
+    verb: str = "solve",
+    by: str = "on",
+    has: str = "rest",
+    kinds: str = MATERIAL,
+    **options: Any,
+) -> Any:
     """The operator of a material on points; what is an operator on these points already, as it is.
 
-    Raises InputError for an operator on other points, and for what is neither; `verb` says what
-    it was wanted for.
+    Args:
+        material: that offers `by`, or what came of it and offers `has`.
+        points: where it is wanted.
+        verb, kinds: for errors, what it was wanted for, and what was expected.
+        by, has: names of the contract.
+        options: of `by`.
+
+    Raises InputError for an operator on other points, and for what is neither.
     """
-    if hasattr(material, "rest") and not hasattr(material, "on"):
+    if hasattr(material, has) and not hasattr(material, by):
         mine = material.points
         same = mine is points or (
             mine.spacing == points.spacing
@@ -113,7 +138,7 @@ def placed(material: Any, points: Any, *, verb: str = "solve", **options: Any) -
         if not same:
             raise InputError("operator: expected one on the points of the problem, got another's")
         return material
-    on = offered(material, "on", verb, "a material, as fit(…).material or load(…)")
+    on = offered(material, by, verb, kinds)
     known = signature(on).parameters
     open_ended = any(one.kind is one.VAR_KEYWORD for one in known.values())
     if not open_ended and (unknown := sorted(options.keys() - known.keys())):

@@ -66,9 +66,20 @@ CASES: dict[str, tuple[tuple[tuple[int, int, int], ...], tuple[float, float], fl
         (45.0, 60.0),
         0.0561,
     ),
+    "four of 20 Å otherwise": (
+        ((-13, -5, 2), (-2, 6, 8), (3, 11, -6), (-9, -1, -10)),
+        (60.0, 60.0),
+        0.042,
+    ),
+    "three of 15 Å": (((-9, -3, 4), (1, 7, -2), (-4, 2, -8)), (50.0, 45.0), 0.042),
+    "five of 20 Å": (
+        ((-14, -6, 6), (6, 14, 6), (-4, 4, 0), (-14, -6, -6), (6, 14, -6)),
+        (60.0, 50.0),
+        0.042,
+    ),
 }
 """Cracks by their ends and their row, in steps and in rows; half sides of the sheet [Å]; a strain
-from which to pull more slowly. Nothing was settled on with the last five in sight."""
+from which to pull more slowly. Nothing was settled on with the last three in sight."""
 
 
 def ends(case: str) -> list[np.ndarray]:

@@ -48,7 +48,7 @@ def test_two_cracks_off_the_middle_line_are_those_of_the_atoms(tmp_path, capsys)
 
 @pytest.mark.slow
 def test_a_crack_at_an_angle_is_that_of_the_atoms(tmp_path, capsys):
-    words = "-20 -10 10 8 --half 50 50 --pull".split()
+    words = ["-20", "-10", "10", "8", "--half", "50", "50", "--pull"]
     _, out = asked(capsys, tmp_path, *words)
     found = json.loads(out.out)
     assert found["by"] == "kinks"

@@ -20,8 +20,9 @@ from warp_peri.errors import InputError
 DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
-    "surfaces", "bodies", "crystals", "time-step", "energy", "dispersion", "strain",
-    "larger-strains", "float32", "compression", "edges", "stretched", "uneven", "noise-of-its-own",
+    "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
+    "larger-strains", "float32", "compression", "edges", "stretched", "uneven", "predictions",
+    "noise-of-its-own",
     "stretched-and-turned", "broken", "stretch", "long-steps",
 )  # fmt: skip
 

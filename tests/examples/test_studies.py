@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from examples import train_graphene
-from examples.studies import influence_shapes, manufactured, pno_graphene
+from examples.studies import influence_shapes, manufactured, pno_graphene, speed_chart
 from warp_peri.learning.sweep import sweep
 from warp_peri.points.dataset_file import load_dataset
 
@@ -76,3 +76,27 @@ def test_the_monotone_rival_is_the_derivative_of_a_convex_energy():
     assert (stiffness - stiffness.T).abs().max() <= 1e-12 * stiffness.abs().max()
     assert torch.linalg.eigvalsh(stiffness).min() >= -1e-12 * stiffness.abs().max()
     assert force(torch.zeros(12, dtype=torch.float64)).abs().max() == 0
+
+
+def test_the_chart_of_speed_and_accuracy_reads_at_the_size_of_a_page(tmp_path, monkeypatch):
+    kept = []
+    monkeypatch.setattr(speed_chart.plt, "close", kept.append)
+    rows = [
+        {"kind": kind, "label": f"{kind}, {n}"}
+        | {f"{name}_error": 10.0 ** -(n + k) for name in ("disks", "waves")}
+        | {f"{name}_solve": 10.0 ** (n - k) for name in ("disks", "waves")}
+        for k, kind in enumerate(("learned", "FEM Q1"))
+        for n in range(5)
+    ]
+    speed_chart.chart(rows, tmp_path / "chart.png")
+    (figure,) = kept
+    figure.canvas.draw()
+    page = figure.bbox
+    assert figure.get_figwidth() <= 8  # inches: the page scales nothing down
+    texts = [text for ax in figure.axes for text in (*ax.texts, ax.title, ax.xaxis.label)]
+    texts += figure.axes[0].get_legend().get_texts()
+    assert len(texts) > 15
+    for text in texts:
+        box = text.get_window_extent()
+        assert text.get_size() >= 8
+        assert page.x0 <= box.x0 <= box.x1 <= page.x1, text.get_text()

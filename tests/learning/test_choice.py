@@ -1,14 +1,16 @@
 """The cheapest measured way within a tolerance, and how it explains itself."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.dressed.solids import solid
-from tests.support.problems import kernel
-from warp_peri import InputError
+from tests.support.problems import kernel, lattice
+from warp_peri import Dataset, Dirichlet, InputError, Samples, save
 from warp_peri.choice import Scene, choose_model, shipped_table
+from warp_peri.cli.main import main
 from warp_peri.dressed import transferred
 from warp_peri.transfers import on_lattice
 
@@ -140,3 +142,69 @@ def test_spacing_and_horizon_from_transfers_of_a_model():
     assert here.horizon == choice.horizon
     with pytest.raises(InputError, match="the data held waves down to 3.14 Å"):
         choose_model(tolerance=0.02, scene=Scene((60.0, 60.0), 3.0), table=TABLE, model=home)
+
+
+def test_a_scene_is_read_off_a_problem():
+    points = lattice(20, 2.5, spacing=5.0)
+    x = points.x
+    b = 1e-4 * np.cos(2 * np.pi * x[:, :1] / 40.0) * [0.0, 1.0]
+    problem = Dirichlet(points, b, 0 * b)
+    scene = Scene.of(problem, modulus=0.7)
+    assert scene.size == (100.0, 100.0)
+    assert scene.rectangle
+    assert 20 <= scene.shortest_wave <= 40
+    exact = 1e-4 / 0.7 * 40 / (2 * np.pi) / np.sqrt(2)  # |grad u| of b / (μ k²)
+    assert scene.strain == pytest.approx(exact, rel=0.2)
+    twice = Scene.of(Dirichlet(points, np.stack([b, b]), np.zeros((2, *b.shape))), modulus=0.7)
+    assert twice.loads == 2
+    pulled = Scene.of(Dirichlet(points, 0 * b, 0.01 * x), modulus=0.7)
+    assert pulled.strain > scene.strain
+    with pytest.raises(InputError, match="expected a load, or displacement"):
+        Scene.of(Dirichlet(points, 0 * b, 0 * b), modulus=0.7)
+    with pytest.raises(InputError, match="strain > 0"):
+        replace(scene, strain=-1.0)
+
+
+def test_strain_loads_and_kinds_of_answers_decide():
+    strained = {"strained": [[0.005, 0.004], [0.05, 0.04]], "hundred": 0.3}
+    bent = {"strained": [[0.005, 0.001], [0.05, 0.005]], "hundred": 20.0}
+    rows = [
+        row("lu", 5.0, 20.0, 0.01, 0.05) | strained,
+        row("rest", 5.0, 20.0, 0.002, 0.06) | bent | {"kind": "third order", "label": "bent"},
+        row("predict", 5.0, 25.0, 0.003, 0.07) | bent | {"kind": "predict", "label": "one %"},
+        row("Q1", 5.0, 0.0, 0.009, 0.01) | strained | {"kind": "FEM Q1", "label": "FEM Q1, x"},
+        row("rest", 5.0, 20.0, 1e-6, 1e-6) | {"kind": "network"},
+    ]
+    table = TABLE | {"rows": rows}
+
+    def answer(tolerance, **scene):
+        asked = replace(SMALL, **scene)
+        return choose_model(tolerance=tolerance, scene=asked, table=table)
+
+    assert answer(0.05).answer == "elements"
+    assert answer(0.05).reason.startswith("h = 5 Å, FEM Q1 with known constants by elements")
+    assert answer(0.02, strain=0.05).answer == "nonlinear"
+    assert answer(0.006, strain=0.005).answer == "elements"
+    assert answer(0.0015, strain=0.005).answer == "nonlinear"
+    assert "|H| = 0.5 %" in answer(0.0015, strain=0.005).reason
+    few = TABLE | {"rows": rows[2:3]}
+    assert choose_model(tolerance=0.01, scene=SMALL, table=few).method == "predict"
+    linear = TABLE | {"rows": rows[:1]}
+    thick = Scene((1000.0, 1000.0), 50.0, stiff=True)
+    assert choose_model(tolerance=0.05, scene=thick, table=TABLE).method == "strip"
+    many = choose_model(tolerance=0.05, scene=replace(SMALL, loads=100), table=linear)
+    assert many.seconds > choose_model(tolerance=0.05, scene=SMALL, table=linear).seconds
+
+
+def test_the_command_plans(tmp_path, capsys):
+    points = lattice(20, 2.5, spacing=5.0)
+    b = 1e-4 * np.cos(2 * np.pi * points.x[None, :, :1] / 60.0) * [0.0, 1.0]
+    save(tmp_path / "d.h5", Dataset({"test": Samples(points, 0 * b, b)}, 3.35, 2200.0))
+    assert main(["plan", str(tmp_path / "d.h5"), "--tolerance", "0.05", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["error"] <= 0.05
+    assert told["scene"]["size"] == [100.0, 100.0]
+    assert told["answer"] in told["reason"] or told["method"] in told["reason"]
+    size = ["--size", "500", "500", "--shortest-wave", "50"]
+    assert main(["plan", *size, "--tolerance", "0.05"]) == 0
+    assert main(["plan", "--size", "500", "500"]) == 2

@@ -10,7 +10,6 @@ import warp_peri
 from tests.micromodulus.crystals import lattice, learned, plain_force, random_law
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.micromodulus import law as law_module
 from warp_peri.micromodulus.statics import solve
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -173,8 +172,7 @@ def test_cut_bonds_other_spacings_and_units_are_refused():
         law.on(points)(np.zeros((3, 3)))
 
 
-def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once(monkeypatch, tmp_path):
-    monkeypatch.setattr(law_module, "_said", [])
+def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once(tmp_path):
     law, points = learned(3), body(3, "cube")
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)) + 3 * np.eye(3))[0]
     turn *= np.sign(np.linalg.det(turn))
@@ -183,10 +181,12 @@ def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once(monkeypatch, t
         law.on(turned)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        law.on(turned)  # once
+        law.on(turned)  # once for these points
         stated = replace(turned, axis=turn)
         law.on(stated)
         law.on(replace(stated, axis=turn[:, [1, 2, 0]]))  # a symmetry of the crystal
+    with pytest.warns(UserWarning, match="how the crystal lies"):  # others are other ones
+        law.on(replace(turned, x=turned.x.copy()))
     with pytest.raises(InputError, match="stands at"):
         law.on(replace(turned, axis=np.eye(3)))
     with pytest.raises(InputError, match="rotation"):

@@ -110,8 +110,9 @@ def test_error_counts_the_nodes_that_lack_the_collar():
     families_of(whole, 2.0)  # a corner of the square is no family member
     hole = np.argmin(np.abs(points.x - (-4, 0)).sum(1))
     keep = np.arange(len(points.x)) != hole
-    with pytest.raises(InputError, match=r"1 of 25 have not at horizon 2 Å; no horizon of two"):
+    with pytest.raises(InputError, match=r"1 of 25 have not at horizon 2 Å; no horizon") as told:
         families_of(Points(points.x[keep], points.interior[keep], 1.0), 2.0)
+    assert "Free edges and holes: Body(mesh" in str(told.value)
 
 
 def test_error_says_when_no_horizon_fits():

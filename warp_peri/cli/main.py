@@ -21,11 +21,13 @@ from warp_peri.errors import exit_status
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "coarse-grain": ("LAMMPS dumps to a data file", arguments.coarse_grain),
     "learn": ("a crystal's structure and calculator to its law", arguments.learn),
+    "dic": ("frames of image correlation to a sheet's material", arguments.dic),
     "train": ("a data file to a certified model", arguments.train),
     "certify": ("what is proven of a model", arguments.certify),
     "evaluate": ("errors of a model on data sets", arguments.evaluate),
     "solve": ("displacement from loads", arguments.solve),
     "predict": ("displacement with its error", arguments.predict),
+    "plan": ("which model and solver a scene needs", arguments.plan),
     "export": ("for ParaView and other codes", arguments.export),
     "sweep": ("choose horizon and degree", arguments.sweep),
     "info": ("what a model or data file holds", arguments.info),

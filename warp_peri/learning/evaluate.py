@@ -71,7 +71,7 @@ def evaluate(
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
     asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-    options = {name: value for name, value in asked.items() if value != USUAL[name]}
+    options: dict[str, Any] = {n: value for n, value in asked.items() if value != USUAL[n]}
     operator = placed(material, points.points, verb="evaluate", **options)
     offered(operator, "product", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one

@@ -23,6 +23,7 @@ from warp_peri.micromodulus.groups import (
 )
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.points.arrays import checked, is_positive
+from warp_peri.points.axis import unsaid
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, nodes_of
@@ -47,8 +48,6 @@ SAME_SPACING = 1e-6
 """Relative, of spacings that are taken as the same."""
 BROKEN = 1e-8
 """Relative, that tensors may break a symmetry they are said to have."""
-
-_said: list[str] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +324,8 @@ class Crystal:
     def _check_axis(self, nodes: Points) -> None:
         """Raise InputError where points state another direction of the crystal than the law's.
 
-        Where they state none, and lattice or crystal are turned, what is assumed is said once.
+        Where they state none, and lattice or crystal are turned, what is assumed is said once for
+        these points.
         """
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
@@ -334,8 +334,8 @@ class Crystal:
         same = np.asarray(self.orientation) @ point_group(self.symmetry, d)
         if nodes.axis is None:
             straight = np.abs(same - np.eye(d)).max(axis=(1, 2)).min() < SAME_AXIS
-            if not (straight and np.abs(axes - np.eye(d)).max() < SAME_AXIS) and not _said:
-                _said.append("axis")
+            straight = straight and np.abs(axes - np.eye(d)).max() < SAME_AXIS
+            if not straight and unsaid(nodes):
                 warnings.warn(
                     "axis: lattice or crystal are turned, and the points do not state how the "
                     "crystal lies: taken as on its nodes in the law; Points(…, axis=…) states it",

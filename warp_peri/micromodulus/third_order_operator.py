@@ -30,8 +30,9 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
+from warp_peri.statics.equilibrium import Inverse
 from warp_peri.statics.lps import choose_method
-from warp_peri.statics.nonlinear import SOLVES, Inverse, PlacedThirdOrder, factorised_tangent
+from warp_peri.statics.nonlinear import SOLVES, PlacedThirdOrder, factorised_tangent
 
 _known: dict[tuple[object, ...], ThirdOrderCrystal] = {}
 

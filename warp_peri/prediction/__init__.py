@@ -5,6 +5,7 @@ from warp_peri.prediction.guarantee import Guarantee
 from warp_peri.prediction.learning import Family
 from warp_peri.prediction.loads import design_loads, mixed_waves
 from warp_peri.prediction.members import Factors, Members
+from warp_peri.prediction.next_load import NextLoad, next_load
 from warp_peri.prediction.placed import PlacedMembers
 from warp_peri.prediction.quantities import force, mean, strain, stress
 
@@ -14,12 +15,14 @@ __all__ = [
     "Family",
     "Guarantee",
     "Members",
+    "NextLoad",
     "PlacedMembers",
     "Quantity",
     "design_loads",
     "force",
     "mean",
     "mixed_waves",
+    "next_load",
     "strain",
     "stress",
 ]

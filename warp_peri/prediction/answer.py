@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 WORDS = {
     "left": "what is left to correct",
-    "waves": "short waves",
+    "waves": "waves",
     "data": "data",
     "strain": "strain beyond third order",
     "axis": "the direction of the crystal, which is not stated",
@@ -81,7 +81,8 @@ class Answer:
             return self.known
         placed, load = self._placed()
         first = self.u if self.linear is None else self.linear
-        return placed.doubts(self.u, placed.correction(load, self.u), first)
+        left = placed.correction(load, self.u)
+        return placed.doubts(self.u, left, first, placed.recorded(first))
 
     @property
     def corrected(self) -> np.ndarray:
@@ -109,6 +110,7 @@ class Answer:
             change(fields.data),
             fields.strain and (change(fields.strain[0]), change(fields.strain[1])),
             change(fields.axis),
+            fields.pull,
         )
         squares = combined(changes, factors, np.abs)
         return Quantity(at, left, np.sqrt(sum(value**2 for value in squares.values())))
@@ -171,7 +173,7 @@ class Answer:
 
 def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) -> dict[str, Any]:
     """Likely errors by origin, of fields of errors or what was made of them (Q4)."""
-    share = factors.floor / np.sqrt(2)
+    share = parts.pull * factors.floor / np.sqrt(2)
     found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}
     found["data"] = share * size(parts.data)
     if parts.strain is not None:

@@ -12,14 +12,13 @@ from warp_peri.errors import InputError
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.members import Factors, Members
-from warp_peri.prediction.placed import PlacedMembers
+from warp_peri.prediction.placed import PlacedMembers, pulled, spread
 from warp_peri.prediction.predict import MOST
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
-COVERED, SCREENED = 0.9, 0.95
-"""Shares of the samples that the factors are set to cover, and that of the screen."""
-SHORT = 5.0
-"""Wavelengths below so many spacings are left to the record by wavelength, not to the factors."""
+COVERED, NEARLY = 0.9, 0.95
+"""Shares of the samples that the factors are set to cover; that of what is left to correct, which
+varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
 """Horizon and degree of the second member over those of the rich one."""
 ROUNDING = 1e-12
@@ -56,8 +55,8 @@ class Family:
         if not isinstance(samples, Samples) or len(samples) < 4:
             raise InputError("samples: expected one set of at least four samples for a family")
         learn = offered(self.rich, "learn", "fit", "a law as the rich member")
-        fits = {"rich": learn(samples, progress=progress)}
         second = self.second or poorer(self.rich)
+        fits = {"rich": learn(samples, progress=progress)}
         fits["second"] = second.learn(samples, progress=progress)
         halves = [learn(part(samples, slice(n, None, 2)), progress=progress) for n in (0, 1)]
         strain = largest_strain(samples.points, samples.u)
@@ -97,7 +96,7 @@ class FamilyFit:
         return getattr(self.rich, "history", None)
 
 
-def part(samples: Samples, which: slice) -> Samples:
+def part(samples: Samples, which: Any) -> Samples:
     """Some of the samples."""
     arrays = {name: values[which] for name, values in samples.arrays.items()}
     return replace(samples, u=samples.u[which], b=samples.loads[which], arrays=arrays)
@@ -119,52 +118,36 @@ def poorer(law: Any) -> Any:
 def calibrated(family: Members, samples: Samples, held_out: Samples | None) -> Members:
     """The family with its factors and its record by wavelength, from answers whose truth is known.
 
-    Left, floor and screen are quantiles of what was true over what was computed, on all samples but
-    the training waves that are short.
+    The factors are quantiles of what was true over what was computed.
     """
-    bare = replace(family, factors=Factors(1.0, 1.0, 1.0, 0.0), record=None)
-    wavelength = samples.spacing * KNOTS
-    rows = [_measured(bare, samples, wavelength)]
-    if held_out is not None:
-        rows.append(_measured(bare, held_out, wavelength))
-    record = None
-    if wavelength[0] > 0:
-        record = recorded(
-            SHORT * samples.spacing,
-            wavelength,
-            np.concatenate([row["shares"] for row in rows]),
-            np.concatenate([row["true"] for row in rows]),
-        )
-    long = rows[0]["length"] >= SHORT * samples.spacing
-    chosen = [long if long.any() else ~long, *(np.ones(len(row["true"]), bool) for row in rows[1:])]
+    bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None)
+    sets = [samples] if held_out is None else [samples, held_out]
+    found = [_measured(bare, one) for one in sets]
+    rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    record, members = None, rows["members"]
+    if samples.spacing > 0:
+        record = recorded(samples.spacing * KNOTS, rows["shares"], rows["true"])
+        told = np.array([record.of(one) for one in rows["shares"]])
+        members = members * [pulled(*pair) for pair in zip(members, told)]
 
-    def quantile(above: str, below: str, share: float = COVERED) -> float:
-        ratio = [
-            row[above][kept] / np.maximum(row[below][kept], ROUNDING)
-            for row, kept in zip(rows, chosen)
-        ]
-        return float(np.quantile(np.concatenate(ratio), share))
+    def quantile(above: np.ndarray, below: np.ndarray, share: float = COVERED) -> float:
+        return float(np.quantile(above / np.maximum(below, ROUNDING), share))
 
-    nonlinear = bool(np.any(rows[0]["gradient"] > 0))
-    screen = quantile("first", "gradient", SCREENED) if nonlinear else 0.0
-    for row in rows:
-        row["floor"] = np.sqrt(
-            row["members"] ** 2 + row["cubic"] ** 2 + (screen * row["series"]) ** 2
-        )
-    floor = quantile("true", "floor")
+    bends = bool(np.any(rows["gradient"] > 0))
+    screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
+    floor = np.sqrt(members**2 + rows["cubic"] ** 2 + (screen * rows["series"]) ** 2)
     factors = Factors(
-        left=max(quantile("gone", "left"), 1.0) if nonlinear else 1.0,
-        floor=floor,
+        left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
+        floor=quantile(rows["true"], floor),
         screen=screen,
-        typical=floor * quantile("members", "one"),
     )
     return replace(family, factors=factors, record=record)
 
 
-def _measured(family: Members, samples: Samples, wavelength: np.ndarray) -> dict[str, np.ndarray]:
+def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
     """What is computed of each sample and what is true, as fractions, shape [S] each."""
     placed = PlacedMembers(family, samples.points)
-    inside, spacing = samples.interior, samples.spacing
+    inside = samples.interior
     rows: list[dict[str, Any]] = []
     for b, truth in zip(samples.loads, samples.u):
         load = placed.load(b)
@@ -183,15 +166,9 @@ def _measured(family: Members, samples: Samples, wavelength: np.ndarray) -> dict
 
         cubic, series = map(norm, fields.strain) if fields.strain else (0.0, 0.0)
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
-        row |= {"true": norm((u - truth)[inside]), "first": norm((first - truth)[inside])}
-        row["members"] = np.hypot(norm(fields.waves), norm(fields.data)) / np.sqrt(2)
-        row |= {"cubic": cubic, "series": series, "one": 1.0}
+        row |= {"true": norm((u - truth)[inside]), "cubic": cubic, "series": series}
+        row["members"] = spread(fields.waves, fields.data) / size
         row["gradient"] = placed.gradient(u) if placed.nonlinear else 0.0
-        if spacing > 0:
-            row["shares"] = shares = placed.spectrum(u, wavelength)
-            mean = (shares @ np.log(wavelength)) / max(float(shares.sum()), ROUNDING)
-            row["length"] = np.exp(mean)
-        else:
-            row |= {"shares": np.zeros(len(wavelength)), "length": np.inf}
+        row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
         rows.append(row)
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}

@@ -45,7 +45,9 @@ def mixed_waves(
 def design_loads(points: PointsLike, shortest_wave: float, *, number: int = 2) -> np.ndarray:
     """Loads that a material is learned from in place of many single waves.
 
-    One does for a fit whose moduli are held, two for one that finds them.
+    One does for a fit whose moduli are held, two for one that finds them. Give each to the atoms
+    and its reverse: what their answers have of even order then cancels, which few loads do not
+    average.
 
     Args:
         points: of a periodic body, as Points.sheet or Points(…, box=…); atoms or nodes.

@@ -15,6 +15,7 @@ from warp_peri.models.lps import content_hash, model_from, read_content
 from warp_peri.models.nonlinear import nonlinear_from
 from warp_peri.points.arrays import is_number
 from warp_peri.points.unit_names import Units, factors
+from warp_peri.prediction.placed import PlacedMembers
 from warp_peri.prediction.spectrum import Record
 from warp_peri.shown import as_table, in_rows
 
@@ -37,13 +38,11 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
-        typical: what waves and data miss together on nine of ten samples, a fraction.
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
-    typical: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -101,12 +100,17 @@ class Members:
         """The rich member on points."""
         return self.rich.on(points, **options)
 
+    def with_doubts(self, points: PointsLike, **options: Any) -> PlacedMembers:
+        """All members on points, with what they do not know there; options of `on`."""
+        return PlacedMembers(self, points, **options)
+
     def in_units(self, units: Units) -> Members:
         """The same in other units."""
         length, _ = factors(self.units, units)
         record = self.record
         if record is not None:
-            record = replace(record, wavelength=record.wavelength * length)
+            shortest = record.shortest * length
+            record = replace(record, wavelength=record.wavelength * length, shortest=shortest)
         rich, second, *halves = (
             one.in_units(units) for one in (self.rich, self.second, *self.halves)
         )
@@ -118,7 +122,7 @@ class Members:
         content |= {name: getattr(self, name).content() for name in ("rich", "second")}
         content["halves"] = [one.content() for one in self.halves]
         record = self.record
-        content["record"] = record and {k: v.tolist() for k, v in asdict(record).items()}
+        content["record"] = record and {k: np.asarray(v).tolist() for k, v in vars(record).items()}
         content["factors"] = asdict(self.factors)
         content |= {n: getattr(self, n) for n in ("strain", "temperature", "provenance")}
         content["sha256"] = content_hash(content)
@@ -150,7 +154,8 @@ def load_members(path: Any) -> Members:
             )
         record = content["record"]
         if record is not None:
-            record = Record(**{name: np.array(values, float) for name, values in record.items()})
+            wavelength, error = (np.array(record[n], float) for n in ("wavelength", "error"))
+            record = Record(wavelength, error, float(record["shortest"]))
         rich, second, *halves = (
             _member(one) for one in (content["rich"], content["second"], *content["halves"])
         )

@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.prediction.members import Members
-from warp_peri.prediction.spectrum import shares
+from warp_peri.prediction.spectrum import KNOTS, Spectrum
 
-ROUGH = 0.05
+if TYPE_CHECKING:
+    from warp_peri.prediction.members import Members
+
+ROUGH = 0.1
 """Relative residual of the solves that give errors, not answers."""
 STRETCHED = 0.1
 """By how much more the answer is strained where the cubic part of the force is asked for."""
+PULLED = 2.0
+"""What members say otherwise is made larger or smaller by their record by so much at most."""
+BEYOND = 1.25
+"""What strain beyond the second order may be, over what it is computed as: no data have it."""
 HALF_PERIOD = 30.0
 """Degrees between the directions of a crystal that differ most in their third-order constants."""
 
@@ -31,9 +35,11 @@ class Parts:
         left: the correction that is left.
         waves: by the second member.
         data: by the halves.
-        strain: what the force has beyond the square of the strain, tenfold; and what its orders
-            would go on to as a series, the nonlinear part times the gradient.
+        strain: what the force has beyond the square of the strain, and what its orders would go on
+            to as a series, the nonlinear part times the gradient; both a quarter more.
         axis: by the crystal at its other extreme, where its axis is not stated.
+        pull: what waves and data are multiplied with: half way, in logarithms, to what the record
+            says of such wavelengths (Q6).
     """
 
     left: np.ndarray
@@ -41,6 +47,7 @@ class Parts:
     data: np.ndarray
     strain: tuple[np.ndarray, np.ndarray] | None = None
     axis: np.ndarray | None = None
+    pull: float = 1.0
 
 
 class PlacedMembers:
@@ -96,15 +103,26 @@ class PlacedMembers:
         H, _ = self.rich.gradients(u)
         return float(np.sqrt((H**2).sum(axis=(-2, -1)).mean()))
 
-    def waves(self, u: np.ndarray) -> float:
-        """The relative error that the record gives a field; 0 without one."""
-        if self.family.record is None or self.points.spacing == 0:
-            return 0.0
-        return self.family.record.of(self.points, u)
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """What part of a field has which wavelength, by the record of the family."""
+        record = self.family.record
+        knots = self.points.spacing * KNOTS if record is None else record.wavelength
+        return Spectrum(self.points, knots)
 
-    def spectrum(self, u: np.ndarray, wavelength: np.ndarray) -> np.ndarray:
-        """Shares of a field by wavelength."""
-        return shares(self.points, u, wavelength)
+    def recorded(self, u: np.ndarray) -> float | None:
+        """The relative error that the record gives a field; None without one."""
+        record = self.family.record
+        if record is None or self.points.spacing == 0:
+            return None
+        return record.of(self.spectrum.shares(u))
+
+    def unseen(self, u: np.ndarray) -> float:
+        """The share of a field's square that is shorter than all that the data held."""
+        record = self.family.record
+        if record is None or self.points.spacing == 0:
+            return 0.0
+        return record.unseen(self.spectrum.shares(u))
 
     @cached_property
     def turned(self) -> Any:
@@ -126,13 +144,15 @@ class PlacedMembers:
         ratio = self.family.factors.screen * gradient
         return ratio * max(1.0, gradient / own if own > 0 else 0.0) * bent
 
-    def doubts(self, u: np.ndarray, left: np.ndarray, first: np.ndarray) -> Parts:
+    def doubts(
+        self, u: np.ndarray, left: np.ndarray, first: np.ndarray, told: float | None = None
+    ) -> Parts:
         """Fields of what the members do not know of u, [N, d], that began as the linear answer
-        `first`; `left` is its correction."""
+        `first`; `left` is its correction, `told` what the record says of it."""
         second, *halves = self.others
-        lin, rough = self.straight(u), 2 * ROUGH
-        waves = self.inverse(lin - second(u), rough)
-        data = self.inverse(halves[0](u) - halves[1](u), rough) / np.sqrt(2)
+        lin = self.straight(u)
+        waves = self.inverse(lin - second(u), ROUGH)
+        data = self.inverse(halves[0](u) - halves[1](u), ROUGH) / np.sqrt(2)
         strain = axis = None
         if self.nonlinear or self.turned is not None:
             non = self.rich(u)
@@ -140,17 +160,21 @@ class PlacedMembers:
             t = 1 + STRETCHED
             more = (self.rich(t * u) - t * lin) / t**2 - (non - lin)
             bent = (first - u)[self.points.interior] - left
-            strain = self.inverse(more / STRETCHED, rough), self.series(u, bent)
+            cubic = self.inverse(more / STRETCHED, ROUGH)
+            strain = BEYOND * cubic, BEYOND * self.series(u, bent)
         if self.turned is not None:
-            axis = self.inverse(non - self.turned(u), rough)
-        return Parts(left, waves, data, strain, axis)
+            axis = self.inverse(non - self.turned(u), ROUGH)
+        size = float(np.linalg.norm(u[self.points.interior])) or 1.0
+        return Parts(left, waves, data, strain, axis, pulled(spread(waves, data) / size, told))
 
 
-def placed_members(family: Any, points: Points, **options: Any) -> PlacedMembers:
-    """A family on points; InputError for what is no family."""
-    if not isinstance(family, Members):
-        raise InputError(
-            "predict: expected what fit(samples, Family(…)).material is, got "
-            f"{type(family).__name__}; one law alone knows nothing of its error"
-        )
-    return PlacedMembers(family, points, **options)
+def spread(waves: np.ndarray, data: np.ndarray) -> float:
+    """What members say otherwise: the root mean square of both fields."""
+    return float(np.sqrt((np.sum(waves**2) + np.sum(data**2)) / 2))
+
+
+def pulled(members: float, told: float | None) -> float:
+    """The factor towards what the record has told, of the same (Q6)."""
+    if told is None or not members > 0:
+        return 1.0
+    return float(np.clip(np.sqrt(told / members), 1 / PULLED, PULLED))

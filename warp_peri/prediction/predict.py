@@ -6,30 +6,40 @@ both the estimate and the improvement.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import offered
+from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, nodes_of
+from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.answer import WORDS, Answer, combined
-from warp_peri.prediction.members import Members
-from warp_peri.prediction.placed import Parts, PlacedMembers, placed_members
+from warp_peri.prediction.members import Factors
+from warp_peri.prediction.placed import BEYOND, Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
-SOLVED, SHARE = 3e-3, 0.1
-"""The first linear solve goes to this relative residual, or to this share of the tolerance."""
+SOLVED, SHARE = 0.03, 0.3
+"""The first linear solve goes to this relative residual, or to this share of the tolerance; the
+correction sees what it leaves."""
 MOST = 8
 """Corrections at most."""
 SETTLED = 0.1
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
+MOVED = 0.02
+"""By how much more of it an answer was corrected since, what members do not know is asked again."""
+SHORTER, STRAINED = 0.01, 1.2
+"""Share of waves shorter than the data's, and strain over the data's where the rich member is
+linear, from which the error does not speak of an answer."""
 SURE = 2.0
 """Times that the series is taken where the cubic part beside it was not computed."""
+FAMILY = (
+    "a family, as fit(samples, Family(…)).material is: one law alone knows nothing of its error"
+)
 FREE_EDGE = "free edges: the family was learned inside a body, and atoms at an edge are other ones"
 BROKEN = "broken bonds: the family knows none"
 AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
@@ -76,15 +86,14 @@ def predict(
     points = offered(problem, "points", "predict", kinds) if hasattr(problem, "points") else None
     if points is None or not (hasattr(problem, "b") and hasattr(problem, "u")):
         raise InputError(f"predict: expected {kinds}, got {type(problem).__name__}")
-    placed = material
-    if not isinstance(material, PlacedMembers):
-        placed = placed_members(material, points, **options)
-    load, field = checked_fields(placed.points, problem.b, problem.u)
-    uncovered = _uncovered(placed, problem)
-    flat = (each.reshape(-1, *placed.points.x.shape) for each in (load, field))
+    asked = {"verb": "predict", "by": "with_doubts", "has": "doubts", "kinds": FAMILY}
+    members = placed(material, nodes_of(points), **asked, **options)
+    load, field = checked_fields(members.points, problem.b, problem.u)
+    uncovered = _uncovered(members, problem)
+    flat = (each.reshape(-1, *members.points.x.shape) for each in (load, field))
     noise = _noise(points, len(field) if field.ndim == 3 else 1)
     answers = tuple(
-        _predict(placed, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
+        _predict(members, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
     )
     return answers if load.ndim == 3 else answers[0]
 
@@ -102,13 +111,10 @@ def _predict(
     u = np.where(inside[:, None], 0.0, given)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     u[inside] = placed.inverse(load - placed.straight(u), share)
-    screened = _screened(placed, u, placed.family.factors.screen, 0.0, noise)
-    if tolerance is not None and _size(screened) <= tolerance:
-        stage = _Stage(u, screened, None, 0)
-    else:
-        stage = _corrected(placed, load, u, tolerance, noise)
+    stage = _corrected(placed, load, u, tolerance, noise)
     error = stage.error
     kept = tolerance is None or error <= tolerance
+    uncovered += _beyond(placed, stage.u)
     why = _reason(stage, tolerance, kept, uncovered)
     only_axis = all(one == AXIS for one in uncovered)
     known = stage.fields
@@ -119,60 +125,61 @@ def _predict(
 
 
 def _screened(
-    placed: PlacedMembers, u: np.ndarray, slope: float, left: float, noise: float
+    placed: PlacedMembers, u: np.ndarray, moved: float, bent: float, told: float | None
 ) -> dict[str, float]:
-    """Parts of an answer that nothing is solved for (Q5).
+    """Parts of an answer whose members are not asked, but for their record (Q5).
 
-    `slope` is what is left of the gradient, beside what is `left` as it is.
+    `moved` is the size of the correction that is left, `bent` that of all so far.
     """
-    factors = placed.family.factors
-    if not placed.nonlinear or placed.turned is not None:
-        return {"left": np.inf}
-    gradient = placed.gradient(u)
-    parts = {"left": slope * gradient + left, "waves": placed.waves(u), "data": factors.typical}
-    series = factors.screen * gradient * max(left / factors.left, gradient)
-    return parts | {"strain": 0.0 if slope else SURE * factors.floor * series, "noise": noise}
+    if told is None or placed.turned is not None:
+        return {"left": np.inf, "waves": np.inf}
+    factors, strain = placed.family.factors, 0.0
+    if placed.nonlinear:
+        gradient = placed.gradient(u)
+        strain = SURE * BEYOND * factors.floor * factors.screen * gradient * max(bent, gradient)
+    return {"left": factors.left * moved, "waves": factors.floor * told, "strain": strain}
 
 
 def _corrected(
     placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
 ) -> _Stage:
     """Correct until the tolerance is kept, or cannot be."""
-    goal, factors, first = tolerance, placed.family.factors, u
+    factors, first = placed.family.factors, u
+    inside, told = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
-    before, done = np.inf, 0
-    while True:
-        size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
+    before, since = np.inf, 0.0
+    for done in range(MOST + 1):
+        size = float(np.linalg.norm(u[inside])) or 1.0
         left = placed.correction(load, u)
         moved = float(np.linalg.norm(left)) / size
-        if goal is not None and done == 0 and factors.left * moved <= goal:
-            parts = _screened(placed, u, 0.0, factors.left * moved, noise)
-            if _size(parts) <= goal:
-                return _Stage(u, parts, None, 0)
-        last = done >= MOST or moved > STALLED * before
-        if goal is None or factors.left * moved <= goal or last:
-            if fields is None or done < 2:
-                fields = placed.doubts(u, left, first)
-            fields = Parts(left, fields.waves, fields.data, fields.strain, fields.axis)
-            parts = _parts(placed, u, fields, size, noise)
-            floor = _size({name: part for name, part in parts.items() if name != "left"})
-            reached = SETTLED * floor if goal is None else goal
-            enough = parts["left"] <= reached if goal is None else _size(parts) <= goal
-            hopeless = goal is not None and floor > goal and done > 0
-            if enough or hopeless or last or not placed.nonlinear:
+        bent = float(np.linalg.norm((first - u)[inside] - left)) / size
+        screen = _screened(placed, u, moved, bent, told) | {"noise": noise}
+        if tolerance is not None and _size(screen) <= tolerance:
+            return _Stage(u, {"data": 0.0} | screen, None, done)
+        last = done == MOST or moved > STALLED * before or not placed.nonlinear
+        # waves and strain that a screen sees say where an answer with no tolerance settles
+        goal = SETTLED * _rest(screen) if tolerance is None else tolerance
+        if factors.left * moved <= goal or last:
+            if fields is None or since > MOVED:
+                fields, since = placed.doubts(u, left, first, told), 0.0
+            fields = replace(fields, left=left)
+            parts = _parts(fields, factors, size, noise)
+            floor = _rest(parts)
+            if tolerance is None:
+                enough = parts["left"] <= SETTLED * floor
+            else:  # or what is left is not what keeps it from being kept
+                enough = _size(parts) <= tolerance or (floor > tolerance and done > 0)
+            if enough or last:
                 return _Stage(u, parts, fields, done)
         u = u.copy()
-        u[placed.points.interior] += left
-        before, done = moved, done + 1
+        u[inside] += left
+        before, since = moved, since + moved
+    raise AssertionError("the last correction ends the loop")
 
 
-def _parts(
-    placed: PlacedMembers, u: np.ndarray, fields: Parts, size: float, noise: float
-) -> dict[str, float]:
+def _parts(fields: Parts, factors: Factors, size: float, noise: float) -> dict[str, float]:
     """Likely errors over u by origin."""
-    factors = placed.family.factors
     found = combined(fields, factors, lambda part: float(np.linalg.norm(part)) / size)
-    found["waves"] = np.hypot(found["waves"], placed.waves(u))
     parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
     parts["noise"] = noise
     return parts | ({"axis": float(found["axis"])} if "axis" in found else {})
@@ -204,6 +211,22 @@ def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
+def _beyond(placed: PlacedMembers, u: np.ndarray) -> tuple[str, ...]:
+    """What the family's data say nothing of, and no part does."""
+    found = []
+    if placed.unseen(u) > SHORTER:
+        found.append("short waves: shorter than any that the family learned from")
+    known = placed.family.strain
+    if not placed.nonlinear and known > 0:
+        strain = largest_strain(placed.points, u[None])
+        if strain > STRAINED * known:
+            found.append(
+                f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "
+                "its data"
+            )
+    return tuple(found)
+
+
 def _noise(points: Any, count: int) -> list[float]:
     """Noise of the displacement that is given, over it, of each sample."""
     if isinstance(points, Samples) and "snr" in points.arrays and len(points) == count:
@@ -215,12 +238,15 @@ def _size(parts: dict[str, float]) -> float:
     return float(np.sqrt(sum(part**2 for part in parts.values())))
 
 
+def _rest(parts: dict[str, float]) -> float:
+    return _size({name: part for name, part in parts.items() if name != "left"})
+
+
 def _of_body(
     material: Any, problem: Any, tolerance: float | None, options: dict[str, Any]
 ) -> Answer:
     """The linear answer of a body, by solves of the members; the nonlinear part by its screen."""
-    if not isinstance(material, Members):
-        raise InputError("predict: expected a family, from fit(samples, Family(…)), for a body")
+    offered(material, "with_doubts", "predict", FAMILY)
     family = material
     rich, second, *halves = (
         getattr(one, "linear", one) for one in (family.rich, family.second, *family.halves)

@@ -11,7 +11,7 @@ and u, which autograd takes from the stencil to λ, μ, α and D.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -33,6 +33,9 @@ from warp_peri.statics.domain import Domain, domain
 
 TOLERANCE = 1e-8
 """Of iterative solves: true residual over right-hand side."""
+
+Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
+"""An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
 
 
 class _OnLattice(torch.autograd.Function):
@@ -193,3 +196,21 @@ def on_domain(
     system = Dirichlet(nodes, A.detach(), method)
     A = A.to(b.device)
     return _on_lattice(system, tolerance, [] if records is None else records, A, b, u)
+
+
+def iterated_inverse(points: PointsLike, horizon: float, solid: Solid, method: str) -> Inverse:
+    """L⁻¹ on the unknown nodes of a plain lattice by conjugate gradients, set up once.
+
+    Raises InputError as Dirichlet does.
+    """
+    where = domain(points, horizon, device=torch.device("cpu"))
+    with torch.no_grad():
+        A = stencil(where.classes, solid)
+    system = Dirichlet(where, A, method)
+
+    def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+        field, _ = system.solve(where.gather_free(torch.from_numpy(right)), tolerance)
+        free: np.ndarray = where.scatter_free(field).numpy()
+        return free
+
+    return solved

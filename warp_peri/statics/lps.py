@@ -27,7 +27,7 @@ from warp_peri.points.strain import largest_strain, lattice_strain
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.equilibrium import TOLERANCE, equilibrium
+from warp_peri.statics.equilibrium import TOLERANCE, Inverse, equilibrium, iterated_inverse
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -39,8 +39,8 @@ DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
 FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-LOADS, NODES_A_LOAD = 2, 45
-"""A factorisation pays from 2 + n/45 loads on n nodes; the two were measured together."""
+LOADS, NODES_A_LOAD = 2, 60
+"""A factorisation pays from 2 + n/60 loads on n nodes; the two were measured together."""
 LARGEST_SOLID = 4_000
 """Most unknown nodes in space, where factors fill up."""
 STIFF = 30.0
@@ -135,6 +135,17 @@ class PlacedLPS(LPSOperator):
         """Equilibrium of a periodic sheet under a load whose mean is removed, as sheet_at_rest."""
         refuse_solver(solver, (), "a periodic sheet, which has one way")
         return sheet_at_rest(self, b)
+
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
+        once for so many loads, on scattered points by a factorisation."""
+        if self.carrier is not None:
+            return self.through.problem.inverse
+        if (method := self._method(None, loads)) not in ("lu", "gmres"):
+            return iterated_inverse(self.nodes, self.model.horizon, self.model.solid, method)
+        parts = matrices(self.model, self.nodes, bonds=self.bonds)
+        L = parts.operator(self.model.lam, self.model.mu)
+        return MatrixProblem(L, self.nodes.interior).inverse
 
     def _told(self, u: Any, load: Any, method: str, records: list[SolveRecord]) -> Solution:
         measured = max((r.residual for r in records), default=None)
@@ -296,12 +307,18 @@ def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads
         return "lu"
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
+    inside = lattice_steps(points)[0][points.interior]
+    rectangle = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
+    return cheapest_method(nodes, rectangle=rectangle, stiff=stiff, loads=loads)
+
+
+def cheapest_method(nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1) -> str:
+    """The cheapest method for so many unknown nodes of a plain sheet; as choose_method."""
     if nodes <= DIRECT and loads and (stiff or loads > LOADS + nodes / NODES_A_LOAD):
         return "lu"
     if stiff:
         return "strip"
-    inside = lattice_steps(points)[0][points.interior]
-    if np.prod(np.ptp(inside, axis=0) + 1) == nodes:
+    if rectangle:
         return "sine"
     return "fft" if nodes <= FLAT else "multigrid"
 

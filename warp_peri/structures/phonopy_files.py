@@ -42,6 +42,8 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         for name in ("force_constants.hdf5", "FORCE_CONSTANTS", "FORCE_SETS", "BORN")
         if (file.parent / name).is_file()
     }
+    if thickness is not None and "born_filename" in beside:
+        raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
         found: Any = phonopy.load(file, **beside, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into

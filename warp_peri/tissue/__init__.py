@@ -16,6 +16,7 @@ from warp_peri.tissue.fibres import (
 from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import fit_thickness, scaled_by_force
 from warp_peri.tissue.placed import PlacedSheet
+from warp_peri.tissue.sheet_choice import SheetChoice, choose_sheet, uniaxial
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 from warp_peri.tissue.thickness import Thickness
 from warp_peri.tissue.uniform_strain import shortest_margin
@@ -28,8 +29,10 @@ __all__ = [
     "HyperelasticSolid",
     "NoEquilibrium",
     "PlacedSheet",
+    "SheetChoice",
     "Term",
     "Thickness",
+    "choose_sheet",
     "families",
     "fit_thickness",
     "hyperelastic_errors",
@@ -41,6 +44,7 @@ __all__ = [
     "save_febio",
     "scaled_by_force",
     "shortest_margin",
+    "uniaxial",
     "with_corners",
     "with_directions",
     "with_families",

@@ -42,8 +42,8 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
     matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
     if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
         raise InputError(
-            f"solid: expected neo_hookean and volumetric, or plane_stress and mooney, and fibre exponentials; "
-            f"got {', '.join(sorted({term.kind for term, _ in active}))}"
+            "solid: expected neo_hookean and volumetric, or plane_stress and mooney, and fibre "
+            f"exponentials; got {', '.join(sorted({term.kind for term, _ in active}))}"
         )
     root = _ground(matrix, name)
     kind = "fiber-exp-pow-uncoupled" if set(matrix) <= INCOMPRESSIBLE else "fiber-exp-pow"

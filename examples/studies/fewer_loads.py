@@ -1,0 +1,238 @@
+"""How many loads a law needs: designed ones, the next best of a pool, and waves at random.
+
+    python examples/studies/fewer_loads.py [--json] [--out runs/fewer_loads]
+
+Errors are E_u on the main job's validation loads and disks, which no choice here looks at. Two
+laws: the default LPS, which finds its moduli, and tensors on 28 bonds with the potential's moduli
+held. Designed loads hold every wave down to 20 Å at once and are strained to 2 % as the waves are,
+each and its reverse.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+import warp_peri as wp
+from examples.train_graphene import DATA, make_data
+from tools import make_graphene as making
+from tools.loads import DESIGNED as TWO
+from tools.loads import TRAINING, both_ways
+from tools.samples import _statics, solve_samples
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import locked, whole_file, write_json
+from warp_peri.launch import set_threads
+from warp_peri.micromodulus.elastic import from_voigt
+from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.prediction import next_load
+from warp_peri.prediction.learning import part
+
+OUT = ROOT / "runs" / "fewer_loads"
+DESIGNED = {1: (0, 1, 2, 3), 2: (0, 2, 4, 6), 4: (0, 4)}
+"""How many designed loads, and the first seed of each set of them."""
+RANDOM, DRAWS = (1, 2, 4, 8, 16, 35), 5
+PICKED = 8
+SUBSETS = 5
+"""Random subsets of each size that the posterior is held to."""
+
+
+def designed(count: int) -> wp.Samples:
+    """Two samples of each of so many designed loads, on the nodes of the training set."""
+    loads = both_ways(range(count))
+    sheet, _ = making.graphene_bodies()
+    samples = making.solve_all({sheet: loads}, DATA.with_suffix(".cache"), 1, False)[sheet]
+    return making.point_set(sheet, loads, samples, spacing=5.0)
+
+
+def errors(law: Any, samples: wp.Samples, data: Any) -> dict[str, Any]:
+    """E_u in % on validation and disks, and seconds; what a law refuses, in words."""
+    start = time.process_time()
+    try:
+        material = wp.fit(samples, law, progress=False).material
+    except wp.InputError as refused:
+        return {"refused": str(refused)}
+    seconds = time.process_time() - start
+    sets = (100 * wp.evaluate(material, data[name])["E_u"] for name in ("val", "test"))
+    return {"E_u": [float(value) for value in sets], "seconds": seconds}
+
+
+def laws(data: Any) -> dict[str, Any]:
+    """By name."""
+    truth = data.provenance["truth"]
+    lam, mu = truth["lambda"], truth["mu"]
+    moduli = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
+    return {
+        "LPS": wp.LPS(20.0, wp.Bernstein(10)),
+        "tensors": wp.Micromodulus(15.0, "4mm", moduli=moduli, normalise=True),
+    }
+
+
+def greedy(law: Any, pool: wp.Samples) -> list[int]:
+    """Numbers of the loads that are asked for one after another; the first law is nearly local."""
+    chosen: list[int] = []
+    guess = local(law, pool.spacing)
+    while len(chosen) < PICKED:
+        rest = [n for n in range(len(pool)) if n not in chosen]
+        known = part(pool, chosen) if chosen else None
+        chosen.append(rest[next_load(guess, part(pool, rest), known=known).number])
+        try:
+            guess = wp.fit(part(pool, chosen), law).material
+        except wp.InputError:  # too few yet to tell all numbers apart
+            continue
+    return chosen
+
+
+def local(law: Any, spacing: float) -> Any:
+    """The law that long waves and nothing else tell: plain elasticity of the same moduli."""
+    tensor = from_voigt(law.moduli)
+
+    def target(k: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("ijkl,nj,nl->nik", tensor, k, k))
+
+    return fit_symbol(target, spacing, law.horizon, symmetry="4mm", tensor=tensor)
+
+
+def posterior(law: Any, pool: wp.Samples) -> dict[str, float]:
+    """What random subsets foretell of their error against all loads, and what it is."""
+    whole, random = wp.fit(pool, law).material, np.random.default_rng(1)
+    waves = np.random.default_rng(0).normal(size=(240, 2))
+    size = np.pi / 2 * np.sqrt(np.linspace(0.002, 1, 240)) / pool.spacing
+    k = size[:, None] * waves / np.linalg.norm(waves, axis=1)[:, None]
+    exact, foretold, true = whole.symbol(k), [], []
+    for count in (3, 4, 6, 8, 12, 16) * SUBSETS:
+        some = part(pool, random.choice(len(pool), count, replace=False))
+        try:
+            found = wp.fit(some, law).material
+        except wp.InputError:
+            continue
+        foretold.append(next_load(found, part(pool, slice(0, 1)), known=some).before)
+        wrong = np.linalg.solve(exact, found.symbol(k)) - np.eye(2)
+        true.append(float(np.sqrt((wrong**2).mean())))
+    ratio = np.array(foretold) / true
+    return {
+        "subsets": len(ratio),
+        "log_correlation": float(np.corrcoef(np.log(foretold), np.log(true))[0, 1]),
+        "foretold_over_true": float(np.median(ratio)),
+        "low": float(np.quantile(ratio, 0.1)),
+        "high": float(np.quantile(ratio, 0.9)),
+    }
+
+
+def seconds_of_atoms() -> dict[str, float]:
+    """Of LAMMPS for the training loads, from nothing: seventy waves, and two loads both ways."""
+    sheet, _ = making.graphene_bodies()
+    found = {}
+    for name, loads in (("waves", TRAINING), ("designed", TWO)):
+        _statics.cache_clear()
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            solve_samples(sheet, loads, Path(folder))
+            found[name] = time.perf_counter() - start
+    return found
+
+
+def draw(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Error against the number of loads, for both laws."""
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
+    marks = {"random": ".", "designed": "o", "one way": "x", "picked": "s", "all": "D"}
+    for ax, law in zip(figure.subplots(1, 2, sharey=True), ("LPS", "tensors")):
+        for kind, mark in marks.items():
+            some = [r for r in rows if (r["law"], r["kind"]) == (law, kind) and "E_u" in r]
+            for column, color in ((0, "C0"), (1, "C1")):
+                y = [row["E_u"][column] for row in some]
+                label = ("validation", "disks")[column] if kind == "all" else None
+                ax.loglog([r["loads"] for r in some], y, mark, color=color, ms=6, label=label)
+        for kind, mark in marks.items():
+            ax.plot([], [], mark, color="0.3", label=kind)
+        ax.set(xlabel="loads", title=law)
+    figure.axes[0].set_ylabel("displacement error [%]")
+    figure.axes[0].legend(fontsize=8)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=150, format="png")
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """Every fit; what metrics.json holds."""
+    set_threads(1)
+    torch.set_num_threads(1)
+    data = wp.load(given.data or make_data(-1, 10.0))
+    pool, mixed = data["train"], designed(8)
+    random, rows = np.random.default_rng(0), []
+
+    def add(name: str, kind: str, samples: wp.Samples, count: int | None = None) -> None:
+        row = {"law": name, "kind": kind, "loads": count or len(samples)}
+        rows.append(row | errors(known[name], samples, data))
+        print(rows[-1], file=sys.stderr, flush=True)
+
+    known = laws(data)
+    for name in known:
+        add(name, "all", pool)
+        for count, firsts in DESIGNED.items():
+            for first in firsts:
+                some = slice(2 * first, 2 * (first + count))
+                add(name, "designed", part(mixed, some), count)
+                add(name, "one way", part(mixed, slice(some.start, some.stop, 2)), count)
+        for count in RANDOM:
+            for _ in range(DRAWS if name == "tensors" else 2):
+                add(name, "random", part(pool, random.choice(len(pool), count, replace=False)))
+    picks = greedy(known["tensors"], pool)
+    for count in (2, 4, 6, PICKED):
+        add("tensors", "picked", part(pool, picks[:count]))
+    draw(given.out / "fewer_loads.png", rows)
+    return {
+        "ratios": ratios(rows),
+        "posterior": posterior(known["tensors"], pool),
+        "seconds_of_atoms": seconds_of_atoms(),
+        "rows": rows,
+    }
+
+
+def ratios(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Errors on validation and disks over those of all loads: mean and worst of the draws."""
+    found: dict[str, Any] = {}
+    for law in dict.fromkeys(row["law"] for row in rows):
+        mine = [row for row in rows if row["law"] == law]
+        whole = np.array(next(row["E_u"] for row in mine if row["kind"] == "all"))
+        for kind, loads in dict.fromkeys((row["kind"], row["loads"]) for row in mine):
+            same = [row for row in mine if (row["kind"], row["loads"]) == (kind, loads)]
+            over = np.array([row["E_u"] for row in same if "E_u" in row]) / whole
+            if len(over):
+                entry = {"median": np.median(over, axis=0), "worst": over.max(axis=0)}
+                found[f"{law}, {loads} {kind}"] = {n: v.tolist() for n, v in entry.items()}
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    given = parser.parse_args(arguments)
+    with locked(given.out), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="strain:")
+        given.out.mkdir(parents=True, exist_ok=True)
+        numbers = run(given)
+        write_json(given.out / "metrics.json", numbers)
+    told = {name: value for name, value in numbers.items() if name != "rows"}
+    print(json.dumps(told) if given.json else json.dumps(told, indent=2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))

@@ -1,0 +1,109 @@
+"""Predictions on every kind of points and rich member that has one; the others are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.support.plates import plate
+from tests.support.problems import kernel, lattice, manufactured, smooth
+from warp_peri.prediction import Factors, Family, Members
+
+HORIZON, APART = 3.0, 0.02
+pytestmark = pytest.mark.filterwarnings("ignore:transferred:UserWarning")
+
+
+@pytest.fixture(scope="module")
+def family():
+    """A certified linear solid, a second 1 % stiffer, and halves 2 % to either side."""
+    rich = kernel("positive", HORIZON)
+    rich = replace(rich, certificate={"1": wp.certify(rich, spacing=1.0).figures()})
+    others = [replace(rich, lam=rich.lam * f, mu=rich.mu * f) for f in (1.01, 1.02, 0.98)]
+    return Members(rich, others[0], (others[1], others[2]), factors=Factors(1.0, 1.0, 0.0))
+
+
+def asked(points, seed=0):
+    """Loads inside and a collar that is held."""
+    b = 1e-3 * smooth(points.x, 1, seed, wave_number=0.3)[0]
+    return wp.Dirichlet(points, b, np.zeros_like(b))
+
+
+def check(answer, points):
+    """Half of the doubts' squares: waves 1 %, data 2 % times √2."""
+    assert answer.uncovered == ()
+    expected = np.sqrt((0.01**2 + 2 * APART**2) / 2)
+    assert answer.error == pytest.approx(expected, rel=0.15)
+    assert answer.corrected.shape == points.x.shape
+    assert answer.map()[points.interior].min() >= 0
+
+
+def test_another_lattice_by_transfer(family):
+    points = lattice(9, HORIZON, spacing=0.8)
+    check(wp.predict(family, asked(points), None), points)
+
+
+def test_turned_lattices(family):
+    points = lattice(9, HORIZON, angle=0.3)
+    check(wp.predict(family, asked(points), None), points)
+
+
+def test_scattered_points(family):
+    even = lattice(9, 1.5 * HORIZON)
+    moved = 0.1 * np.random.default_rng(0).uniform(-1, 1, even.x.shape)
+    points = wp.Points(even.x + moved, even.interior, 0.0)
+    check(wp.predict(family, asked(points), None), points)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_crystals(dimension):
+    from tests.micromodulus.test_operator import body, learned
+
+    rich = learned(dimension)
+    others = [replace(rich, tensors=rich.tensors * f) for f in (1.01, 1.02, 0.98)]
+    family = Members(rich, others[0], (others[1], others[2]), factors=Factors(1.0, 1.0, 0.0))
+    points = body(dimension, "cube")
+    b = np.zeros_like(points.x)
+    b[:, 0] = 1e-3
+    answer = wp.predict(family, wp.Dirichlet(points, b, 0 * b), None)
+    check(answer, points)
+
+
+@pytest.mark.filterwarnings("ignore:mesh:UserWarning")
+def test_a_body_is_answered_and_its_edge_named(family):
+    stretch = {"sides": lambda x: 1e-3 * x}
+    body = wp.Body(plate(3.0, 12.0, 6, 24), displacement=stretch)
+    answer = wp.predict(family, body, 0.05)
+    assert not answer.kept
+    assert any(one.startswith("free edges") for one in answer.uncovered)
+    assert "not covered: free edges" in answer.why
+    assert answer.error > 0
+    with pytest.raises(wp.InputError, match="knows nothing of its error"):
+        wp.predict(family.rich, body)
+
+
+def test_one_placed_elsewhere_is_refused(family):
+    placed = family.with_doubts(lattice(6, HORIZON))
+    with pytest.raises(wp.InputError, match="another's"):
+        wp.predict(placed, asked(lattice(7, HORIZON)))
+
+
+def test_what_data_hold_nothing_of_is_named(family):
+    points = lattice(9, HORIZON)
+    strained = replace(family, strain=1e-6)
+    answer = wp.predict(strained, asked(points), 1.0)
+    assert "strain: the rich member is linear" in answer.uncovered[0]
+    assert not answer.kept
+    law = wp.Micromodulus(HORIZON, "4mm")
+    long = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 6, wave_number=0.25)
+    learned = wp.fit(long, Family(law), progress=False).material
+    short = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 1, wave_number=2.0)
+    answer = wp.predict(learned, wp.Dirichlet(short, short.b[0], short.u[0]), None)
+    assert any(one.startswith("short waves") for one in answer.uncovered)
+
+
+def test_laws_that_cannot_doubt_are_refused():
+    points = lattice(6, HORIZON)
+    samples = manufactured(kernel("positive", HORIZON), points, 4)
+    with pytest.raises(wp.InputError, match="second: expected a law"):
+        wp.fit(samples, Family(wp.tissue.Dictionary(HORIZON, ("square",))))

@@ -1,0 +1,71 @@
+"""Loads to learn from: designed ones, and the next of a pool."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.support.problems import kernel, lattice, manufactured
+from warp_peri.prediction import design_loads, next_load
+from warp_peri.prediction.learning import part
+
+HORIZON = 2.5
+LAW = wp.Micromodulus(HORIZON, "4mm")
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """Smooth loads, and behind them short ones."""
+    points = lattice(10, HORIZON)
+    long = manufactured(kernel("positive", HORIZON), points, 4, wave_number=0.2)
+    short = manufactured(kernel("positive", HORIZON), points, 4, seed=3, wave_number=1.5)
+    both = {name: np.concatenate([getattr(s, name) for s in (long, short)]) for name in "ub"}
+    return replace(long, **both, arrays={})
+
+
+def test_designed_loads_hold_all_waves_without_a_mean():
+    sheet = wp.Points.sheet((20, 20), 5.0)
+    loads = design_loads(sheet, shortest_wave=20.0)
+    assert loads.shape == (2, 400, 2)
+    assert np.abs(loads.mean(axis=1)).max() < 1e-12
+    assert np.linalg.norm(loads, axis=-1).max() == pytest.approx(1)
+    power = np.abs(np.fft.fft2(loads[0].reshape(20, 20, 2), axes=(0, 1))).sum(axis=-1)
+    k = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(20)]))
+    held = power > 1e-9 * power.max()
+    assert held[(k > 0) & (k <= 0.25)].all()
+    assert not held[k > 0.25 + 1e-9].any()
+    with pytest.raises(wp.InputError, match="box"):
+        design_loads(lattice(4, 1.0), 3.0)
+
+
+def test_the_next_load_is_one_that_tells_something_new(samples):
+    known = part(samples, slice(0, 3))
+    law = wp.fit(samples, LAW).material
+    found = next_load(law, samples, known=known)
+    assert found.number >= 4, "a short wave"
+    assert found.deviation.shape == (8,)
+    assert found.deviation[found.number] == found.deviation.min() < found.before
+    assert 0 < found.residual < 0.1
+    after = next_load(law, samples, known=part(samples, [0, 1, 2, found.number]))
+    assert after.before < found.before
+
+
+def test_of_a_quantity_and_without_any_load_before(samples):
+    law = wp.fit(samples, LAW).material
+    at = np.array([[1.2, 0.3]])
+    found = next_load(law, samples, lambda one: one.symbol(at))
+    again = next_load(law, samples, lambda one: 2 * one.symbol(at))
+    assert found.number == again.number
+    assert again.before == pytest.approx(2 * found.before, rel=1e-6)
+    assert found.residual == 0.02
+    with pytest.raises(wp.InputError, match="micromodulus tensors"):
+        next_load(kernel("positive", HORIZON), samples)
+
+
+def test_periodic_candidates_need_no_displacement(samples):
+    law = wp.fit(samples, LAW).material
+    sheet = wp.Points.sheet((12, 12), 1.0, axis=samples.axis)
+    loads = design_loads(sheet, shortest_wave=4.0, number=3)
+    pool = wp.Samples(sheet, np.zeros_like(loads), loads)
+    assert next_load(law, pool, known=part(samples, slice(0, 3))).number in range(3)

@@ -1,0 +1,84 @@
+"""A sheet's material chosen by frames left out; what fails is passed over; tension with a band."""
+
+import json
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.support.sheets import NEAREST, square, waves
+from tools import make_frames
+from warp_peri.cli.main import main
+from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, sheet_choice, uniaxial
+
+C1, C2 = 0.35, 0.15
+TERMS = (Term("plane_stress"), Term("mooney"))
+SHEET = HyperelasticSolid(Dictionary(3.0, (), NEAREST, TERMS), np.array([0.1] * 4 + [C1, C2]), 0.1)
+
+
+def tension(stretch):
+    """Nominal stress of Mooney and Rivlin's sheet in uniaxial tension."""
+    return 2 * (stretch - stretch**-2) * (C1 + C2 / stretch)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Frames of a sheet of Mooney and Rivlin in mm, as tables."""
+    out = tmp_path_factory.mktemp("frames")
+    points = square(5)
+    bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
+    for number in range(6):
+        edge = bent * (number + 3) / 8 + 0.6 * waves(points, 0.25, number)
+        u = wp.solve(SHEET, wp.Dirichlet(points, None, edge)).u
+        rows = "\n".join(",".join(map(str, row)) for row in np.hstack([points.x, u]))
+        (out / f"frame{number}.csv").write_text("x [mm],y [mm],u [mm],v [mm]\n" + rows + "\n")
+    return out
+
+
+def test_uniaxial_tension_is_that_of_the_formula():
+    for angle in (0.0, 0.7):
+        found = uniaxial(SHEET, [1.1, 1.4], angle)
+        np.testing.assert_allclose(found, [tension(1.1), tension(1.4)], rtol=1e-8)
+
+
+def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path, monkeypatch):
+    fit = sheet_choice.fit_displacement
+
+    def broken(train, dictionary, **options):
+        if len(dictionary.terms) == 1:
+            raise RuntimeError("Factor is exactly singular")
+        return fit(train, dictionary, **options)
+
+    monkeypatch.setattr(sheet_choice, "fit_displacement", broken)
+    line = ["dic", str(folder), "--even", "--out", str(tmp_path / "out"), "--json"]
+    assert main(line) == 0
+    found = json.loads((tmp_path / "out" / "dic.json").read_text())
+    assert found["material"] == "Mooney-Rivlin"
+    assert "exactly singular" in found["passed_over"][0]
+    assert found["units"] == ["mm", "MPa"]
+    assert (tmp_path / "out" / "Mooney-Rivlin.json").exists()
+    assert "Mooney-Rivlin" in (tmp_path / "out" / "material.feb").read_text()
+    material = wp.load(tmp_path / "out" / "material.json")
+    shape = uniaxial(material, [1.4])[0] / uniaxial(material, [1.05])[0]
+    assert shape == pytest.approx(tension(1.4) / tension(1.05), rel=0.01)
+    table = np.loadtxt(tmp_path / "out" / "curves.csv", delimiter=",", skiprows=1)
+    assert (table[:, 2] <= table[:, 1]).all()
+
+
+def test_fewer_frames_than_four_are_refused():
+    points = square(3)
+    with pytest.raises(wp.InputError, match="frames: expected at least 4, got 3"):
+        wp.tissue.choose_sheet(wp.Samples(points, np.zeros((3, *points.x.shape))))
+
+
+@pytest.mark.slow
+def test_a_rubber_sheet_of_elements_pulls_as_it_should(tmp_path):
+    """Frames of finite elements with noise of 0.02 pixels: tension at stretch 1.4 within 1 %."""
+    make_frames.write_frames(tmp_path / "frames")
+    line = ["dic", str(tmp_path / "frames"), "--pixel", "0.012mm", "--count", "12"]
+    assert main([*line, "--out", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out" / "dic.json").read_text())
+    assert found["material"].startswith("Mooney-Rivlin")
+    pull = uniaxial(wp.load(tmp_path / "out" / "material.json"), [1.01, 1.4])
+    true = [(s - s**-2) * (make_frames.C1 + make_frames.C2 / s) for s in (1.01, 1.4)]
+    assert pull[1] / pull[0] == pytest.approx(true[1] / true[0], rel=0.01)

@@ -1,0 +1,74 @@
+"""Frames of a rubber sheet as image correlation gives them: elements, tines, noise of pixels.
+
+python tools/make_frames.py data/frames
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import numpy as np
+
+from tools.hyperelastic_energies import AREA_CURVE
+from tools.make_leaflet import NODES, PROTOCOLS, SPACING, Leaflet, pull
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import write_text
+
+C1, C2 = 3.5, 1.5
+"""Of the sheet [kPa]."""
+PIXELS, NOISE = 10.0, 0.02
+"""Between points, and on every displacement [pixels]."""
+USED, LEVELS, TRAVEL = (0, 2, 4, 5), 3, 0.6
+
+
+def mooney_rivlin(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """C1 (I1 − 3) + C2 (I2 − 3) of an incompressible sheet in plane stress, as an Energy."""
+    D, T = c[..., 0] * c[..., 1] - c[..., 2] ** 2, c[..., 0] + c[..., 1]
+    d, e = np.stack([c[..., 1], c[..., 0], -2 * c[..., 2]], axis=-1), np.array([1.0, 1.0, 0.0])
+    W = C1 * (T + 1 / D - 3) + C2 * (D + T / D - 3)
+    by_D = (C2 - (C1 + C2 * T) / D**2)[..., None]
+    twice = (2 * (C1 + C2 * T) / D**3)[..., None, None]
+    mixed = (-C2 / D**2)[..., None, None]
+    g = by_D * d + (C1 + C2 / D)[..., None] * e
+    H = twice * d[..., :, None] * d[..., None, :] + by_D[..., None] * AREA_CURVE
+    return W, g, H + mixed * (d[..., :, None] * e + e[:, None] * d[..., None, :])
+
+
+@dataclass(frozen=True)
+class Rubber(Leaflet):
+    """The leaflet's test on a sheet of rubber."""
+
+    @property
+    def energy(self):
+        """Its strain energy."""
+        return mooney_rivlin
+
+
+def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
+    """A table of x, y, u, v [pixels] for each protocol and level."""
+    rng = np.random.default_rng(seed)
+    line = PIXELS * np.arange(NODES)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    frames = [pull(Rubber(), PROTOCOLS[n], LEVELS, TRAVEL)[0] for n in USED]
+    for number, u in enumerate(np.concatenate(frames) * PIXELS / SPACING):
+        table = np.hstack([x, u + noise * rng.standard_normal(u.shape)])
+        rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in table)
+        write_text(folder / f"frame{number:02d}.csv", f"x,y,u,v\n{rows}\n")
+
+
+def main() -> None:
+    """Write the frames from a shell."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--noise", type=float, default=NOISE, help="[pixels]")
+    given = parser.parse_args()
+    write_frames(given.folder, noise=given.noise)
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))

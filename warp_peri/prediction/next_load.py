@@ -1,0 +1,166 @@
+"""Which load of a pool to simulate next, and how sure the loads so far make a law (Q11–Q13)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import null_space
+
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.elastic import bracket_rows, huang_rows
+from warp_peri.micromodulus.family import Family, family
+from warp_peri.micromodulus.fields import rows
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.learning import wave_rows
+from warp_peri.points.samples import Samples
+from warp_peri.prediction.learning import part
+
+RESIDUAL = 0.02
+"""Relative residual of a load that is taken for one standard deviation where none is known."""
+WAVES = np.pi / 2
+"""Largest |k| h of the waves whose answers are the quantity by default."""
+GUESSED = 4
+"""Loads that this guess counts for beside those that cross-validation sees."""
+ROUNDS = 5
+"""Of finding that residual, which the prior alone makes depend on itself."""
+STEP = 1e-4
+"""Of a number, relative to the largest, in the slope of a quantity."""
+
+
+@dataclass(frozen=True)
+class NextLoad:
+    """What a pool offers.
+
+    Attributes:
+        number: of the candidate that leaves the least uncertainty.
+        deviation: of the quantity after each candidate, root mean square of its entries, [S].
+        before: the same without any.
+        residual: relative residual of a load that the deviations are made with; of the known loads
+            by cross-validation.
+    """
+
+    number: int
+    deviation: np.ndarray
+    before: float
+    residual: float
+
+
+def next_load(
+    material: Any,
+    candidates: Samples,
+    quantity: Callable[[Any], Any] | None = None,
+    *,
+    known: Samples | None = None,
+) -> NextLoad:
+    """The load to simulate next: the one that leaves a quantity least uncertain (A-optimal).
+
+    Args:
+        material: a crystal's law, as fit(samples, Micromodulus(…)) learns it, from few loads or
+            guessed; its answers stand for the candidates' own.
+        candidates: loads; of periodic points nothing else is read, of others also u on the collar.
+        quantity: of a material, numbers; by default its answers to waves down to four spacings.
+        known: what was learned from, at least three loads calibrate the deviations.
+
+    Raises InputError for another law, and samples that do not carry its horizon.
+    """
+    if not isinstance(material, Crystal):
+        kind = type(material).__name__
+        raise InputError(f"next_load: expected a law of micromodulus tensors, got {kind}")
+    bonds = family(material.horizon / material.spacing, material.group)
+    free, p = _coordinates(material, bonds), _numbers(material, bonds)
+    if quantity is None:
+        waves, _ = wave_rows(material.symbol, material.spacing, bonds, material.group, WAVES)
+        slopes = waves @ free / material.spacing**2
+    else:
+        slopes = _slopes(material, bonds, free, quantity)
+    prior = np.eye(free.shape[1]) / float((p**2).mean())
+    offered, _ = _information(_answered(material, candidates), bonds, free, p)
+    before, residual = prior, RESIDUAL
+    if known is not None and len(known):
+        told, pull = _information(known, bonds, free, p)
+        before = prior + told.sum(axis=0) / residual**2
+        if len(known) > 2:
+            seen, count = calibrated(told, pull, prior, slopes), len(known)
+            residual = np.sqrt((GUESSED * RESIDUAL**2 + count * seen**2) / (GUESSED + count))
+            before = prior + told.sum(axis=0) / residual**2
+    after = [deviation(before + each / residual**2, slopes) for each in offered]
+    return NextLoad(
+        int(np.argmin(after)), np.array(after), deviation(before, slopes), float(residual)
+    )
+
+
+def deviation(information: np.ndarray, slopes: np.ndarray) -> float:
+    """Root mean square deviation of a quantity of those slopes [n, P] (Q12)."""
+    square = np.trace(slopes @ np.linalg.solve(information, slopes.T))
+    return float(np.sqrt(square / len(slopes)))
+
+
+def calibrated(told: np.ndarray, pull: np.ndarray, prior: np.ndarray, slopes: np.ndarray) -> float:
+    """The relative residual with which leaving loads out moves a quantity as foretold (Q13).
+
+    Args:
+        told, pull: information and right-hand side of each load at a residual of one.
+        prior: information without any.
+        slopes: of the quantity.
+    """
+    residual, square, right = RESIDUAL, slopes.T @ slopes, pull.sum(axis=0)
+    for _ in range(ROUNDS):
+        whole = prior * residual**2 + told.sum(axis=0)
+        without = np.linalg.inv(whole - told)
+        moved = np.einsum("sij,sj->si", without, right - pull) - np.linalg.solve(whole, right)
+        foretold = np.einsum("sij,ij->", without - np.linalg.inv(whole), square)
+        residual = float(np.sqrt(np.einsum("si,ij,sj->", moved, square, moved) / foretold))
+    return residual
+
+
+def _numbers(material: Crystal, bonds: Family) -> np.ndarray:
+    """p of a law, in units of stress."""
+    basis = bonds.basis.reshape(len(bonds.basis), -1)
+    if not np.array_equal(bonds.steps, material.steps):
+        raise InputError("next_load: expected a law on a whole ball of bonds")
+    tensors = material.tensors.ravel() * material.spacing**2
+    return np.asarray(np.linalg.lstsq(basis.T, tensors, rcond=None)[0])
+
+
+def _coordinates(material: Crystal, bonds: Family) -> np.ndarray:
+    """Directions that p may move in: moduli stay where they were held, [P, F]."""
+    held = dict(material.provenance.get("fit", {})).get("moduli_held", False)
+    asked = (bracket_rows if held else huang_rows)(bonds.moments())
+    return np.asarray(null_space(asked / np.abs(bonds.moments()).max(), rcond=1e-8))
+
+
+def _slopes(
+    material: Crystal, bonds: Family, free: np.ndarray, quantity: Callable[[Any], Any]
+) -> np.ndarray:
+    """Of a quantity, by central differences, [n, F]."""
+    step = STEP * float(np.abs(_numbers(material, bonds)).max())
+
+    def at(change: np.ndarray) -> np.ndarray:
+        moved = np.tensordot(change, bonds.basis, 1) / material.spacing**2
+        return np.ravel(quantity(replace(material, tensors=material.tensors + moved)))
+
+    return np.stack([(at(step * z) - at(-step * z)) / (2 * step) for z in free.T], axis=1)
+
+
+def _answered(material: Crystal, candidates: Samples) -> Samples:
+    """The candidates with the answers of the material."""
+    operator, b = material.on(candidates.points), candidates.loads
+    periodic = candidates.points.box is not None
+    found = operator.rest_periodic(b) if periodic else operator.rest(b, candidates.u)
+    return replace(candidates, u=np.asarray(found.u))
+
+
+def _information(
+    samples: Samples, bonds: Family, free: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """RᵗR and Rᵗ(y − R p) of each load over ‖b‖², its residual counted as one number (Q11)."""
+    told, pull = [], []
+    for n in range(len(samples)):
+        R, y = rows(part(samples, slice(n, n + 1)), bonds, normalise=True)
+        R = R / samples.spacing**2
+        told.append(free.T @ R.T @ R @ free)
+        pull.append(free.T @ R.T @ (y - R @ p))
+    return np.array(told), np.array(pull)

@@ -1,0 +1,209 @@
+"""A sheet's material from its frames: candidates by name, judged by frames that they never saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from scipy.special import stdtrit
+
+from warp_peri.errors import InputError
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+from warp_peri.tissue.displacement_search import DisplacementFit
+from warp_peri.tissue.fibres import rose
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.from_displacement import fit_displacement
+from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.tissue.stress import piola_stress
+
+REACH = 3.0
+NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
+DEVIATIONS = (0.05, np.inf)
+"""Least and greatest, in units of the initial stiffness."""
+STEPS, TOLERANCE, AGAIN = 10, 1e-3, 3
+"""Of a fit; and steps of one that begins at its answer, a frame left out."""
+UNEVEN = 2
+"""Degree of the polynomial that is the logarithm of a thickness."""
+LEAST_FRAMES = 4
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One material that was tried.
+
+    Attributes:
+        name: of it.
+        fit: what was learned; None where it failed.
+        held_out: mean relative error of frames that it never saw; infinite where it failed.
+        why: it failed, in its own words.
+    """
+
+    name: str
+    fit: DisplacementFit | None
+    held_out: float
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class SheetChoice:
+    """What candidates came to.
+
+    Attributes:
+        candidates: all of them, the best first.
+        others: fits of the best with each learned frame left out in turn.
+    """
+
+    candidates: list[Candidate]
+    others: list[DisplacementFit] = field(default_factory=list)
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate of the least error on frames that it never saw."""
+        return self.candidates[0]
+
+    @property
+    def material(self) -> HyperelasticSolid:
+        """The best one's; its scale is an initial stiffness of one."""
+        assert self.best.fit is not None
+        return self.best.fit.material
+
+    def curves(
+        self, stretches: ArrayLike, angle: float = 0.0, level: float = 0.9
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band.
+
+        In the material's own scale. The band is of each learned frame left out, by Student's
+        distribution: what differs from frame to frame, no error that all share.
+        """
+        middle = uniaxial(self.material, stretches, angle)
+        n = len(self.others)
+        if n < 2:
+            return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
+        values = np.array([uniaxial(fit.material, stretches, angle) for fit in self.others])
+        deviation = np.sqrt(n - 1) * values.std(axis=0)
+        half = stdtrit(n - 1, (1 + level) / 2) * deviation
+        return middle, middle - half, middle + half
+
+
+def choose_sheet(
+    frames: Samples,
+    *,
+    fibres: int = 0,
+    uneven: bool = True,
+    done: Callable[[Candidate], None] = lambda _: None,
+    progress: bool = False,
+) -> SheetChoice:
+    """Materials that a sheet may be made of, learned from every second frame, the last included.
+
+    Args:
+        frames: without loads, in the order of the test.
+        fibres: directions of fibres that are tried too; 0 for none.
+        uneven: whether each is tried with a thickness that varies, too.
+        done: called with each candidate as it ends.
+        progress: show a bar for each fit.
+
+    A candidate that fails is passed over and says why. Raises InputError for fewer than four
+    frames, or where every candidate fails.
+    """
+    if len(frames) < LEAST_FRAMES:
+        raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
+    pick = np.arange(len(frames))[::-1] % 2 == 0
+    train, test = (Samples(frames.points, frames.u[part]) for part in (pick, ~pick))
+    tried = []
+    for name, (terms, degree) in _candidates(fibres, uneven).items():
+        tried.append(
+            _tried(name, train, test, Dictionary(REACH, (), NEAREST, terms), degree, progress)
+        )
+        done(tried[-1])
+    tried.sort(key=lambda candidate: candidate.held_out)
+    best = tried[0].fit
+    if best is None:
+        raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
+    others = []
+    for left in range(len(train)):
+        rest = Samples(train.points, np.delete(train.u, left, axis=0))
+        degree = 0 if best.thickness is None else UNEVEN
+        try:
+            others.append(_fit(rest, best.material.dictionary, degree, best, progress))
+        except Exception:  # a frame without which nothing is found gives no band
+            continue
+    return SheetChoice(tried, others)
+
+
+def _candidates(fibres: int, uneven: bool) -> dict[str, tuple[tuple[Term, ...], int]]:
+    matrix = Term("plane_stress")
+    kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, Term("mooney"))}
+    if fibres:
+        kinds[f"{fibres} directions of fibres"] = (matrix, *rose(fibres, (2.0, 4.0)))
+    found = {name: (terms, 0) for name, terms in kinds.items()}
+    if uneven:
+        found |= {f"{name}, uneven": (terms, UNEVEN) for name, terms in kinds.items()}
+    return found
+
+
+def _tried(
+    name: str, train: Samples, test: Samples, dictionary: Dictionary, degree: int, progress: bool
+) -> Candidate:
+    try:
+        fit = _fit(train, dictionary, degree, None, progress)
+        thickness = None if fit.thickness is None else fit.thickness.at(test.x)
+        errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness)
+    except Exception as error:  # solvers below run into anything; the others go on
+        return Candidate(name, None, np.inf, f"{name}: {error}")
+    if errors["not_solved"]:
+        return Candidate(name, fit, np.inf, f"{name}: {errors['not_solved']} frames not solved")
+    return Candidate(name, fit, float(errors["E_u"]))
+
+
+def _fit(
+    train: Samples,
+    dictionary: Dictionary,
+    degree: int,
+    near: DisplacementFit | None,
+    progress: bool,
+) -> DisplacementFit:
+    return fit_displacement(
+        train,
+        dictionary,
+        stiffness=DEVIATIONS,
+        start=None if near is None else near.material.coefficients,
+        thickness=degree,
+        most_steps=STEPS if near is None else AGAIN,
+        tolerance=TOLERANCE,
+        progress=progress,
+    )
+
+
+def uniaxial(solid: HyperelasticSolid, stretches: ArrayLike, angle: float = 0.0) -> np.ndarray:
+    """Nominal stress of an even sheet under uniaxial tension along a direction, [stretches].
+
+    The other principal direction is free; shear across them is not let go.
+    """
+    h, side = solid.spacing, 4 * int(REACH) + 1
+    steps = np.argwhere(np.ones((side, side), bool))
+    inside = (steps == side // 2).all(axis=1)
+    points = Points(h * steps, inside, h, units=solid.units)
+    op = HyperelasticOperator(solid.dictionary, points)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+
+    def stress(along: float, across: float) -> np.ndarray:
+        gradient = turn @ np.diag([along - 1.0, across - 1.0]) @ turn.T
+        P = piola_stress(op, points.x @ gradient.T, solid.coefficients)[op.interior][0]
+        return np.asarray(turn.T @ P @ turn)
+
+    found = []
+    for stretch in np.asarray(stretches, dtype=float):
+
+        def beside(across: float, along: float = stretch) -> float:
+            return float(stress(along, across)[1, 1])
+
+        across = brentq(beside, 0.3 / stretch, 1.3)
+        found.append(stress(stretch, across)[0, 0])
+    return np.array(found)
