@@ -3,6 +3,7 @@
 python examples/crystals.py Cu            a table
 python examples/crystals.py MoS2 --json   one object on stdout
 python examples/crystals.py W --quick     without the free ball and the void of atoms, the longest
+python examples/crystals.py W --fields    learned from displacements under loads, beside phonons
 python examples/crystals.py Mg --picture runs/Mg.png
 """
 
@@ -21,17 +22,22 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-from tools.crystal_ball import SEEN, ball
+import warp_peri
+from tools.crystal_ball import INNER, SEEN, Ball, ball
 from tools.crystal_void import Void, void, void_error
 from tools.crystals import RECIPES, force_constants, spacing_of
 from tools.isotropic_rival import isotropic_lps
+from warp_peri import LPS, Bernstein, Micromodulus
 from warp_peri.errors import exit_status
+from warp_peri.methods import Optimum
+from warp_peri.micromodulus import tensors_of
 from warp_peri.micromodulus.elastic import allowed_tensors, directional, named_moduli
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import from_phonons
+from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import Loads, placed_errors, wave_loads
 
@@ -44,7 +50,8 @@ SHELLS = {
 }
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
-ON_LOADS = ("waves", "short", "ball", "void")
+ON_LOADS = ("waves", "short", "ball", "void", "ball at rest")
+"""Of the ball: by the law of the crystal as its surface squeezes it, and of the crystal at rest."""
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 
@@ -58,27 +65,37 @@ class Unseen:
 
     waves: Loads
     short: Loads
-    ball: Samples | None
+    ball: Ball | None
     void: Void | None
 
-    def judge(self, symbol: Symbol, law: Crystal | None) -> dict[str, dict[str, float | None]]:
-        """E_res and E_u [%]; without a law, of a solid that has no nodes."""
+    def judge(
+        self, symbol: Symbol, law: Crystal | None, squeezed: Crystal | None = None
+    ) -> dict[str, dict[str, float | None]]:
+        """E_res and E_u [%]; no law if it has no nodes; of the ball by the one for it if given."""
         found: list[tuple[float | None, float | None]] = []
         for loads in (self.waves, self.short):
             found.append(loads.errors(symbol) if law is None else loads.errors_of(law))
-        found.append((None, None) if law is None or self.ball is None else in_ball(law, self.ball))
         void = None if law is None or self.void is None else void_error(law, self.void)
-        found.append((None, void))  # the void has no load to compare a force with
+        balls = [
+            (None, None) if one is None or self.ball is None else in_ball(one, self.ball.samples)
+            for one in (squeezed or law, law)
+        ]
+        found += [balls[0], (None, void), balls[1]]  # a void has no load to compare a force with
         E_res, E_u = (dict(zip(ON_LOADS, values)) for values in zip(*found))
         return {"E_u": E_u, "E_res": E_res}
 
 
 def in_ball(law: Crystal, seen: Samples) -> tuple[float, float]:
-    """Means of E_res and E_u [%] inside a free ball of atoms, displacement given around."""
-    far, h = np.linalg.norm(seen.x, axis=1), seen.spacing
-    inside = seen.interior & (far <= SEEN * h - law.horizon + 1e-9)  # a long reach asks more collar
-    points = dataclasses.replace(seen.points, interior=inside)
-    return placed_errors(law, Samples(points, seen.u, seen.loads))
+    """Means of E_res and E_u [%] inside a free ball of atoms, displacement given around.
+
+    The nodes of a law of another spacing lie where they were before the crystal was squeezed.
+    """
+    h = law.spacing
+    wider = h / seen.spacing
+    x = wider * seen.x
+    far = np.linalg.norm(x, axis=1)  # a long reach asks more collar
+    inside = (far <= INNER * h + 1e-9) & (far <= SEEN * h - law.horizon + 1e-9)
+    return placed_errors(law, Samples(Points(x, inside, h), seen.u, seen.loads / wider**3))
 
 
 def dispersion(paths: dict[str, Any], atoms: Symbol, law: Symbol, h: float) -> dict[str, float]:
@@ -96,28 +113,52 @@ def local(C: np.ndarray) -> Symbol:
     return lambda k: np.einsum("ijkl,nj,nl->nik", C, k, k, optimize=True)
 
 
-def learned(name: str, bonds: int | None) -> tuple[ForceConstants, Crystal, dict[str, Any]]:
-    """The atoms' force constants, the law on usual nodes, and the paths of its zone."""
+def learned(name: str, atoms: ForceConstants, bonds: int | None = None) -> Crystal:
+    """The law on usual nodes."""
     recipe = RECIPES[name]
-    atoms = force_constants(name)
     d, h = atoms.dimension, spacing_of(np.diag(atoms.cell), recipe)
     shells = SHELLS[d]
     reach = shells[bonds if bonds in shells else USUAL_BONDS[d]]
-    law = from_phonons(atoms, h, h * reach, symmetry=recipe.symmetry, units=UNITS)
-    named = CUBIC if recipe.symmetry == "m-3m" else HEXAGONAL
-    paths = {key: np.array(v[:d]) / np.linalg.norm(v) for key, v in named.items() if any(v[:d])}
-    return atoms, law, paths
+    return from_phonons(atoms, h, h * reach, symmetry=recipe.symmetry, units=UNITS)
+
+
+def zone_paths(name: str, d: int) -> dict[str, np.ndarray]:
+    """Unit vectors by name."""
+    named = CUBIC if RECIPES[name].symmetry == "m-3m" else HEXAGONAL
+    return {key: np.array(v[:d]) / np.linalg.norm(v) for key, v in named.items() if any(v[:d])}
+
+
+def elastic(name: str, atoms: ForceConstants) -> np.ndarray:
+    """C_ijkl of the atoms."""
+    symmetry, one = RECIPES[name].symmetry, np.eye(atoms.dimension)
+    return atoms.elastic(allowed_tensors(symmetry, point_group(symmetry, len(one)), one))
+
+
+def rivals(
+    name: str, atoms: ForceConstants, h: float
+) -> dict[str, tuple[Symbol, Crystal | None, np.ndarray]]:
+    """Symbol, law if it has nodes, and moduli of what else the crystal may be taken for."""
+    C = elastic(name, atoms)
+    whole = C
+    if atoms.stress is not None:  # waves feel it beside the moduli (T19)
+        whole = C + np.einsum("ik,jl->ijkl", np.eye(len(C)), atoms.stress)
+    steps, tensors = q1_tensors(whole)
+    elements, lps = Crystal(h, steps, tensors / h**2, UNITS), isotropic_lps(atoms, h, 2 * h)
+    return {
+        "Q1": (elements.symbol, elements, C),
+        "local": (local(whole), None, C),
+        "lps": (lps.symbol, lps, lps.tensor()),
+    }
 
 
 def study(name: str, bonds: int | None = None, *, quick: bool = False) -> dict[str, Any]:
     """All that the example prints of one crystal."""
     start = time.perf_counter()
-    atoms, law, paths = learned(name, bonds)
+    atoms = force_constants(name)
+    law, paths = learned(name, atoms, bonds), zone_paths(name, atoms.dimension)
     proof = law.certificate
     assert proof is not None
-    h, d = law.spacing, law.dimension
-    symmetry = RECIPES[name].symmetry
-    C = atoms.elastic(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
+    h, d, C = law.spacing, law.dimension, elastic(name, atoms)
     bodies = not quick and d == 3 and atoms.polar is None
     unseen = Unseen(
         wave_loads(atoms, h, longest=18.0, shortest=4.0, loads=10, seed=2),
@@ -125,28 +166,24 @@ def study(name: str, bonds: int | None = None, *, quick: bool = False) -> dict[s
         ball(name, atoms, h) if bodies else None,
         void(name, atoms, h) if bodies else None,
     )
-    whole = C
-    if atoms.stress is not None:  # waves feel it beside the moduli (T19)
-        whole = C + np.einsum("ik,jl->ijkl", np.eye(d), atoms.stress)
-    steps, tensors = q1_tensors(whole)
-    elements, lps = Crystal(h, steps, tensors / h**2, UNITS), isotropic_lps(atoms, h, 2 * h)
-    rivals = {
-        "Q1": (elements.symbol, elements, C),
-        "local": (local(whole), None, C),
-        "lps": (lps.symbol, lps, lps.tensor()),
-    }
+    squeezed: dict[str, Crystal | None] = {}
+    if unseen.ball is not None:  # its surface leaves it another crystal than the one at rest
+        there, spacing = force_constants(name, unseen.ball.strain), unseen.ball.samples.spacing
+        squeezed = {key: one[1] for key, one in rivals(name, there, spacing).items()}
+        squeezed["own"] = learned(name, there, bonds)
 
-    def told_of(symbol: Symbol, own: Crystal | None, tensor: np.ndarray) -> dict[str, Any]:
+    def told_of(key: str, symbol: Symbol, own: Crystal | None, C_own: np.ndarray) -> dict[str, Any]:
         return {
-            "moduli": named_moduli(1e3 * tensor),
+            "moduli": named_moduli(1e3 * C_own),
             "moduli_atoms": named_moduli(1e3 * C),
-            **unseen.judge(symbol, own),
+            **unseen.judge(symbol, own, squeezed.get(key)),
             "dispersion": dispersion(paths, atoms.effective, symbol, h),
         }
 
     return {
-        **told_of(law.symbol, law, law.tensor()),
-        "rivals": {key: told_of(*rival) for key, rival in rivals.items()},
+        **told_of("own", law.symbol, law, law.tensor()),
+        "rivals": {key: told_of(key, *rival) for key, rival in rivals(name, atoms, h).items()},
+        "squeezed": None if unseen.ball is None else (100 * unseen.ball.strain).tolist(),
         "certificate": {
             "proven": 1e3 * proof.proven,
             "sampled": 1e3 * proof.sampled,
@@ -155,6 +192,39 @@ def study(name: str, bonds: int | None = None, *, quick: bool = False) -> dict[s
         "bonds": law.bonds,
         "numbers": law.provenance["fit"]["numbers"],
         "seconds": time.perf_counter() - start,
+    }
+
+
+def by_fields(name: str) -> dict[str, dict[str, Any]]:
+    """E_u [%] on waves never seen of laws learned from twelve loads of six waves each."""
+    atoms, symmetry = force_constants(name), RECIPES[name].symmetry
+    law = learned(name, atoms)
+    h, seed = law.spacing, iter((5, 6, 2, 3))
+
+    def waves(longest: float, shortest: float, loads: int) -> Loads:
+        return wave_loads(
+            atoms, h, longest=longest, shortest=shortest, loads=loads, seed=next(seed)
+        )
+
+    smooth, rough = waves(18.0, 4.0, 6).samples, waves(18.0, 2.7, 6).samples
+    u, b = (np.concatenate(both) for both in ((smooth.u, rough.u), (smooth.loads, rough.loads)))
+    train, unseen = Samples(smooth.points, u, b), (waves(18.0, 4.0, 10), waves(4.0, 2.7, 5))
+    laws = {"phonons": law}
+    for key, moduli in (
+        ("fields, moduli told", law.elastic_tensor()),
+        ("fields", "long waves"),
+        ("fields, moduli free", None),
+    ):
+        crystal = Micromodulus(law.horizon, symmetry, moduli=moduli)
+        laws[key] = warp_peri.fit(train, crystal).material
+    for key, held in (("isotropic, fields", "isotropic"), ("isotropic, moduli free", None)):
+        if symmetry == "m-3m":
+            solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
+            laws[key] = tensors_of(warp_peri.fit(train, solid).material, h)
+    return {
+        key: {"moduli": one.moduli("GPa")}
+        | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
+        for key, one in laws.items()
     }
 
 
@@ -173,7 +243,7 @@ def told(name: str, found: dict[str, Any]) -> str:
         ),
         "acoustic branches to kh = π/2, largest error: "
         + ", ".join(f"{path} {value:.1f} %" for path, value in found["dispersion"].items()),
-        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void",
+        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void   ball, law at rest",
     ]
     rows = {"this law": found, **found["rivals"]}
     names = {"Q1": "Q1, true moduli", "local": "local, no mesh error", "lps": "isotropic LPS"}
@@ -181,6 +251,12 @@ def told(name: str, found: dict[str, Any]) -> str:
         values = [row["E_u"][load] for load in ON_LOADS]
         shown = "".join("        –" if v is None else f"{v:9.2f}" for v in values)
         lines.append(f"  {names.get(key, key):28s}{shown}")
+    if found["squeezed"] is not None:
+        lines.append(
+            "the ball's surface strains its inside by "
+            + ", ".join(f"{e:.3f}" for e in found["squeezed"])
+            + " %: its law is of the crystal so strained; at rest: of the crystal at rest"
+        )
     return "\n".join(lines)
 
 
@@ -188,7 +264,8 @@ def picture(name: str, path: Path) -> None:
     """Branches of the law and of the atoms, and E and ν over direction."""
     import matplotlib.pyplot as plt
 
-    atoms, law, paths = learned(name, None)
+    atoms = force_constants(name)
+    law, paths = learned(name, atoms), zone_paths(name, atoms.dimension)
     figure = plt.figure(figsize=(11, 3.6), layout="constrained")
     axes = figure.add_subplot(1, 3, 1)
     reach = np.linspace(0.03, 1, 40) * np.pi / 2
@@ -223,6 +300,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--bonds", type=int, help="of a node: " + ", ".join(map(str, (*SHELLS[2], *SHELLS[3])))
     )
     parser.add_argument("--quick", action="store_true", help="without the ball and the void")
+    parser.add_argument("--fields", action="store_true", help="learn from fields instead")
     parser.add_argument("--json", action="store_true", help="one object on stdout")
     parser.add_argument("--picture", type=Path, help="draw the law there, and nothing else")
     given = parser.parse_args(arguments)
@@ -230,6 +308,13 @@ def main(arguments: list[str] | None = None) -> int:
     def work() -> None:
         if given.picture is not None:
             picture(given.crystal, given.picture)
+            return
+        if given.fields:
+            for key, row in (rows := by_fields(given.crystal)).items():
+                if not given.json:
+                    print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
+            if given.json:
+                print(json.dumps(rows))
             return
         found = study(given.crystal, given.bonds, quick=given.quick)
         print(json.dumps(found) if given.json else told(given.crystal, found))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import ase
 import numpy as np
 import scipy.fft
 from scipy.spatial import cKDTree
 
-from tools.crystals import session
+from tools.crystals import RECIPES, session
 from tools.solid_session import SolidSession
 from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.groups import point_group
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
@@ -24,10 +27,26 @@ BONDED = {"Si": 0.5}
 PUSH = 1e-5
 """Largest displacement of the differences that stand for a product with the Hessian [Å]."""
 LIMIT = 600
+NEAR_REST, REST, NEWTON = 0.3, 1e-7, 8
+"""Norms of the forces [eV/Å] where descent ends and Newton's method does, and its steps."""
 
 
-def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Samples:
-    """Displacement and load of a relaxed free ball on its nodes, interior 5.5 spacings, in TPa.
+@dataclass(frozen=True)
+class Ball:
+    """What nodes see of a free ball of atoms.
+
+    Attributes:
+        samples: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of
+            the crystal as its surface has squeezed it.
+        strain: of the inside at rest along the axes, shape [3].
+    """
+
+    samples: Samples
+    strain: np.ndarray
+
+
+def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Ball:
+    """A relaxed free ball under loads.
 
     Nodes are around an atom; smoothed with a cone of two spacings. The period's own force constants
     precondition the answer, and are no part of it.
@@ -42,22 +61,27 @@ def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5
         kept[inside[[len(others) - 1 < 2 for others in near]]] = False
     sites, atoms = np.flatnonzero(kept), atoms[kept]
     x = atoms.positions
+    inside = np.linalg.norm(x, axis=1) < INNER * h
     filtered = lattice_inverse(constants, cells, sites)
     with session(name, atoms, free=True) as lammps:
-        rest = lammps.relax()
+        rest = at_rest(lammps, filtered, lambda y, f: _without(f, _rigid(y)))
+        slope = np.linalg.lstsq(x[inside], (rest - x)[inside])[0]
+        group = point_group(RECIPES[name].symmetry, 3)  # the ball is not quite as symmetric
+        strain = np.diag((group @ slope @ group.transpose(0, 2, 1)).mean(axis=0))
         rigid = _rigid(rest)
-        pushes = [_without(push, rigid) for push in _loads(x, RADIUS * h, INNER * h)[:loads]]
+        pushes = [_without(push, rigid) for push in _loads(rest, RADIUS * h, INNER * h)[:loads]]
         pull = stiffness(lammps, rest)
 
         def free(v: np.ndarray) -> np.ndarray:
             return _without(v, rigid)
 
         answers = [response(pull, filtered, push, free) for push in pushes]
-    points, smooth = seen(x, h, SEEN, INNER)
+    h *= float(np.prod(1 + strain) ** (1 / 3))
+    points, smooth = seen(rest, h, SEEN, INNER)
     density = np.asarray(smooth.sum(axis=1))
     u = np.array([(smooth @ answer) / density for answer in answers])
     b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / h**3)
-    return Samples(points, u, b)
+    return Ball(Samples(points, u, b), strain)
 
 
 def cut(constants: ForceConstants, radius: float) -> tuple[ase.Atoms, tuple[int, ...]]:
@@ -78,6 +102,27 @@ def seen(x: np.ndarray, h: float, clean: float, inner: float) -> tuple[Points, n
     far = np.linalg.norm(nodes, axis=1)
     kept = far <= clean * h
     return Points(nodes[kept], far[kept] <= inner * h, h), smoothing(x, nodes, CONE * h, None)[kept]
+
+
+def at_rest(
+    lammps: SolidSession,
+    filtered: Callable[[np.ndarray], np.ndarray],
+    free: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    held: np.ndarray | None = None,
+) -> np.ndarray:
+    """Positions [Å] without forces: near them by LAMMPS's descent, and then by Newton's method.
+
+    free takes positions and leaves of forces what atoms may follow.
+    """
+    x = lammps.relax(NEAR_REST, held=held)
+    for _ in range(NEWTON):
+        force = free(x, lammps.forces(x))
+        if np.linalg.norm(force) < REST:
+            return x
+        x = x + response(
+            stiffness(lammps, x), filtered, force, functools.partial(free, x), tolerance=1e-3
+        )
+    raise RuntimeError(f"the atoms did not settle in {NEWTON} steps of Newton's method")
 
 
 def stiffness(lammps: SolidSession, rest: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -164,12 +209,13 @@ def response(
     filtered: Callable[[np.ndarray], np.ndarray],
     force: np.ndarray,
     free: Callable[[np.ndarray], np.ndarray],
+    tolerance: float = TOLERANCE,
 ) -> np.ndarray:
     """u with H u = force among what is free, a projection, by conjugate gradients."""
     u, r = np.zeros_like(force), free(force)
     z = free(filtered(r))
     p, rz = z.copy(), float(np.vdot(r, z))
-    goal = TOLERANCE * float(np.linalg.norm(r))
+    goal = tolerance * float(np.linalg.norm(r))
     for _ in range(LIMIT):
         q = free(stiffness(p))
         step = rz / float(np.vdot(p, q))

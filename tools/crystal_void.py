@@ -19,7 +19,7 @@ import skfem
 from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import splu
 
-from tools.crystal_ball import cut, lattice_inverse, response, seen, stiffness
+from tools.crystal_ball import at_rest, cut, lattice_inverse, response, seen, stiffness
 from tools.crystals import session
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
@@ -69,7 +69,7 @@ def void(name: str, constants: ForceConstants, spacing: float) -> Void:
         return np.where(held[:, None], 0.0, v)
 
     with session(name, atoms, free=True) as lammps:
-        rest = lammps.relax(held=np.flatnonzero(held))
+        rest = at_rest(lammps, filtered, lambda _, f: free(f), np.flatnonzero(held))
         pull = stiffness(lammps, rest)
         answers = []
         for strain in STRAINS:

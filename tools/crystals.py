@@ -173,19 +173,24 @@ def spacing_of(edges: np.ndarray, recipe: Recipe) -> float:
     return float(edges[1] if recipe.thickness else np.prod(edges) ** (1 / 3))
 
 
-def force_constants(name: str) -> ForceConstants:
-    """Of the cell at rest, by finite differences on a supercell."""
+def force_constants(name: str, strain: np.ndarray | None = None) -> ForceConstants:
+    """Of the cell at rest, or strained along its axes [3], by finite differences on a supercell."""
     recipe = RECIPES[name]
     cell, stress = at_rest(name)
+    if strain is not None:
+        cell.set_cell(np.diag(cell.cell) * (1 + strain), scale_atoms=True)
     supercell = cell.repeat(_repeats(cell, recipe.width, recipe))
     with session(name, supercell) as lammps:
         lammps.forces(supercell.positions)
+        if strain is not None:
+            stress = lammps.stress()
         phi = finite_differences(lammps.nearby_forces, supercell.positions, range(len(cell)))
     polar = None
     if recipe.charges:
         born = [recipe.charges[s] * np.eye(3) for s in cell.get_chemical_symbols()]
         polar = Polar(np.array(born), np.eye(3))  # of rigid ions charges are all there is
     d = 3 if recipe.thickness is None else 2
+    held = strain is not None or len(recipe.axes[0]) == 1
     return from_supercell(
         cell,
         supercell,
@@ -193,5 +198,5 @@ def force_constants(name: str) -> ForceConstants:
         range(len(cell)),
         thickness=recipe.thickness,
         polar=polar,
-        stress=stress[:d, :d] if len(recipe.axes[0]) == 1 else None,
+        stress=stress[:d, :d] if held else None,
     )

@@ -36,7 +36,7 @@ class SolidSession:
         elements: Sequence[str],
         charges: Mapping[str, float] | None = None,
     ) -> None:
-        self._xyz = np.ascontiguousarray(positions, dtype=float)
+        self._xyz = np.array(positions, dtype=float, order="C")
         self.atoms = len(self._xyz)
         kinds = sorted(set(elements))
         low = np.zeros(3) if box is not None else self._xyz.min(axis=0) - MARGIN

@@ -29,6 +29,24 @@ def test_a_straight_crack_cuts_what_crosses_it():
         assert cut[node, bond] == across
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+def test_a_polygon_cuts_what_crosses_it(tilt):
+    """A triangle, through each bond by the signs of its volumes with the triangle's edges."""
+    body = plate(7, 6, 7, horizon=2.0)
+    turn = np.array([[np.cos(tilt), -np.sin(tilt), 0], [np.sin(tilt), np.cos(tilt), 0], [0, 0, 1]])
+    a, b, c = corners = np.array([(-2.6, 0, -2.3), (2.7, 0, -2.1), (0.2, 0, 3.2)]) @ turn.T
+
+    def side(p, q, r, s):
+        return np.sign(np.linalg.det(np.stack([q - p, r - p, s - p])))
+
+    cut = crossing_bonds(body, corners)
+    for node, bond in np.argwhere(body.neighbour >= 0):
+        start, end = body.x[node], body.x[body.neighbour[node, bond]]
+        apart = side(start, a, b, c) * side(end, a, b, c) < 0
+        turns = {side(start, end, p, q) for p, q in ((a, b), (b, c), (c, a))}
+        assert cut[node, bond] == (apart and turns in ({1.0}, {-1.0}))
+
+
 @pytest.mark.parametrize("angle", [0.3, 1.1, 2.6])
 def test_cuts_are_symmetric_and_corners_leak_nothing(angle):
     body = plate()
@@ -57,6 +75,20 @@ def test_a_crack_through_nodes_is_moved_with_a_word():
 def test_what_is_no_polyline_is_refused(line):
     with pytest.raises(InputError, match="crack: expected"):
         crossing_bonds(plate(), line)
+
+
+@pytest.mark.parametrize(
+    ("corners", "said"),
+    [
+        ([(0, 0, 0), (1, 0, 0)], "corners of shape"),
+        ([(0, 0, 0), (1, 0, 0), (2, 0, 0)], "with an area"),
+        ([(0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 1)], "flat"),
+        ([(0, 0, 0), (3, 0, 0), (1, 1, 0), (0, 3, 0)], "convex"),
+    ],
+)
+def test_what_is_no_polygon_is_refused(corners, said):
+    with pytest.raises(InputError, match=said):
+        crossing_bonds(plate(4, 4, 4), corners)
 
 
 def test_what_is_no_lattice_is_refused():

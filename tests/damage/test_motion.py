@@ -14,14 +14,17 @@ KINDS = {
     "bond-based": {"lam": 1.0, "critical_stretch": 0.012},
     "state-based": {"lam": 0.4, "critical_stretch": 0.012},
     "by energy": {"lam": 1.0, "critical_energy": 2e-5},
+    "in space": {"lam": 0.4, "critical_stretch": 0.008, "sides": (8, 12, 4), "horizon": 2.0},
 }
+SQUARE = [[(-9, 0, -9), (-9, 0, 9), (-1, 0, 9), (-1, 0, -9)]]
 
 
 def marched(kind, share, **options):
     body = pulled(**KINDS[kind])
     dt = share * body.longest_step
     run = CrackRun(body, step=dt, every=1, **options)
-    return body, run, run.march(body.start(cracks=CRACK), steps=round(40 / dt))
+    cracks = CRACK if body.body.dimension == 2 else SQUARE
+    return body, run, run.march(body.start(cracks=cracks), steps=round(40 / dt))
 
 
 @pytest.mark.parametrize("kind", KINDS)

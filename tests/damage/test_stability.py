@@ -21,14 +21,16 @@ from warp_peri.points.families import bond_classes
 STATES = 1000
 
 
-def test_a_thousand_random_states_have_no_negative_eigenvalue():
-    body, random = plate(6, 6, horizon=2.5), np.random.default_rng(0)
+@pytest.mark.parametrize(("sides", "states"), [((6, 6), STATES), ((3, 4, 3), STATES // 5)])
+def test_random_states_have_no_negative_eigenvalue(sides, states):
+    d, random = len(sides), np.random.default_rng(0)
+    body = plate(*sides, horizon=2.5)
     lowest, highest = [], []
-    for _ in range(STATES):
+    for _ in range(states):
         mu = 10 ** random.uniform(-1, 1)
-        lam = random.choice([-0.99 * mu, random.uniform(-1, 5) * mu, 1000 * mu])
+        lam = random.choice([-1.98 / d * mu, random.uniform(-2 / d, 5) * mu, 1000 * mu])
         alpha = random.uniform(-1, 2.9)
-        model = Model(lam=lam, mu=mu, alpha=alpha, D=random.random(4), horizon=2.5)
+        model = Model(lam=lam, mu=mu, alpha=alpha, D=random.random(4), horizon=2.5, dimension=d)
         check_breakable(model, body.classes)
         neighbour = random_breaking(body, random, random.random())
         w = bond_weights(model, body.classes)
@@ -40,18 +42,20 @@ def test_a_thousand_random_states_have_no_negative_eigenvalue():
     assert 0 < max(highest) <= 1
 
 
-@pytest.mark.parametrize("lam", [-0.9, 0.3, 4.0])
-def test_the_energy_of_a_node_lies_between_its_bounds(lam):
-    model, body, random = solid(lam).model, plate(8, 8), np.random.default_rng(1)
+@pytest.mark.parametrize("sides", [(8, 8), (4, 4, 4)])
+@pytest.mark.parametrize("lam", [-0.6, 0.3, 4.0])
+def test_the_energy_of_a_node_lies_between_its_bounds(lam, sides):
+    d, body, random = len(sides), plate(*sides), np.random.default_rng(1)
+    model = solid(lam, dimension=d).model
     neighbour = random_breaking(body, random, 0.5)
-    d, place = stretch_matrix(body, neighbour)
+    stretch, place = stretch_matrix(body, neighbour)
     node, bond = np.divmod(place, neighbour.shape[1])
     w = bond_weights(model, body.classes)[bond]
     for _ in range(20):
-        along = d @ random.standard_normal(2 * len(body.x))
+        along = stretch @ random.standard_normal(body.x.size)
         squares = np.bincount(node, w * along**2 / body.r[bond] ** 2)
-        theta = np.bincount(node, 2 * w * along)
-        energy = (lam - 1) / 2 * theta**2 + 4 * squares
+        theta = np.bincount(node, d * w * along)
+        energy = (lam - 1) / 2 * theta**2 + d * (d + 2) / 2 * squares
         low, high = energy_bounds(model)
         assert (energy >= low * squares * (1 - 1e-12)).all()
         assert (energy <= high * squares * (1 + 1e-12)).all()

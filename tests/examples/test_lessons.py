@@ -27,3 +27,12 @@ def test_a_ball_swells_in_a_block_as_the_textbook_says():
     *_, error, proven = swollen(0.1)
     assert error < 4e-3
     assert proven == pytest.approx(0.33, rel=1e-2)
+
+
+def test_a_penny_runs_at_the_stress_of_griffith():
+    from examples.penny_crack import torn
+
+    _, motion, stress = torn(side=14, radius=3.0, steps=200)
+    assert stress.max() == pytest.approx(1.0, abs=0.15)
+    assert stress[-1] < 0.2  # it has come apart
+    assert motion.missing < 0.02

@@ -96,8 +96,8 @@ def test_what_is_made_for_sheets_is_refused_in_space():
     with pytest.raises(InputError, match="expected one of 2 dimensions.*tensors_of"):
         warp_peri.certify(solid(2.0), spacing=1.0)
     samples = warp_peri.Samples(points, zero[None], zero[None])
-    with pytest.raises(InputError, match="samples: expected a sheet; in space Micromodulus"):
-        warp_peri.fit(samples, warp_peri.LPS(2.0))
+    with pytest.raises(InputError, match="expected a sheet; in space LPS and Micromodulus"):
+        warp_peri.fit(samples, warp_peri.ThirdOrder(warp_peri.LPS(2.0)))
     sheet = solid(2.0).on(periodic_cube((6, 6, 6)), allow_uncertified=True)
     with pytest.raises(InputError, match="expected a sheet for a periodic solve"):
         warp_peri.solve(sheet, warp_peri.Periodic(sheet.points, np.zeros((216, 3))))

@@ -3,31 +3,34 @@
 import numpy as np
 
 from warp_peri import Model
-from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage.lattice_body import box, lattice_body
 from warp_peri.damage.motion import BreakingBody
 from warp_peri.damage.solid import BrittleSolid
 
 
-def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, **criterion):
+def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, dimension=2, **criterion):
     """K = 1/r and one criterion, a stretch by default."""
-    model = Model(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon)
+    model = Model(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon, dimension=dimension)
     return BrittleSolid(model, density, **(criterion or {"critical_stretch": 0.01}))
 
 
-def plate(width=16, height=12, horizon=3.0):
-    """A rectangle of unit cells."""
-    return lattice_body(rectangle(width, height, 1.0), 1.0, horizon)
+def plate(width=16, height=12, *depth, horizon=3.0):
+    """A rectangle or block of unit cells."""
+    return lattice_body(box((width, height, *depth), 1.0), 1.0, horizon)
 
 
-def pulled(lam=1.0, width=24, height=16, **criterion):
-    """A plate whose upper and lower rows are pulled apart by a load."""
-    body = plate(width, height)
+def pulled(lam=1.0, sides=(24, 16), horizon=3.0, **criterion):
+    """A plate or block whose upper and lower rows are pulled apart by a load."""
+    body, height = plate(*sides, horizon=horizon), sides[1]
     y = body.x[:, 1]
     load = np.zeros_like(body.x)
     edge = np.abs(y) > height / 2 - 1
     load[edge, 1] = 0.02 * np.sign(y[edge])
     return BreakingBody(
-        solid(lam, **criterion), body, load=load, no_fail=np.abs(y) > height / 2 - 3
+        solid(lam, horizon=horizon, dimension=len(sides), **criterion),
+        body,
+        load=load,
+        no_fail=np.abs(y) > height / 2 - 3,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,12 +28,12 @@ class CutSolid:
         material: with one influence function; one that changes sign is checked by inertia, and so
             is a Mixed.
         body: nodes and bonds.
-        held: components of the displacement that are given, shape [N] or [N, 2] bool.
+        held: components of the displacement that are given, shape [N] or [N, d] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.
-        cracks: polylines that cut it, instead.
+        cracks: polylines, in space flat polygons, that cut it, instead.
 
     Attributes:
-        matrix: L of (C4), symmetric, shape [2N, 2N].
+        matrix: L of (C4), symmetric, shape [d N, d N].
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
@@ -52,9 +53,10 @@ class CutSolid:
         check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = np.asarray(held, dtype=bool)
-        held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
-        if held.shape != (len(body.x), 2):
-            raise InputError(f"held: expected shape [{len(body.x)}] or [{len(body.x)}, 2] of bool")
+        count, d = body.x.shape
+        held = np.repeat(held[:, None], d, axis=1) if held.ndim == 1 else held
+        if held.shape != (count, d):
+            raise InputError(f"held: expected shape [{count}] or [{count}, {d}] of bool")
         check_pieces(body, self.neighbour, held)
         weights = bond_weights(self.model, body.classes)
         self.one = not hasattr(material, "moduli")
@@ -73,8 +75,8 @@ class CutSolid:
         self.left = np.inf
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Minus the internal force density on nodes that are not held, shape [I, 2]."""
-        force: np.ndarray = (self.matrix @ np.ravel(u)).reshape(-1, 2)[self.inside]
+        """Minus the internal force density on nodes that are not held, shape [I, d]."""
+        force: np.ndarray = (self.matrix @ np.ravel(u)).reshape(u.shape)[self.inside]
         return force
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -85,11 +87,11 @@ class CutSolid:
         """None: strains of nodes on a crack mean nothing."""
 
     def solve(self, b: np.ndarray | None, u: np.ndarray) -> np.ndarray:
-        """u at rest, shape [N, 2].
+        """u at rest, shape [N, d].
 
         Args:
-            b: body force density [stress / length], shape [N, 2]; None for none.
-            u: holds the given components; the others are not looked at, shape [N, 2].
+            b: body force density [stress / length], shape [N, d]; None for none.
+            u: holds the given components; the others are not looked at, shape [N, d].
 
         Raises InputError for other shapes and for what is not finite.
         """
@@ -107,9 +109,9 @@ class CutSolid:
         return np.asarray(answer[0])
 
     def energy(self, u: np.ndarray) -> float:
-        """Elastic energy per thickness, bonds among held nodes included [stress · area]."""
+        """Elastic energy [stress · length^d], bonds among held nodes included."""
         flat = np.ravel(u)
-        return float(self.body.spacing**2 * (flat @ (self.matrix @ flat)) / 2)
+        return float(self.body.spacing**self.body.dimension * (flat @ (self.matrix @ flat)) / 2)
 
 
 def symmetric_factors(matrix: sp.csc_array) -> Any:
@@ -133,27 +135,31 @@ def check_mixed(factors: Any) -> None:
 def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
     """Refuse a body of which a piece may move freely: cracks have cut it off and nothing holds it.
 
-    A piece needs three held components; a translation or the rotation is named when it is free.
+    A piece needs as many held components as it has rigid motions, three in the plane and six in
+    space.
     """
     node, bond = np.nonzero(neighbour >= 0)
-    count = len(body.x)
+    count, d = body.x.shape
     links = sp.csr_array((np.ones(len(node)), (node, neighbour[node, bond])), shape=(count, count))
     pieces, label = connected_components(links, directed=False)
     for piece in range(pieces):
         nodes = np.flatnonzero(label == piece)
-        if held[nodes].all(axis=1).sum() > 1:
+        if d == 2 and held[nodes].all(axis=1).sum() > 1:
             continue
         away = body.x[nodes] - body.x[nodes].mean(axis=0)
-        size = max(np.abs(away).max(), body.spacing)
-        motions = np.zeros((len(nodes), 2, 3))
-        motions[:, 0, 0] = motions[:, 1, 1] = 1
-        motions[:, 0, 2], motions[:, 1, 2] = -away[:, 1] / size, away[:, 0] / size
+        away /= max(np.abs(away).max(), body.spacing)
+        turns = np.zeros((len(nodes), d, d * (d - 1) // 2))
+        for number, (a, b) in enumerate(itertools.combinations(range(d), 2)):
+            turns[:, a, number], turns[:, b, number] = -away[:, b], away[:, a]
+        shifts = np.broadcast_to(np.eye(d), (len(nodes), d, d))
+        motions = np.concatenate([shifts, turns], axis=2)
         felt = motions[held[nodes]]
         rank = np.linalg.matrix_rank(felt, tol=1e-9) if len(felt) else 0
-        if rank < 3:
+        if rank < motions.shape[2]:
             raise InputError(
                 f"crack: a piece of {len(nodes)} nodes, node {nodes[0]} among them, is held "
-                f"against {rank} of its 3 rigid motions only; hold it or leave it whole"
+                f"against {rank} of its {motions.shape[2]} rigid motions only; hold it or leave "
+                "it whole"
             )
 
 
@@ -195,6 +201,8 @@ def domain_integral(
             f"{radii[0]:g}, {radii[1]:g}"
         )
     r1, r2 = (round(radius / h) * h for radius in radii)
+    if body.dimension != 2:
+        raise InputError("solution: expected that of a sheet for J, got three dimensions")
     if np.shape(u) != body.x.shape:
         raise InputError(f"u: expected shape {list(body.x.shape)}, got {list(np.shape(u))}")
     place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)

@@ -1,4 +1,4 @@
-"""A body on a lattice with free surfaces, and the polylines that cut its bonds.
+"""A body on a lattice with free surfaces, and the polylines, in space polygons, that cut its bonds.
 
 Unlike the families of a Dirichlet problem a body needs no collar: where it ends, bonds are missing.
 The weights of a bond are those of the whole ball.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -26,10 +26,10 @@ ON_LINE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LatticeBody:
-    """Nodes of a square lattice and the bonds between them.
+    """Nodes of a square or cubic lattice and the bonds between them.
 
     Attributes:
-        x: positions [length], shape [N, 2].
+        x: positions [length], shape [N, d].
         spacing: h [length].
         classes: bond classes of the whole ball.
         neighbour: node at the end of each bond of the ball, shape [N, B] int32; −1 where the body
@@ -41,11 +41,16 @@ class LatticeBody:
     spacing: float
     classes: BondClasses
     neighbour: np.ndarray
-    axes: np.ndarray = field(default_factory=lambda: np.eye(2))
+    axes: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return int(self.x.shape[1])
 
     @property
     def xi(self) -> np.ndarray:
-        """Bond vectors of the ball [length], shape [B, 2]."""
+        """Bond vectors of the ball [length], shape [B, d]."""
         vectors: np.ndarray = self.classes.xi @ self.axes.T
         return vectors
 
@@ -65,19 +70,21 @@ class LatticeBody:
 
 
 def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
-    """The bonds of a body on a square lattice, straight or turned.
+    """The bonds of a body on a square or cubic lattice, straight or turned.
 
     Args:
-        x: positions [length], shape [N, 2], in any order.
+        x: positions [length], shape [N, 2] or [N, 3], in any order.
         spacing: h [length].
         horizon: δ [length].
 
     Raises InputError for points off the lattice, given twice, or too many to be numbered.
     """
     x = np.array(x, dtype=float)
-    if x.ndim != 2 or x.shape[1:] != (2,) or len(x) == 0 or not np.isfinite(x).all():
-        raise InputError(f"x: expected finite positions of shape [N, 2], got {list(x.shape)}")
-    classes = bond_classes(spacing, horizon)
+    if x.ndim != 2 or x.shape[1] not in (2, 3) or len(x) == 0 or not np.isfinite(x).all():
+        raise InputError(
+            f"x: expected finite positions of shape [N, 2] or [N, 3], got {list(x.shape)}"
+        )
+    classes = bond_classes(spacing, horizon, dimension=x.shape[1])
     grid, axes = straight_steps(x, spacing)
     if len(x) * len(classes.steps) >= 2**31:
         raise InputError(f"x: {len(x)} nodes have more bonds than can be numbered (2³¹)")
@@ -89,11 +96,20 @@ def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
 
     Raises InputError when the sides are not whole multiples of the spacing.
     """
-    count = np.rint(np.divide((width, height), spacing)).astype(int)
-    if (count < 1).any() or np.abs(count * spacing - (width, height)).max() > 1e-6 * spacing:
-        raise InputError(f"sides: expected multiples of {spacing:g}, got {width:g}, {height:g}")
+    return box((width, height), spacing)
+
+
+def box(sides: Sequence[float], spacing: float) -> np.ndarray:
+    """Nodes in the middle of cells that fill a box about the origin, shape [N, d].
+
+    Raises InputError when the sides are not whole multiples of the spacing.
+    """
+    count = np.rint(np.divide(sides, spacing)).astype(int)
+    if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
+        given = ", ".join(f"{side:g}" for side in sides)
+        raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
     axes = [(np.arange(n) - (n - 1) / 2) * spacing for n in count]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
 
 
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
@@ -102,28 +118,36 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     A bond that meets an end of the polyline is not cut, one that meets a corner is; a polyline that
     comes back to its start has corners only. Where a
     segment runs through nodes, these nodes stand on its left: the segment is moved by a hair, with
-    a warning.
+    a warning. In space a crack is a flat convex polygon, whose edges cut nothing; nodes on it stand
+    where the corners are seen to go round against the clock.
 
     Args:
         body: the body.
-        polyline: corners [length], shape [P, 2], P ≥ 2.
+        polyline: corners [length], shape [P ≥ 2, 2]; in space in their order, [P ≥ 3, 3].
 
-    Raises InputError for another shape or a segment without length.
+    Raises InputError for another shape, a segment without length, and a polygon that is not flat
+    and convex.
     """
+    d = body.dimension
     try:
         corners = np.array(polyline, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"crack: expected corners of shape [P, 2], got {polyline!r}") from None
-    if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 2:
-        raise InputError(f"crack: expected corners of shape [P ≥ 2, 2], got {list(corners.shape)}")
+        raise InputError(f"crack: expected corners of shape [P, {d}], got {polyline!r}") from None
+    if corners.ndim != 2 or corners.shape[1:] != (d,) or len(corners) < d:
+        raise InputError(
+            f"crack: expected corners of shape [P ≥ {d}, {d}], got {list(corners.shape)}"
+        )
     if not np.isfinite(corners).all() or (np.diff(corners, axis=0) == 0).all(axis=1).any():
         raise InputError("crack: expected finite corners, and segments with a length")
     cut = np.zeros(body.neighbour.shape, bool)
-    last = len(corners) - 2
-    open_ended = not np.array_equal(corners[0], corners[-1])
-    for number, (start, end) in enumerate(pairwise(corners)):
-        tips = (open_ended and number == 0, open_ended and number == last)
-        _cut_segment(body, start, end, tips, cut)
+    if d == 3:
+        _cut_polygon(body, corners, cut)
+    else:
+        last = len(corners) - 2
+        open_ended = not np.array_equal(corners[0], corners[-1])
+        for number, (start, end) in enumerate(pairwise(corners)):
+            tips = (open_ended and number == 0, open_ended and number == last)
+            _cut_segment(body, start, end, tips, cut)
     node, bond = np.nonzero(cut)  # rounding at a tip must not leave half a bond
     cut[body.neighbour[node, bond], body.opposite[bond]] = True
     return cut
@@ -133,22 +157,14 @@ def _cut_segment(
     body: LatticeBody, start: np.ndarray, end: np.ndarray, tips: tuple[bool, bool], cut: np.ndarray
 ) -> None:
     """Mark the bonds across one segment; at its tips, not at its corners, the ends are open."""
-    reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
-    low, high = np.minimum(start, end) - reach, np.maximum(start, end) + reach
-    near = np.flatnonzero(((body.x >= low) & (body.x <= high)).all(axis=1))
+    near = _near(body, np.stack([start, end]))
     along = end - start
     length = float(np.hypot(*along))
     normal = np.array([-along[1], along[0]]) / length
     height = (body.x[near] - start) @ normal
     within = (body.x[near] - start) @ along / length
     hit = (np.abs(height) < ON_LINE * body.spacing) & (within > 0) & (within < length)
-    if hit.any():
-        warnings.warn(
-            f"crack: {np.count_nonzero(hit)} nodes lie on it; it is moved by {HAIR:g} spacings "
-            "to their right",
-            stacklevel=4,
-        )
-        height = height + HAIR * body.spacing
+    height = _lifted(height, hit, body.spacing, "to their right")
     rise = body.xi @ normal
     other = height[:, None] + rise
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -160,12 +176,76 @@ def _cut_segment(
     cut[near] |= across & (body.neighbour[near] >= 0)
 
 
+def _cut_polygon(body: LatticeBody, corners: np.ndarray, cut: np.ndarray) -> None:
+    """Mark the bonds across a flat convex polygon in space."""
+    size, normal = size_and_normal(corners)
+    if not size > 0 or np.abs((corners - corners[0]) @ normal).max() > ON_LINE * size**0.5:
+        raise InputError("crack: expected the corners of a flat polygon with an area")
+    inward = np.cross(normal, np.roll(corners, -1, axis=0) - corners)  # as long as its edge
+    slack = 1e-9 * size
+
+    def room(x: np.ndarray) -> np.ndarray:
+        """Inside which edge by how much at least, times its length."""
+        least: np.ndarray = (x @ inward.T - (inward * corners).sum(axis=1)).min(axis=1)
+        return least
+
+    if room(corners).min() < -slack:
+        raise InputError("crack: expected a convex polygon, its corners in order; cut it in parts")
+    near = _near(body, corners)
+    height = (body.x[near] - corners[0]) @ normal
+    hit = (np.abs(height) < ON_LINE * body.spacing) & (room(body.x[near]) > slack)
+    height = _lifted(height, hit, body.spacing, "under them")
+    rise = body.xi @ normal
+    for bond in np.flatnonzero(rise):
+        across = np.flatnonzero(
+            (height * (height + rise[bond]) < 0) & (body.neighbour[near, bond] >= 0)
+        )
+        share = height[across] / -rise[bond]
+        place = body.x[near[across]] + share[:, None] * body.xi[bond]
+        cut[near[across[room(place) > slack]], bond] = True
+
+
+def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
+    """Length of a polyline and normal to the left of its ends, or area and normal of a polygon.
+
+    Zeros for a polygon without area.
+    """
+    if corners.shape[1] == 2:
+        along = corners[-1] - corners[0]
+        length = float(np.hypot(*np.diff(corners, axis=0).T).sum())
+        return length, np.array([-along[1], along[0]]) / (np.hypot(*along) or 1.0)
+    away = corners - corners[0]
+    area = np.cross(away, np.roll(away, -1, axis=0)).sum(axis=0) / 2
+    size = float(np.linalg.norm(area))
+    return size, area / (size or 1.0)
+
+
+def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:
+    """Numbers of the nodes that a bond may lead to beyond these corners from."""
+    reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
+    low, high = corners.min(axis=0) - reach, corners.max(axis=0) + reach
+    return np.flatnonzero(((body.x >= low) & (body.x <= high)).all(axis=1))
+
+
+def _lifted(height: np.ndarray, hit: np.ndarray, spacing: float, whither: str) -> np.ndarray:
+    """Heights over a crack, moved by a hair where it runs through nodes, with a warning."""
+    if not hit.any():
+        return height
+    warnings.warn(
+        f"crack: {np.count_nonzero(hit)} nodes lie on it; it is moved by {HAIR:g} spacings "
+        f"{whither}",
+        stacklevel=5,
+    )
+    moved: np.ndarray = height + HAIR * spacing
+    return moved
+
+
 def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
     """The body's neighbours with the bonds across cracks broken (−1 − j), shape [N, B] int32.
 
     Args:
         body: the body.
-        cracks: polylines [length], shape [P, 2] each.
+        cracks: polylines [length], shape [P, 2] each; in space flat polygons, [P, 3].
     """
     neighbour = body.neighbour.copy()
     for polyline in cracks:

@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.damage.lattice_body import crossing_bonds
+from warp_peri.damage.lattice_body import HAIR, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
 from warp_peri.damage.paraview import Series
 from warp_peri.errors import InputError
@@ -75,7 +75,7 @@ class Section:
 
     Args:
         body: the body in motion.
-        line: two ends, shape [2, 2].
+        line: two ends, shape [2, 2]; in space the corners of a flat polygon, [P, 3].
 
     Raises InputError for a line of another shape, and one that no bond crosses.
     """
@@ -83,28 +83,28 @@ class Section:
     def __init__(self, body: BreakingBody, line: ArrayLike) -> None:
         cut = crossing_bonds(body.body, line)
         self.ends = ends = np.asarray(line, dtype=float)
-        if ends.shape != (2, 2) or not cut.any():
+        if (body.body.dimension == 2 and len(ends) != 2) or not cut.any():
             raise InputError(
                 f"section: expected two ends of a line that bonds cross, got {ends.tolist()}"
             )
         node, bond = np.nonzero(cut)
-        along = ends[1] - ends[0]
-        left = (body.body.x[node] - ends[0]) @ (-along[1], along[0]) > 0
+        height = (body.body.x[node] - ends[0]) @ size_and_normal(ends)[1]
+        left = height > -HAIR / 2 * body.body.spacing  # nodes on the line stand on its left
         self._node, self._bond, self._owner = node[left], bond[left], body
 
     def force(self, state: BreakingState) -> np.ndarray:
-        """Force per thickness on the nodes to the left of the line, shape [2]."""
+        """Force per thickness on the nodes to the left of the line, over the polygon; shape [d]."""
         owner, node, bond = self._owner, self._node, self._bond
         body, model, w = owner.body, owner.operator.model, owner.operator.weights[self._bond]
         far = owner.neighbour(state)[node, bond]
         kept = far >= 0
-        u, xi = owner.displacement(state), body.xi[bond]
-        d = (xi * (u[far] - u[node])).sum(axis=1)
-        pull = 16 * model.mu * w * d / body.r[bond] ** 2
+        u, xi, d = owner.displacement(state), body.xi[bond], body.dimension
+        e = (xi * (u[far] - u[node])).sum(axis=1)
+        pull = 2 * d * (d + 2) * model.mu * w * e / body.r[bond] ** 2
         if model.lam != model.mu:
             theta = owner.operator.theta.numpy()
-            pull = pull + 2 * (model.lam - model.mu) * w * (theta[node] + theta[far])
-        total: np.ndarray = body.spacing**2 * ((pull * kept)[:, None] * xi).sum(axis=0)
+            pull = pull + d * (model.lam - model.mu) * w * (theta[node] + theta[far])
+        total: np.ndarray = body.spacing**d * ((pull * kept)[:, None] * xi).sum(axis=0)
         return total
 
 
@@ -117,7 +117,7 @@ class CrackRun:
         every: steps from one record to the next.
         regions: nodes whose mean displacement and velocity are recorded, [N] bool by name.
         watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
-        sections: lines across which the force is recorded, [2, 2] by name.
+        sections: lines across which the force is recorded, [2, 2] by name; in space polygons.
         checkpoint: file to go on from; written every `checkpoint_every` records.
         series: folder for ParaView's files, one a record.
         allow_unstable: warn about a step that is too long instead of raising.

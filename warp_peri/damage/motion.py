@@ -26,7 +26,7 @@ from warp_peri.damage.stability import (
     check_no_fail,
 )
 from warp_peri.errors import InputError
-from warp_peri.kernels.damage import motion as kernels
+from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
 
 
@@ -74,7 +74,10 @@ class BreakingState:
 
 @dataclass(frozen=True)
 class Ledger:
-    """Energies of a body per thickness [stress · area]; work = kinetic + elastic + dissipated."""
+    """Energies of a body [stress · volume], of a sheet per thickness [stress · area].
+
+    work = kinetic + elastic + dissipated.
+    """
 
     time: float
     work: float
@@ -95,9 +98,9 @@ class BreakingBody:
         solid: the solid; its influence function must be positive on the lattice.
         body: nodes and bonds, of the solid's horizon.
         no_fail: nodes whose bonds do not break, shape [N] bool.
-        load: body force density b [stress / length], shape [N, 2].
-        held: components of the displacement that are prescribed, shape [N] or [N, 2] bool.
-        grip: velocity of held components, shape [N, 2]; zero by default, and where not held.
+        load: body force density b [stress / length], shape [N, d].
+        held: components of the displacement that are prescribed, shape [N] or [N, d] bool.
+        grip: velocity of held components, shape [N, d]; zero by default, and where not held.
         ramp: share of load and grip at a time; 1 by default.
 
     Attributes:
@@ -134,8 +137,9 @@ class BreakingBody:
         )
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
-        held = np.zeros((count, 2), bool) if held is None else np.asarray(held)
-        held = np.repeat(held[:, None], 2, axis=1) if held.ndim == 1 else held
+        d = body.dimension
+        held = np.zeros((count, d), bool) if held is None else np.asarray(held)
+        held = np.repeat(held[:, None], d, axis=1) if held.ndim == 1 else held
         self.load, self.held, self.grip = (
             self._padded(name, field)
             for name, field in (("load", load), ("held", held), ("grip", grip))
@@ -143,14 +147,14 @@ class BreakingBody:
         self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
-        count = len(self.body.x)
-        values = np.zeros((self.operator.places, 2))
+        count, d = self.body.x.shape
+        values = np.zeros((self.operator.places, d))
         if field is not None:
             given = np.asarray(field, dtype=float)
-            if given.shape != (count, 2) or not np.isfinite(given).all():
-                raise InputError(f"{name}: expected finite values of shape [{count}, 2]")
+            if given.shape != (count, d) or not np.isfinite(given).all():
+                raise InputError(f"{name}: expected finite values of shape [{count}, {d}]")
             values[:count] = given
-        return floats(values, wp.vec2d)
+        return floats(values, self.operator.vector)
 
     def start(
         self,
@@ -163,8 +167,8 @@ class BreakingBody:
         """A state at time zero.
 
         Args:
-            u, v: displacement and velocity, shape [N, 2]; zero by default.
-            cracks: polylines that are open from the start, shape [P, 2] each.
+            u, v: displacement and velocity, shape [N, d]; zero by default.
+            cracks: polylines, in space flat polygons, open from the start, shape [P, d] each.
             count_cracks: whether the bonds they cut count as damage.
 
         Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
@@ -173,7 +177,7 @@ class BreakingBody:
         neighbour = cracked(self.body, cracks)
         links = self.operator.links(neighbour)
         places = self.operator.places
-        force, energy = zeros(places, dtype=wp.vec2d), zeros(places)
+        force, energy = zeros(places, dtype=self.operator.vector), zeros(places)
         if u is not None:
             broken = self.operator.sweep(
                 fields[0], self.operator.links(neighbour), force, energy, breaking=True
@@ -203,21 +207,21 @@ class BreakingBody:
         return table[: len(self.body.x)]
 
     def displacement(self, state: BreakingState) -> np.ndarray:
-        """u, shape [N, 2]; shares the state's memory."""
+        """u, shape [N, d]; shares the state's memory."""
         field: np.ndarray = state.u.numpy()[: len(self.body.x)]
         return field
 
     def velocity(self, state: BreakingState) -> np.ndarray:
-        """v, shape [N, 2]; shares the state's memory."""
+        """v, shape [N, d]; shares the state's memory."""
         field: np.ndarray = state.v.numpy()[: len(self.body.x)]
         return field
 
     def ledger(self, state: BreakingState) -> Ledger:
         """Work, kinetic, elastic and dissipated energy of this state."""
-        area = self.body.spacing**2
+        cell = self.body.spacing**self.body.dimension
         kinetic = self.solid.density / 2 * float(np.vdot(state.v.numpy(), state.v.numpy()))
         sums = (state.work.numpy().sum(), kinetic, state.energy.numpy().sum())
-        return Ledger(state.time, *(area * float(part) for part in (*sums, state.dissipated.sum())))
+        return Ledger(state.time, *(cell * float(part) for part in (*sums, state.dissipated.sum())))
 
 
 def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.ndarray]:
@@ -257,7 +261,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     dt is not looked at: `check_step` and `run` refuse one that is too long.
     """
     operator, places = body.operator, body.operator.places
-    density = body.solid.density
+    density, kernels = body.solid.density, halves(body.body.dimension)
     share = 1.0 if body.ramp is None else float(body.ramp(state.time))
     later = 1.0 if body.ramp is None else float(body.ramp(state.time + dt))
     launch_slices(

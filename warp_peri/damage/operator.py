@@ -16,7 +16,6 @@ import warp as wp
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.kernels.damage.pairs import pairs
 from warp_peri.launch import Recorded, floats, ints, launch_slices, threads, zeros
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
@@ -67,25 +66,34 @@ def unit_bond_energy(classes: BondClasses) -> float:
 
 
 def stiffness_across(model: Model, classes: BondClasses) -> tuple[float, float]:
-    """Energy per length at unit stretch that positive and negative bonds across a line carry."""
+    """Energy per length or area at unit stretch of positive and negative bonds across a line."""
     w = bond_weights(model, classes)
     r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
-    each = 8 * model.mu * classes.spacing * np.maximum(classes.steps[:, 1], 0) * w * r2
+    d = model.dimension
+    share = d * (d + 2) * model.mu * classes.spacing
+    each = share * np.maximum(classes.steps[:, 1], 0) * w * r2
     return float(each[each > 0].sum()), float(each[each < 0].sum())
 
 
 def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
-    """d = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, 2N], and their places.
+    """e = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, d N], and their places.
 
-    Component a of node i is column 2 i + a; the places are numbers in the flat [N B] table.
+    Component a of node i is column d i + a; the places are numbers in the flat [N B] table.
     """
     place = np.flatnonzero(neighbour.ravel() >= 0)
     node, bond = np.divmod(place, neighbour.shape[1])
-    far, xi, count = neighbour.ravel()[place], body.xi[bond], len(place)
-    columns = np.column_stack([2 * far, 2 * far + 1, 2 * node, 2 * node + 1]).ravel()
+    return stretch_rows(body, node, bond, neighbour.ravel()[place]), place
+
+
+def stretch_rows(
+    body: LatticeBody, node: np.ndarray, bond: np.ndarray, far: np.ndarray
+) -> sp.csr_array:
+    """e of these bonds, by the node that they begin at, their number in the ball and their end."""
+    xi, count, d = body.xi[bond], len(bond), body.dimension
+    columns = (d * np.column_stack([far, node])[:, :, None] + np.arange(d)).ravel()
     values = np.column_stack([xi, -xi]).ravel()
-    rows = np.arange(0, 4 * count + 1, 4)
-    return sp.csr_array((values, columns, rows), shape=(count, 2 * len(neighbour))), place
+    rows = np.arange(0, 2 * d * count + 1, 2 * d)
+    return sp.csr_array((values, columns, rows), shape=(count, d * len(body.x)))
 
 
 def cut_matrix(
@@ -95,7 +103,7 @@ def cut_matrix(
     mu: float | np.ndarray,
     excess: float | np.ndarray,
 ) -> sp.csr_array:
-    """L of a cut body as a symmetric matrix [stress / length²], shape [2N, 2N] (C4).
+    """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
 
     Args:
         body: the body.
@@ -104,12 +112,12 @@ def cut_matrix(
         mu: shear modulus, one or by bond [N, B], the same in both directions.
         excess: λ − μ, one or by node [N].
     """
-    d, place = stretch_matrix(body, neighbour)
-    bond = place % neighbour.shape[1]
+    stretch, place = stretch_matrix(body, neighbour)
+    bond, d = place % neighbour.shape[1], body.dimension
     along = mu if np.ndim(mu) == 0 else np.ravel(mu)[place]
-    stiffness = 8 * along * weights[bond] / body.r[bond] ** 2
+    stiffness = d * (d + 2) * along * weights[bond] / body.r[bond] ** 2
     theta = dilatation_matrix(body, weights, neighbour)
-    total = d.T @ (sp.diags_array(stiffness) @ d)
+    total = stretch.T @ (sp.diags_array(stiffness) @ stretch)
     total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, len(neighbour))) @ theta)
     return sp.csr_array(total)
 
@@ -117,12 +125,13 @@ def cut_matrix(
 def dilatation_matrix(
     body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
 ) -> sp.csr_array:
-    """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, 2N]."""
-    d, place = stretch_matrix(body, neighbour)
+    """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, d N]."""
+    stretch, place = stretch_matrix(body, neighbour)
     node, bond = np.divmod(place, neighbour.shape[1])
     shape = (len(neighbour), len(place))
-    gather = sp.csr_array((2 * weights[bond], (node, np.arange(len(place)))), shape=shape)
-    return sp.csr_array(gather @ d)
+    share = body.dimension * weights[bond]
+    gather = sp.csr_array((share, (node, np.arange(len(place)))), shape=shape)
+    return sp.csr_array(gather @ stretch)
 
 
 class CutOperator:
@@ -132,7 +141,7 @@ class CutOperator:
         model: one influence function for both parts.
         body: the nodes and their bonds.
         limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
-        by_energy: the criterion is the bond's energy density instead of d = s r².
+        by_energy: the criterion is the bond's energy density instead of e = s r².
         tension_only: bonds in compression do not break.
         no_fail: nodes whose bonds do not break, shape [N] bool.
     """
@@ -156,16 +165,16 @@ class CutOperator:
         self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
         r = body.r
         self.limits = np.full(self.bonds, np.inf) if limits is None else limits
-        stiffness = 16 * model.mu * self.weights / r**2
-        table = np.column_stack([body.xi, 2 * self.weights, stiffness, self.limits])
-        self._table = floats(np.ascontiguousarray(table).ravel())
-        self._short_table = floats(np.ascontiguousarray(table[:, [0, 1, 3, 4]]).ravel())
+        d = body.dimension
+        self._kernels = kernels.sweeps(d, bool(tension_only))
+        stiffness = 2 * d * (d + 2) * model.mu * self.weights / r**2
+        table = np.column_stack([body.xi, d * self.weights, stiffness, self.limits])
+        self._table = floats(np.ascontiguousarray(table), self._kernels.bond)
+        self.vector = self._kernels.vec
         self._recorded: dict[tuple[int, ...], list[Callable[[], None]]] = {}
         flags: np.ndarray = np.zeros(self.places, np.uint8)
         flags[: self.nodes] = False if no_fail is None else no_fail
         self._no_fail: wp.array[Any] = wp.array(flags, dtype=wp.uint8, device="cpu")
-        self._kernels = kernels.sweeps(bool(tension_only))
-        self._pairs = pairs(bool(tension_only))
         self._all = ints(np.arange(self.nodes))
         self.theta = zeros(self.places)
         self.lost = zeros(self.places, dtype=wp.int32)
@@ -199,7 +208,7 @@ class CutOperator:
                 launch()
         else:
             criterion = self._criterion if breaking else -1
-            self._state_based(_flat(u), links, self._all, self._all, criterion, force, energy)
+            self._state_based(u, links, self._all, self._all, criterion, force, energy)
         return np.flatnonzero(self._lost) if breaking else np.empty(0, np.int64)
 
     def _record(
@@ -207,15 +216,17 @@ class CutOperator:
     ) -> list[Callable[[], None]]:
         """The sweeps over these arrays with the stretch criterion, packed."""
         half, outputs = self.places // 2, (force, energy, self.lost, links)
+        shapes = (u, self.bonds, self._table)
         if self.bond_based:
-            inputs = (_flat(u), self.bonds, self._short_table, self._no_fail)
+            inputs = (*shapes, self._no_fail)
             return [Recorded(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
-        flat, excess = _flat(u), self.model.lam - self.model.mu
-        shapes = (flat, self.bonds, self._table)
+        excess = self.model.lam - self.model.mu
         return [
-            Recorded(self._pairs.dilatation, half, (*shapes, links), (self.theta,), weight=PAIR),
             Recorded(
-                self._pairs.state_based,
+                self._kernels.paired_dilatation, half, (*shapes, links), (self.theta,), weight=PAIR
+            ),
+            Recorded(
+                self._kernels.paired_state_based,
                 half,
                 (*shapes, excess, self._no_fail, self.theta),
                 outputs,
@@ -236,11 +247,11 @@ class CutOperator:
         if not self.bond_based:  # θ has changed, and neighbours feel it
             ends = links.numpy().reshape(-1, self.bonds)[nodes]
             around = ints(np.union1d(nodes, ends[ends >= 0]))
-        self._state_based(_flat(u), links, changed, around, -1, force, energy)
+        self._state_based(u, links, changed, around, -1, force, energy)
 
     def _state_based(
         self,
-        flat: wp.array[Any],
+        u: wp.array[Any],
         links: wp.array[Any],
         changed: wp.array[Any],
         around: wp.array[Any],
@@ -253,24 +264,12 @@ class CutOperator:
             launch_slices(
                 self._kernels.dilatation,
                 len(changed),
-                (changed, flat, self.bonds, self._table, links),
+                (changed, u, self.bonds, self._table, links),
                 (self.theta,),
             )
         launch_slices(
             self._kernels.state_based,
             len(around),
-            (around, flat, self._table, excess, criterion, self._no_fail, self.theta),
+            (around, u, self._table, excess, criterion, self._no_fail, self.theta),
             (force, energy, self.lost, links),
         )
-
-
-def _flat(u: wp.array[Any]) -> wp.array[Any]:
-    """Vectors seen as scalars, the same memory."""
-    return wp.array(
-        ptr=u.ptr,
-        dtype=wp.float64,
-        shape=(2 * len(u),),
-        device="cpu",
-        copy=False,
-        capacity=u.capacity,
-    )

@@ -20,7 +20,7 @@ class Series:
 
     Args:
         folder: for the files; made if it is not there.
-        body: the nodes; four neighbours make a quadrilateral.
+        body: the nodes; four neighbours make a quadrilateral, eight a hexahedron.
 
     Raises InputError without meshio (the extra `export`).
     """
@@ -31,21 +31,21 @@ class Series:
         except ImportError:
             raise InputError("meshio is not installed: pip install 'warp_peri[export]'") from None
         self.folder = Path(folder)
-        self._points = np.column_stack([body.x, np.zeros(len(body.x))])
-        self._cells = quadrilaterals(body)
+        self._points = in_space(body.x)
+        self._cells = {2: "quad", 3: "hexahedron"}[body.dimension], cells(body)
         self.times: dict[str, float] = {}
 
     def write(self, step: int, time: float, fields: dict[str, np.ndarray]) -> Path:
-        """Write one record; vectors [N, 2] get a third component."""
+        """Write one record; vectors in the plane get a third component."""
         import meshio
 
         data = {
-            name: np.column_stack([values, np.zeros(len(values))]) if values.ndim == 2 else values
+            name: in_space(values) if values.ndim == 2 else values
             for name, values in fields.items()
         }
         path = self.folder / f"record_{step:08d}.vtu"
         with whole_file(path) as temporary:
-            meshio.Mesh(self._points, [("quad", self._cells)], point_data=data).write(temporary)
+            meshio.Mesh(self._points, [self._cells], point_data=data).write(temporary)
         self.times[path.name] = time
         root = Element("VTKFile", type="Collection", version="0.1")
         collection = SubElement(root, "Collection")
@@ -55,12 +55,24 @@ class Series:
         return path
 
 
-def quadrilaterals(body: LatticeBody) -> np.ndarray:
-    """Four nodes around each cell of the lattice whose corners are all there, shape [Q, 4]."""
+def in_space(x: np.ndarray) -> np.ndarray:
+    """Vectors [N, d] with three components."""
+    return np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
+
+
+def cells(body: LatticeBody) -> np.ndarray:
+    """Nodes around each cell of the lattice whose corners are all there, shape [C, 2^d].
+
+    In the order of a quadrilateral, and of a hexahedron.
+    """
     place = np.rint((body.x - body.x.min(axis=0)) / body.spacing).astype(int)
     number = np.full(place.max(axis=0) + 1, -1)
     number[tuple(place.T)] = np.arange(len(place))
-    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
-    quads = np.stack([corner.ravel() for corner in corners], axis=1)
-    whole: np.ndarray = quads[(quads >= 0).all(axis=1)]
+    around: list[tuple[int, ...]] = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    if body.dimension == 3:
+        around = [(*corner, up) for up in (0, 1) for corner in around]
+    ends = slice(None, -1), slice(1, None)
+    corners = [number[tuple(ends[up] for up in corner)] for corner in around]
+    found = np.stack([corner.ravel() for corner in corners], axis=1)
+    whole: np.ndarray = found[(found >= 0).all(axis=1)]
     return whole

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,7 +14,7 @@ from warp_peri.statics.solution import Solution
 
 
 def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
-    """Body force density [stress / length] that presses on what has been cut, shape [N, 2].
+    """Body force density [stress / length] that presses on what has been cut, shape [N, d].
 
     The bonds that are missing would carry some force in a body
     under the uniform stress; this is minus that force, so that a crack with it in a body pulled by
@@ -20,30 +22,31 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
 
     Args:
         cut: the solid, of one material.
-        stress: symmetric, shape [2, 2]; p n⊗n for a pressure on faces with normal n.
+        stress: symmetric, shape [d, d]; p n⊗n for a pressure on faces with normal n.
 
     Raises InputError for another stress, and several materials.
     """
     if not cut.one:
         raise InputError("pressure: expected one material, got several")
     model, body = cut.model, cut.body
-    lam, mu = model.lam, model.mu
+    lam, mu, d = model.lam, model.mu, model.dimension
     stress = np.asarray(stress, dtype=float)
-    fine = stress.shape == (2, 2) and np.isfinite(stress).all() and np.allclose(stress, stress.T)
+    fine = stress.shape == (d, d) and np.isfinite(stress).all() and np.allclose(stress, stress.T)
     if not fine:
         raise InputError(
-            f"stress: expected a finite, symmetric one of shape [2, 2], got {stress.tolist()}"
+            f"stress: expected a finite, symmetric one of shape [{d}, {d}], got {stress.tolist()}"
         )
-    strain = (stress - lam / (2 * (lam + mu)) * np.trace(stress) * np.eye(2)) / (2 * mu)
+    bulk = d * (lam + 2 * mu / d)
+    strain = (stress - lam / bulk * np.trace(stress) * np.eye(d)) / (2 * mu)
     u = (body.x @ strain).ravel()
     w = bond_weights(model, body.classes)
     whole = cut_matrix(body, w, body.neighbour, mu, lam - mu)
-    load: np.ndarray = (whole @ u - cut.matrix @ u).reshape(-1, 2)
+    load: np.ndarray = (whole @ u - cut.matrix @ u).reshape(body.x.shape)
     return load
 
 
-def opening_volume(solution: Solution, normal: tuple[float, float] = (0.0, 1.0)) -> float:
-    """Area between the faces of cracks with one normal [length²], from the bonds across them.
+def opening_volume(solution: Solution, normal: Sequence[float] = (0.0, 1.0)) -> float:
+    """Room between the faces of cracks with one normal [length^d], from the bonds across them.
 
     Each broken bond of one spacing along the normal is a column of the opening; cracks along a
     row of nodes. The solution is that of a Cracked.
@@ -51,7 +54,8 @@ def opening_volume(solution: Solution, normal: tuple[float, float] = (0.0, 1.0))
     Raises InputError unless the normal is along an axis.
     """
     body, neighbour, u = solution.operator.body, solution.operator.neighbour, solution.u
-    if sorted(np.abs(normal)) != [0, 1]:
+    d = body.dimension
+    if len(normal) != d or sorted(np.abs(normal)) != [0] * (d - 1) + [1]:
         raise InputError(f"normal: expected one along an axis, as (0, 1), got {normal}")
     across = np.abs(body.xi - body.spacing * np.array(normal)).max(axis=1)
     step = int(np.argmin(across))
@@ -59,7 +63,7 @@ def opening_volume(solution: Solution, normal: tuple[float, float] = (0.0, 1.0))
         raise InputError("body: expected a lattice along the axes, got a turned one")
     node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
     far = body.neighbour[node, step]
-    return float(body.spacing * ((u[far] - u[node]) @ normal).sum())
+    return float(body.spacing ** (d - 1) * ((u[far] - u[node]) @ normal).sum())
 
 
 def sneddon_opening(

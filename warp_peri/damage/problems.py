@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered, taken
 from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.lattice_body import LatticeBody, lattice_body
+from warp_peri.damage.lattice_body import LatticeBody, lattice_body, size_and_normal
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
 from warp_peri.damage.pressurised import crack_load, opening_volume
@@ -39,13 +39,14 @@ class Cracked:
 
     Attributes:
         points: a lattice; where it ends, the body ends. Displacement is given off the interior.
-        b: body force density [stress/length], shape [N, 2]; None for no load.
-        u: displacement [length], shape [N, 2], read where it is given; zero by default. Of a motion
+        b: body force density [stress/length], shape [N, d]; None for no load.
+        u: displacement [length], shape [N, d], read where it is given; zero by default. Of a motion
             it is that of the start, of slow loads that of unit load.
-        cracks: polylines [length], shape [P, 2] each, that cut bonds.
-        free: components that are not given, shape [N, 2] bool, where a node is held in part;
-            by default both of the interior.
-        pressure: stress [2, 2] of what presses on the faces of the cracks, p n⊗n of a fluid (C13);
+        cracks: polylines [length], shape [P, 2] each, that cut bonds; in space the corners of flat
+            convex polygons, [P, 3].
+        free: components that are not given, shape [N, d] bool, where a node is held in part;
+            by default all of the interior.
+        pressure: stress [d, d] of what presses on the faces of the cracks, p n⊗n of a fluid (C13);
             of bodies at rest.
     """
 
@@ -58,10 +59,10 @@ class Cracked:
 
     @property
     def held(self) -> np.ndarray:
-        """Components that are given, shape [N, 2] bool; InputError for a mask of another shape."""
-        shape = (len(self.points.x), 2)
+        """Components that are given, shape [N, d] bool; InputError for a mask of another shape."""
+        shape = self.points.x.shape
         if self.free is None:
-            return np.repeat(~self.points.interior[:, None], 2, axis=1)
+            return np.repeat(~self.points.interior[:, None], shape[1], axis=1)
         free = np.asarray(self.free)
         if free.shape != shape or free.dtype != bool:
             raise InputError(f"free: expected shape {list(shape)} of bool, got {list(free.shape)}")
@@ -71,6 +72,7 @@ class Cracked:
         """Nodes and bonds; InputError for what has no linear part, and for other points."""
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
         check_same(linear.units, self.points.units)
+        linear.check_dimension(self.points)
         if not self.points.is_plain_lattice:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
@@ -211,20 +213,19 @@ def energy_release(material: Any, problem: Cracked, cracks: Sequence[Sequence[Ar
             counts.
         cracks: for each length its polylines, two or more; what longer ones add is the new area.
 
-    Returns what is released per length added, by least squares [stress · length]; with two tips,
-    of each.
+    Returns what is released per length added, in space per area, by least squares
+    [stress · length]; with two tips, of each.
 
     Raises InputError for fewer than two lengths, and as Cracked.solved.
     """
     energies, lengths = [], []
     for polylines in cracks:
         solution = replace(problem, cracks=polylines).solved(material, None, {})
-        work = problem.points.spacing**2 * float(
-            np.vdot(solution.load, solution.u[solution.operator.inside])
-        )
+        cell = problem.points.spacing**problem.points.dimension
+        work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
         energies.append(solution.operator.energy(solution.u) - work)
-        corners = (np.diff(np.asarray(line, dtype=float), axis=0) for line in polylines)
-        lengths.append(sum(float(np.hypot(*part.T).sum()) for part in corners))
+        sizes = (size_and_normal(np.asarray(line, dtype=float))[0] for line in polylines)
+        lengths.append(sum(sizes))
     if len(set(lengths)) < 2:
         raise InputError(f"cracks: expected two lengths or more, got {lengths}")
     off = np.array(lengths) - np.mean(lengths)

@@ -10,7 +10,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,8 +20,13 @@ from scipy.special import hyp1f1
 from tqdm import tqdm
 
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
-from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds
-from warp_peri.damage.operator import bond_weights
+from warp_peri.damage.lattice_body import (
+    LatticeBody,
+    cracked,
+    crossing_bonds,
+    size_and_normal,
+)
+from warp_peri.damage.operator import bond_weights, stretch_rows
 from warp_peri.damage.stability import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -129,7 +134,6 @@ class SoftSolid:
 
     model: Model
     law: BondLaw
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         if self.model.lam != self.model.mu:
@@ -139,6 +143,11 @@ class SoftSolid:
     def linear(self) -> Model:
         """The solid before anything softens."""
         return self.model
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self.model.dimension
 
     @property
     def horizon(self) -> float:
@@ -182,7 +191,7 @@ class SoftBody:
         model: λ = μ, positive on the lattice.
         body: the body.
         law: of the bonds.
-        held: components of the displacement that are given, shape [N, 2] bool.
+        held: components of the displacement that are given, shape [N, d] bool.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
 
@@ -204,9 +213,10 @@ class SoftBody:
         check_horizon(model, body)
         count, held = len(body.x), np.asarray(held)
         safe = check_no_fail(no_fail, count)
-        if held.shape != (count, 2) or held.dtype != bool:
+        if held.shape != body.x.shape or held.dtype != bool:
             raise InputError(
-                f"held: expected shape [{count}, 2] of bool, got {list(held.shape)} of {held.dtype}"
+                f"held: expected shape {list(body.x.shape)} of bool, got {list(held.shape)} of "
+                f"{held.dtype}"
             )
         self.body, self.law, self.held = body, law, held
         table = cracked(body, cracks)
@@ -214,23 +224,21 @@ class SoftBody:
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
         self._node, self._bond = node, bond
-        xi, count = body.xi[bond], len(node)
-        columns = np.column_stack([2 * far, 2 * far + 1, 2 * node, 2 * node + 1]).ravel()
-        values = np.column_stack([xi, -xi]).ravel()
-        rows = np.arange(0, 4 * count + 1, 4)
-        self._d = sp.csr_array((values, columns, rows), shape=(count, 2 * len(table)))
-        self._k = 16 * model.mu * bond_weights(model, body.classes)[bond] / body.r[bond] ** 2
+        self._d, d = stretch_rows(body, node, bond, far), body.dimension
+        self._k = (
+            2 * d * (d + 2) * model.mu * bond_weights(model, body.classes)[bond] / body.r[bond] ** 2
+        )
         self._square = body.r[bond] ** 2
         self._breakable = ~(safe[node] | safe[far])
         self._free = ~held.ravel()
 
     def stretch(self, u: np.ndarray) -> np.ndarray:
-        """s of each bond at u, flat [2N]."""
+        """s of each bond at u, flat [d N]."""
         along: np.ndarray = (self._d @ u) / self._square
         return along
 
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """u at rest from a start that holds the given components, by Newton's method, flat [2N].
+        """u at rest from a start that holds the given components, by Newton's method, flat [d N].
 
         share: what is left of the pull of each bond.
         """
@@ -251,27 +259,27 @@ class SoftBody:
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
     def across(self, u: np.ndarray, share: np.ndarray, line: ArrayLike) -> float:
-        """Force per thickness at right angles to a straight line, of one side on the other.
+        """Force at right angles to a straight line, of one side on the other, by thickness.
 
-        u: flat [2N]; share: what is left of the pull of each bond. Tension is positive.
+        In space to a flat polygon. u: flat [d N]; share: what is left of the pull of each bond.
+        Tension is positive.
 
         Raises InputError for another line than two ends.
         """
         cut, normal = self._section(line)
         pull = self._k * share * self._square * self.law.pull(self.stretch(u))
         rise = np.abs(self.body.xi[self._bond[cut]] @ normal)
-        return float(self.body.spacing**2 * (pull[cut] * rise).sum())
+        return float(self.body.spacing**self.body.dimension * (pull[cut] * rise).sum())
 
     def _section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Which bonds cross a straight line, bool, and its unit normal."""
+        """Which bonds cross a straight line or flat polygon, bool, and its unit normal."""
         cut = crossing_bonds(self.body, line)[self._node, self._bond]
         ends = np.asarray(line, dtype=float)
-        if len(ends) != 2:
+        if self.body.dimension == 2 and len(ends) != 2:
             raise InputError(f"line: expected two ends, got {len(ends)} corners")
         if not cut.any():
             raise InputError("line: no bond of the body crosses it, so no force can be read there")
-        along = ends[1] - ends[0]
-        return cut, np.array([-along[1], along[0]]) / np.hypot(*along)
+        return cut, size_and_normal(ends)[1]
 
     def pull(
         self,
@@ -285,10 +293,11 @@ class SoftBody:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
         Args:
-            u: given components at unit load, shape [N, 2]; the others are where the first solve
+            u: given components at unit load, shape [N, d]; the others are where the first solve
                 begins.
             loads: rising factors.
-            line: a straight one, across which the force at right angles to it is read, [2, 2].
+            line: a straight one, across which the force at right angles to it is read, [2, 2];
+                in space a flat polygon [P, 3].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
 
@@ -339,4 +348,4 @@ class SoftBody:
             if rows[-1][1] < stop * max(row[1] for row in rows):
                 break
         history = dict(zip(("load", "force", "broken"), np.array(rows).T))
-        return Motion(history["load"], field.reshape(-1, 2), None, history)
+        return Motion(history["load"], field.reshape(self.held.shape), None, history)

@@ -11,7 +11,7 @@ import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -39,8 +39,7 @@ class BrittleSolid:
             [stress / length²], instead of both (C8).
         tension_only: bonds in compression do not break.
 
-    Raises InputError unless exactly one of the three criteria is given, all numbers are > 0 and
-    the model is that of a sheet.
+    Raises InputError unless exactly one of the three criteria is given and all numbers are > 0.
     """
 
     model: Model
@@ -49,15 +48,12 @@ class BrittleSolid:
     critical_stretch: float | None = None
     critical_energy: float | None = None
     tension_only: bool = True
-    dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         given = [name for name in CRITERIA if getattr(self, name) is not None]
         if len(given) != 1:
             names = ", ".join(given) or "none"
             raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
-        if self.model.dimension != 2:
-            raise InputError("model: expected a sheet, for bonds break in two dimensions only")
         for name in ("density", *given):
             value = getattr(self, name)
             if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
@@ -67,6 +63,11 @@ class BrittleSolid:
     def linear(self) -> Model:
         """The solid before anything breaks."""
         return self.model
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self.model.dimension
 
     @property
     def horizon(self) -> float:
@@ -80,7 +81,7 @@ class BrittleSolid:
 
     def longest_step(self, spacing: float) -> float:
         """Time step on a lattice that is stable whatever breaks (theory.md, C9)."""
-        classes = bond_classes(spacing, self.model.horizon)
+        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
         return breaking_time_step(self.model, classes, self.density)
 
     @property
@@ -131,7 +132,9 @@ def positive_kernel(model: Model, horizon: float) -> Model:
 
     This is how a model whose influence function changes sign goes to fracture.
     """
-    return Model(model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units)
+    return Model(
+        model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
+    )
 
 
 def continuum_stretch(model: Model, toughness: float) -> float:

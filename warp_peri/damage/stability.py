@@ -1,7 +1,7 @@
 """What breaking bonds does to stability: proven where K is positive, refused where it changes sign.
 
-Theory.md, C1–C3: with w ≥ 0 the energy of a node is at least 2 min(λ+μ, 2μ) Σ w d²/r² whatever
-bonds are broken, and at most 4 max(μ, (λ+μ)/2) of the same sum.
+Theory.md, C1–C3: with w ≥ 0 the energy of a node is between d(d+2)μ/2 and d²κ/2 times
+Σ w e²/r² whatever bonds are broken, κ = λ + 2μ/d; of a sheet 4μ and 2(λ+μ).
 """
 
 from __future__ import annotations
@@ -56,21 +56,24 @@ def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
 
 
 def energy_bounds(model: Model) -> tuple[float, float]:
-    """Least and largest energy of a node over Σ w d²/r² of its unbroken bonds [stress] (C2)."""
-    ends = 4 * model.mu, 2 * (model.lam + model.mu)
+    """Least and largest energy of a node over Σ w e²/r² of its unbroken bonds [stress] (C2)."""
+    d = model.dimension
+    shear = d * (d + 2) * model.mu / 2
+    ends = shear, d * d / 2 * (model.lam + 2 * model.mu / d)
     return min(ends), max(ends)
 
 
 def largest_stiffness(model: Model, classes: BondClasses) -> float:
     """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
 
-    max(μ, (λ+μ)/2) max_k Λmax Γ(k), [stress / length²]; the model must be breakable.
+    max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d, [stress / length²]; the model must be
+    breakable.
     """
     check_breakable(model, classes)
     w = bond_weights(model, classes)
     v = np.bincount(classes.bond_class, w) / classes.count
-    gamma = largest_bound(classes, v, v, 0.0)
-    return energy_bounds(model)[1] / 4 * gamma
+    gamma, d = largest_bound(classes, v, v, 0.0), model.dimension
+    return energy_bounds(model)[1] / (d * (d + 2) / 2) * gamma
 
 
 def breaking_time_step(model: Model, classes: BondClasses, density: float) -> float:

@@ -12,6 +12,7 @@ from warp_peri.learning.fit import learn, learn_third_order
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
+from warp_peri.learning.training_data import listed
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
@@ -52,9 +53,38 @@ class LPS:
         *,
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
-    ) -> Fit:
-        """The fit; arguments and errors as for learning.fit.learn."""
+    ) -> Any:
+        """The Fit, of a set in space a SpaceFit; arguments and errors as for learning.fit.learn.
+
+        In space it takes one set on a cubic lattice, Bernstein polynomials of one function,
+        Optimum() with its moduli, "direct" conditions and the residual, without noise; InputError
+        for others.
+        """
+        sets = listed(samples, space=True)
+        if any(each.points.dimension == 3 for each in sets):
+            from warp_peri.micromodulus.in_space import learn_in_space
+
+            return learn_in_space(sets[0], self.horizon, **self._in_space(sets, noise))
         return learn(samples, **vars(self), noise=noise, progress=progress)
+
+    def _in_space(self, sets: list[Samples], noise: Any) -> dict[str, Any]:
+        """What is asked for in space; InputError for what is for sheets alone."""
+        kernel, method, asked = self.kernel, self.method, self.conditions
+        if (
+            not isinstance(kernel, Bernstein)
+            or kernel.two_functions
+            or not isinstance(method, Optimum)
+            or asked.kind != "direct"
+            or self.loss not in ("auto", "residual")
+            or noise
+            or len(sets) != 1
+        ):
+            raise InputError(
+                "samples: in space expected one set, Bernstein(degree) of one function, Optimum(), "
+                '"direct" conditions, and the residual without noise'
+            )
+        how = {"degree": kernel.degree, "moduli": method.moduli}
+        return how | {"zeta": asked.zeta, "normalise": self.normalise}
 
 
 @dataclass(frozen=True)

@@ -110,9 +110,14 @@ def training_data(
 
 
 def listed(
-    samples: Samples | Dataset | Sequence[Samples] | None, name: str = "samples"
+    samples: Samples | Dataset | Sequence[Samples] | None,
+    name: str = "samples",
+    *,
+    space: bool = False,
 ) -> list[Samples]:
     """One set, several or none as a list; of a data set the one called train, or the only one.
+
+    Sets in space are for those who ask for them.
 
     Raises InputError, which begins with the name, for anything else.
     """
@@ -126,6 +131,6 @@ def listed(
             f"{name}: expected Samples (nodes with u and b), or a list of them, got "
             f"{type(samples).__name__}"
         )
-    if any(each.points.dimension != 2 for each in sets):
-        raise InputError(f"{name}: expected a sheet; in space Micromodulus(horizon) is learned")
+    if not space and any(each.points.dimension != 2 for each in sets):
+        raise InputError(f"{name}: expected a sheet; in space LPS and Micromodulus are learned")
     return list(sets)

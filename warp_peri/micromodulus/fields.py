@@ -82,11 +82,16 @@ def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray,
 
     Raises InputError for loads that do not tell the tensors apart.
     """
+    c, misfit = moduli_of(*long_wave_equations(samples, allowed))
+    return np.tensordot(c, allowed, 1), misfit
+
+
+def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of what `long_wave_moduli` solves, shape [n, m] and [n]."""
     values, kept, R = long_wave_rows(samples, allowed, MODES)
     axes = lattice_steps(samples.points)[1]
     y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
-    c, misfit = moduli_of(R, y)
-    return np.tensordot(c, allowed, 1), misfit
+    return R.reshape(-1, R.shape[-1]), y.ravel()
 
 
 def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:

@@ -110,11 +110,15 @@ def fit(
 def _found(samples: Samples, reach: float, turn: np.ndarray, normalise: bool) -> tuple[str, float]:
     """The largest group that costs nothing, and its loss over that of the smallest.
 
-    It is to cost nothing in L u = b, nor in the moduli of long waves.
+    It is to cost nothing in L u = b, nor in the moduli of long waves. Each half of the samples is
+    judged by the fit of the other: hundreds of numbers without symmetry fit few samples too well.
     """
     d = len(turn)
     least = family(reach, shared_with_nodes(point_group(LEAST[d], d), turn))
-    R, y = fields.rows(samples, least, normalise=normalise)
+    u, b = samples.u, samples.loads
+    halves = [Samples(samples.points, u[n::2], b[n::2]) for n in range(min(2, len(u)))]
+    equations = [fields.rows(half, least, normalise=normalise) for half in halves]
+    R = np.concatenate([rows for rows, _ in equations])
     if np.linalg.matrix_rank(R) < R.shape[1]:
         raise InputError(
             f"data: expected enough to tell {R.shape[1]} numbers without any symmetry apart; name "
@@ -124,17 +128,25 @@ def _found(samples: Samples, reach: float, turn: np.ndarray, normalise: bool) ->
     for name in (LEAST[d], *CANDIDATES[d]):
         group = point_group(name, d)
         bonds = family(reach, shared_with_nodes(group, turn))
-        mixed = R @ np.einsum("anij,bnij->ba", bonds.basis, least.basis)
-        loss = float(np.linalg.norm(mixed @ np.linalg.lstsq(mixed, y)[0] - y))
-        long = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))[1]
+        mix = np.einsum("anij,bnij->ba", bonds.basis, least.basis)
+        loss = _crossed([(rows @ mix, right) for rows, right in equations])
+        allowed = allowed_tensors(name, group, turn)
+        long = _crossed([fields.long_wave_equations(half, allowed) for half in halves])
         if free is None:
             free = (loss, long)
-        elif (
-            loss <= AS_GOOD * free[0] + SMALL * float(np.linalg.norm(y))
-            and long <= AS_GOOD * free[1] + SMALL
-        ):
+        elif loss <= AS_GOOD * free[0] + SMALL and long <= AS_GOOD * free[1] + SMALL:
             break
     return name, loss / max(free[0], 1e-300) if free else 1.0
+
+
+def _crossed(equations: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """‖R p − y‖ / ‖y‖, of each part with the p of the other; of one part with its own."""
+    fits = [np.linalg.lstsq(R, y)[0] for R, y in equations]
+    left = [R @ p - y for (R, y), p in zip(equations, fits[::-1])]
+    return float(
+        np.linalg.norm(np.concatenate(left))
+        / np.linalg.norm(np.concatenate([y for _, y in equations]))
+    )
 
 
 def fit_symbol(

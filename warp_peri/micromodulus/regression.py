@@ -100,7 +100,7 @@ def learn(
     tell, or a floor that no law of this family meets.
     """
     R, y = compressed(R, y)
-    p0, free = _particular(*equal)
+    p0, free = particular(*equal)
     reduced = R @ free
     rest = y - R @ p0
     scale = float(np.linalg.norm(y)) or 1.0
@@ -142,7 +142,7 @@ def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return factor[:, :-1], factor[:, -1]
 
 
-def _particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One solution of A p = a and a basis of those of A p = 0, as columns."""
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])

@@ -7,28 +7,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.coarse import Filter, multigrid, sine, torus_inverse
+from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 
 if TYPE_CHECKING:
     from warp_peri.micromodulus.operator import Operator
 
 METHODS = ("auto", "fft", "sine", "multigrid", "cg")
-MOST_ITERATIONS = 1500
-RESTARTS = 2
 FLAT = 20_000
 """Unknown nodes from which a method whose iterations do not grow is worth its set-up."""
 
 
 @dataclass
-class SolveRecord:
-    """What a solve took: iterations of conjugate gradients, the method, and the true ‖L u − b‖/‖b‖
-    of the right-hand side that the collar leaves, the worst of all fields."""
+class Solved(SolveRecord):
+    """What solves took, the worst of all fields, and the method."""
 
-    method: str
-    iterations: int = 0
-    residual: float = 0.0
+    method: str = ""
 
 
 def solve(
@@ -38,7 +35,7 @@ def solve(
     *,
     method: str = "auto",
     tolerance: float = 1e-8,
-) -> tuple[np.ndarray, SolveRecord]:
+) -> tuple[np.ndarray, Solved]:
     """Displacement [S, N, d] with L u = b at the interior nodes and u as given elsewhere.
 
     Args:
@@ -59,7 +56,7 @@ def solve(
     nodes, points = operator.nodes, operator.points
     asked = points.interior[:, None]
     filtered, method = _preconditioner(operator, method)
-    record = SolveRecord(method)
+    record, product = Solved(method=method), _product(operator)
     answer = np.where(asked, 0.0, fields)
     right = nodes.lay_out(np.where(asked, loads, 0.0))
     if nodes.periodic:
@@ -68,9 +65,21 @@ def solve(
     else:
         right = right - operator.pull(nodes.lay_out(answer))
     for n, one in enumerate(right):
-        z = _conjugate_gradients(_product(operator), filtered, one, tolerance, record)
-        answer[n, points.interior] = nodes.take_up(z[None])[0]
+        z, took = definite(
+            lambda p: _tensor(product(p.numpy())),
+            lambda r: _tensor(filtered(r.numpy())),
+            _tensor(one),
+            tolerance,
+            hint="; is the law certified?",
+        )
+        record.iterations = max(record.iterations, took.iterations)
+        record.residual = max(record.residual, took.residual)
+        answer[n, points.interior] = nodes.take_up(z.numpy()[None])[0]
     return answer.reshape(*lead, *answer.shape[1:]), record
+
+
+def _tensor(field: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(field, dtype=float))
 
 
 def _product(operator: Operator) -> Callable[[np.ndarray], np.ndarray]:
@@ -111,53 +120,3 @@ def _preconditioner(operator: Operator, method: str) -> tuple[Filter, str]:
         make = sine if method == "sine" else multigrid
         inner = make(nodes, steps, tensors, elastic)
     return (lambda r: inner(r) * h2), method
-
-
-def _conjugate_gradients(
-    product: Callable[[np.ndarray], np.ndarray],
-    filtered: Filter,
-    right: np.ndarray,
-    tolerance: float,
-    record: SolveRecord,
-) -> np.ndarray:
-    """u with L u = right to a true relative residual; adds what it took to the record."""
-    size = float(np.linalg.norm(right))
-    u = np.zeros_like(right)
-    if size == 0:
-        return u
-    scale = float(np.abs(right).max())  # squares of very small and very large loads are no numbers
-    right = right / scale
-    size = float(np.linalg.norm(right))
-    taken, left = 0, right
-    for _ in range(1 + RESTARTS):
-        r = left.copy()
-        z = filtered(r)
-        p, rz = z.copy(), float(np.vdot(r, z))
-        while np.linalg.norm(r) > 0.9 * tolerance * size and taken < MOST_ITERATIONS:
-            q = product(p)
-            energy = float(np.vdot(p, q))
-            if not (energy > 0 and rz > 0):
-                raise InputError(
-                    f"the operator on these nodes is indefinite: a direction has the energy "
-                    f"{energy:.1e}; is the law certified?"
-                )
-            taken += 1
-            step = rz / energy
-            u += step * p
-            r -= step * q
-            z = filtered(r)
-            last, rz = rz, float(np.vdot(r, z))
-            p *= rz / last
-            p += z
-        left = right - product(u)
-        residual = float(np.linalg.norm(left)) / size
-        if residual <= tolerance or taken >= MOST_ITERATIONS:
-            break
-    record.iterations = max(record.iterations, taken)
-    record.residual = max(record.residual, residual)
-    if residual > tolerance:
-        raise InputError(
-            f"the solve stalled: residual {residual:.1e} after {taken} iterations, "
-            f"{tolerance:.1e} was asked for; is the law certified?"
-        )
-    return u * scale

@@ -7,20 +7,17 @@ operator's symbol bounds it from below: above zero, conjugate gradients find the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from warp_peri.errors import InputError
 from warp_peri.operator.stencil import smallest_ratio
+from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 from warp_peri.statics.domain import Domain
 from warp_peri.statics.preconditioners import Preconditioner, additive, nothing, sine, torus_inverse
 from warp_peri.statics.strip import Strip
 
-MOST_ITERATIONS = 1500
-RESTARTS = 2
-"""Times that a solve goes on from where the true residual was found too large."""
 STRIP, EDGE = 2, 3
 """Widths of the strip that is eliminated: with λ ≫ μ in reaches, beside multigrid in nodes."""
 SINGULAR = 1e-13
@@ -33,19 +30,6 @@ PRECONDITIONERS: dict[str, Callable[[Domain, torch.Tensor], Preconditioner]] = {
     "fft": torus_inverse,
     "cg": nothing,
 }
-
-
-@dataclass
-class SolveRecord:
-    """What a solve took.
-
-    Attributes:
-        iterations: of conjugate gradients.
-        residual: the true ‖L u − b‖ / ‖right-hand side‖ of the answer.
-    """
-
-    iterations: int = 0
-    residual: float = 0.0
 
 
 class Dirichlet:
@@ -105,63 +89,14 @@ class Dirichlet:
 
         Raises InputError when a direction has no positive energy, or CG stalls above the tolerance.
         """
-        # On shared cores torch's threads wait for one another at every small operation (3 to 20
-        # times as long in all); transforms and kernels, most of the work, have their own.
-        count = torch.get_num_threads()
-        torch.set_num_threads(1)
-        try:
-            return self._solve(right, tolerance)
-        finally:
-            torch.set_num_threads(count)
-
-    def _solve(self, right: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, SolveRecord]:
-        record = SolveRecord()
-        largest = float(right.abs().max()) if right.numel() else 0.0
-        u = torch.zeros_like(right)
-        if largest == 0:
-            return u, record
-        right = right / largest  # squares of very small and very large loads are no numbers
-        size, left = float(right.norm()), right
-        for _ in range(1 + RESTARTS):
-            u += self._descend(left, 0.9 * tolerance * size, record)
-            left = right - self.product(u)
-            record.residual = float(left.norm()) / size
-            if record.residual <= tolerance:
-                return u * largest, record
-            if record.iterations >= MOST_ITERATIONS:
-                break
-        raise InputError(
-            f"the solve stalled: residual {record.residual:.1e} of the right-hand side after "
-            f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator on these "
-            f"{len(self.domain.free)} nodes is nearly singular, or so nearly incompressible "
-            f"that {self.method} does not come close to it: try strip or lu"
+        nodes = f" on these {len(self.domain.free)} nodes"
+        hint = f", or so nearly incompressible that {self.method} does not come close to it: try "
+        return definite(
+            self.product,
+            self.precondition,
+            right,
+            tolerance,
+            begin=self.strip,
+            where=nodes,
+            hint=hint + "strip or lu",
         )
-
-    def _descend(self, r: torch.Tensor, goal: float, record: SolveRecord) -> torch.Tensor:
-        """Conjugate gradients from zero until the recursive residual meets the goal."""
-        u, r = torch.zeros_like(r), r.clone()
-        if self.strip is not None:
-            u = self.strip(r)
-            r -= self.product(u)
-        z = self.precondition(r)
-        p, rz = z.clone(), _dot(r, z)
-        while float(r.norm()) > goal and record.iterations < MOST_ITERATIONS:
-            q = self.product(p)
-            energy = _dot(p, q)
-            if not (energy > 0 and rz > 0):
-                raise InputError(
-                    f"the operator on these {len(self.domain.free)} nodes is indefinite: a "
-                    f"direction has the energy {energy:.1e}"
-                )
-            record.iterations += 1
-            step = rz / energy
-            u.add_(p, alpha=step)
-            r.sub_(q, alpha=step)
-            z = self.precondition(r)
-            last, rz = rz, _dot(r, z)
-            p = z.add_(p, alpha=rz / last)
-        return u
-
-
-def _dot(a: torch.Tensor, b: torch.Tensor) -> float:
-    return float(torch.dot(a.flatten(), b.flatten()))

@@ -25,9 +25,10 @@ from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet, SolveRecord
+from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet
 from warp_peri.statics.domain import Domain, domain
 
 TOLERANCE = 1e-8

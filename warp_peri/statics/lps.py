@@ -24,9 +24,9 @@ from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.strain import largest_strain, lattice_strain
+from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.dirichlet import SolveRecord
 from warp_peri.statics.equilibrium import TOLERANCE, Inverse, equilibrium, iterated_inverse
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver

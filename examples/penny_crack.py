@@ -1,0 +1,92 @@
+"""A block of glass with a penny-shaped crack inside, pulled until it runs; Griffith beside it."""
+
+import argparse
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import warp_peri as wp
+from warp_peri.damage import BrittleSolid, Cracked, box, energy_release
+
+PICTURE = Path(__file__).parent.parent / "runs" / "penny_crack.png"
+UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³
+LAM, MU, DENSITY, TOUGHNESS = 21.0, 26.0, 2.45, 3.8e-6  # 1 J/m² is 1e-6 GPa mm
+NU = LAM / (2 * (LAM + MU))
+E = 2 * MU * (1 + NU)
+
+
+def block(side, radius, grip):
+    """A glass block of so many spacings, held within `grip` of where, and its crack on y = 0."""
+    x = box((side,) * 3, 1.0)
+    glass = wp.Model(LAM, MU, 1.0, np.ones(1), horizon=2.0, units=UNITS, dimension=3)
+    points = wp.Points(x, grip(np.abs(x)) < side / 2 - 2, 1.0, units=UNITS)
+    return BrittleSolid(glass, DENSITY, toughness=TOUGHNESS), points, penny(radius)
+
+
+def penny(radius, corners=48):
+    """Corners of a polygon with the area of a circle."""
+    t = 2 * np.pi * np.arange(corners) / corners
+    reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
+    return reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1)
+
+
+def released(side=14, radius=3.0):
+    """G of a crack in a block whose faces are held, over 4 (1 − ν²) σ² a / (π E) of a large one."""
+    solid, points, _ = block(side, radius, lambda away: away.max(axis=1))
+    pulled = Cracked(points, u=points.x * [-NU / E, 1 / E, -NU / E])  # by a unit of stress
+    G = energy_release(solid, pulled, [[penny(radius - 1)], [penny(radius + 1)]])
+    return G / (4 * (1 - NU**2) * radius / (np.pi * E))
+
+
+def torn(side=24, radius=5.0, steps=400):
+    """Slowly to twice Griffith's stress: the motion, its stresses, and what was the largest."""
+    solid, points, crack = block(side, radius, lambda away: away[:, 1])
+    x, griffith = points.x, np.sqrt(np.pi * E * TOUGHNESS / (4 * (1 - NU**2) * radius))
+    step = 0.5 * solid.longest_step(1.0)
+    rate = 2 * griffith / E / (steps * step)
+    half = side / 2 + 1
+    middle = [(a * half, 1.0, b * half) for a, b in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
+    apart = rate * x * [-NU, 1, -NU]
+    motion = wp.move(
+        solid,
+        Cracked(points, cracks=[crack]),
+        step=step,
+        steps=steps,
+        every=5,
+        grip=apart,
+        v=apart,
+        no_fail=~points.interior,
+        sections={"middle": middle},
+    )
+    stress = np.abs(motion["force middle"][:, 1]) / side**2
+    return points, motion, stress / griffith
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    as_json = parser.parse_args().json
+    points, motion, stress = torn()
+    numbers = {
+        "released, over the theory's": released(),
+        "largest stress, over Griffith's": float(stress.max()),
+        "energy that is missing from the ledger": float(motion.missing),
+        "largest damage": float(motion.details.damage.max()),
+    }
+    print(json.dumps(numbers, indent=None if as_json else 1))
+    count = round(len(points.x) ** (1 / 3))
+    damage = motion.details.damage.reshape(3 * (count,))
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    cuts = damage[:, count // 2], damage[:, :, count // 2]
+    for ax, cut, names in zip(axes, cuts, ("xz", "xy")):
+        edges = 2 * (-count / 2, count / 2)
+        image = ax.imshow(cut.T, extent=edges, origin="lower", vmin=0, vmax=0.5)
+        ax.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
+    axes[0].set_title("Share of broken bonds, y = 0")
+    figure.colorbar(image, ax=axes[1])
+    axes[2].plot(motion.time, stress)
+    axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's")
+    PICTURE.parent.mkdir(exist_ok=True)
+    figure.savefig(PICTURE)
