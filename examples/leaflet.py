@@ -28,7 +28,7 @@ from tools.make_leaflet import Leaflet, make_leaflet, noisy
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.points.samples import Samples
-from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+from warp_peri.sources.dic import frames_of_folder, noise_of
 from warp_peri.tissue import (
     Dictionary,
     DisplacementFit,
@@ -47,8 +47,6 @@ INTERPOLATED = "no material, interpolation"
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 MATRIX = (Term("plane_stress"), Term("volumetric"))
 ROSE = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(8, (2.0, 3.0, 4.0, 6.0))))
-FIRST = 0.25
-"""Real frames before this part of a test are not used: so little moves that other errors show."""
 DEGREE = 2
 """Of the polynomial that is the logarithm of a thickness."""
 PLAIN = Dictionary(3.0, (), NEAREST, MATRIX)
@@ -155,19 +153,8 @@ def synthetic(given: argparse.Namespace) -> tuple[Samples, Samples, np.ndarray]:
 
 def measured(folder: Path, given: argparse.Namespace) -> tuple[Samples, Samples]:
     """Real frames, spread from a quarter of the test to its end: every second is learned from."""
-    paths = sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt"))
-    frames = []
-    for path in paths:
-        try:
-            frames.append(read_frame(path, pixel=given.pixel))
-        except InputError:
-            continue  # tables of forces lie beside frames
-    if len(frames) < 4:
-        raise InputError(f"{folder}: expected at least four frames, got {len(frames)}")
-    last = len(frames) - 1
-    chosen = np.unique(np.linspace(FIRST * last, last, given.count).astype(int))
-    samples = frames_on_lattice([frames[n] for n in chosen], radius=given.smooth)
-    pick = np.arange(len(chosen))[::-1] % 2 == 0
+    samples = frames_of_folder(folder, given.count, pixel=given.pixel, radius=given.smooth)
+    pick = np.arange(len(samples))[::-1] % 2 == 0
     return tuple(Samples(samples.points, samples.u[part]) for part in (pick, ~pick))  # type: ignore[return-value]
 
 

@@ -14,18 +14,14 @@ import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, whole_file, write_json, write_text
-from warp_peri.points.samples import Samples
-from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
-
-FIRST = 0.25
-"""Frames before this part of a test are not used: so little moves that other errors show."""
+from warp_peri.sources.dic import frames_of_folder, noise_of
 
 
 def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     """Frames → material.json, curves.csv, curves.png and every candidate's file, in a folder."""
     from warp_peri.tissue import choose_sheet, in_words, save_febio
 
-    frames = _frames(given)
+    frames = frames_of_folder(given.folder, given.count, pixel=given.pixel, radius=given.smooth)
     failed: list[str] = []
 
     def done(candidate: Any) -> None:
@@ -74,24 +70,6 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         write_json(given.out / "dic.json", result)
         keep(given, given.out / "dic.toml")
     return result
-
-
-def _frames(given: argparse.Namespace) -> Samples:
-    """The frames of a folder in the order of their names, spread from a quarter to the end."""
-    folder: Path = given.folder
-    if not folder.is_dir():
-        raise InputError(f"folder: expected one with frames, got {folder}")
-    frames = []
-    for path in sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt")):
-        try:
-            frames.append(read_frame(path, pixel=given.pixel))
-        except InputError:
-            continue  # tables of forces lie beside frames
-    if len(frames) < 4:
-        raise InputError(f"{folder}: expected at least four frames, got {len(frames)}")
-    last = len(frames) - 1
-    chosen = np.unique(np.linspace(FIRST * last, last, given.count).astype(int))
-    return frames_on_lattice([frames[n] for n in chosen], radius=given.smooth)
 
 
 def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ with units in brackets. Separators are commas, semicolons, tabs or blanks.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Sequence
@@ -32,6 +33,8 @@ NAMES = {
 NODEMAP = {"x": 1, "y": 2, "u": 4, "v": 5}
 """Columns of a nodemap.txt, whose header is a comment: number, x, y, z, ux, uy, uz and strains."""
 LARGEST_FILE = 2**28
+FIRST = 0.25
+"""Frames of a folder before this part of a test are left: little moves there but errors."""
 ON_LATTICE = 0.02
 """Points this near to lattice nodes, in spacings, are taken as those nodes."""
 FOURTH = 70**0.5
@@ -216,6 +219,35 @@ def frames_on_lattice(
         raise InputError(f"frames: no node has all nodes within {2 * reach} spacings around it")
     points = Points(x[there], interior, step, units=named)
     return Samples(points, fields[:, there])
+
+
+def frames_of_folder(
+    folder: Path, count: int, *, pixel: float | str = 1.0, radius: float
+) -> Samples:
+    """So many frames of a folder, in the order of their names, on one lattice.
+
+    They are spread from a quarter of the test to its end. Files that are no frames are passed over:
+    tables of forces lie beside frames.
+
+    Args:
+        folder: with files for `read_frame`.
+        count: of frames.
+        pixel: as for `read_frame`.
+        radius: as for `frames_on_lattice`.
+
+    Raises InputError for what is no folder, or has fewer than four frames.
+    """
+    if not folder.is_dir():
+        raise InputError(f"folder: expected one with frames, got {folder}")
+    frames = []
+    for path in sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt")):
+        with contextlib.suppress(InputError):
+            frames.append(read_frame(path, pixel=pixel))
+    if len(frames) < 4:
+        raise InputError(f"{folder}: expected at least four frames, got {len(frames)}")
+    last = len(frames) - 1
+    chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
+    return frames_on_lattice([frames[n] for n in chosen], radius=radius)
 
 
 def spacing_of(x: np.ndarray) -> float:
