@@ -32,6 +32,7 @@ from tools.graphene import DISK_RADIUS
 from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, torn
 from warp_peri.errors import exit_status
 from warp_peri.methods import Smoothing
+from warp_peri.micromodulus import from_phonons as tensors_from_phonons
 from warp_peri.structures.waves import wave_loads
 
 SETS = {"train": "train", "val": "val", "disks": "test"}
@@ -46,7 +47,7 @@ TURN = np.deg2rad(10)
 """Of a strained sheet as a whole."""
 
 
-def errors(solid: DressedSolid, data: wp.Dataset) -> dict[str, dict[str, float]]:
+def errors(solid: Any, data: wp.Dataset) -> dict[str, dict[str, float]]:
     """E_res and E_u [%] by set."""
     found = {name: wp.evaluate(solid, data[key]) for name, key in SETS.items()}
     return {kind: {n: 100 * e[kind] for n, e in found.items()} for kind in ("E_res", "E_u")}
@@ -80,6 +81,9 @@ def sheets(data: wp.Dataset) -> tuple[dict[str, Any], dict[str, DressedSolid]]:
         table["phonons"][name] = row(alone, data)
         if name != "bonds 20":  # the base of bonds 12
             table["base alone"][base] = errors(without(alone), data)
+    for bonds, horizon in ((12, 10.0), (20, 12.5)):
+        tensors = tensors_from_phonons(atoms, 5.0, horizon, symmetry="isotropic")
+        table["phonons"][f"tensors on {bonds} bonds"] = errors(tensors, data)
     for name, moduli in {"long waves": "long waves", "third order": Smoothing(10.0, 0.2)}.items():
         found = wp.fit(data["train"], wp.Dressed("bonds", 12, moduli=moduli)).material
         table["from fields"][f"bonds 12, moduli from {name}"] = row(found, data)
