@@ -38,7 +38,7 @@ def front(rows: list[Row], name: str, seconds: Callable[[Row], float | None]) ->
 
 def chart(rows: list[Row], file: Path) -> None:
     """Error against time, for one load and for a hundred, the Pareto fronts drawn and labelled."""
-    figure, axes = plt.subplots(2, 2, figsize=(11, 13), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(8, 12), layout="constrained")
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
     floor = min(row["disks_error"] for row in rows if row["disks_error"] > 0) / 4
     for ax, (title, (name, seconds)) in zip(axes.flat, PANELS.items()):
@@ -53,18 +53,18 @@ def chart(rows: list[Row], file: Path) -> None:
         y = [100 * max(row[f"{name}_error"], floor) for row in best]
         ax.step(x, y, "k--", lw=0.8, where="post")
         for n, (a, b) in enumerate(zip(x, y), start=1):
-            ax.annotate(str(n), (a, b), (-4, -14), textcoords="offset points", size=10)
+            ax.annotate(str(n), (a, b), (-4, -14), textcoords="offset points", size=9)
         names = [f"{n}  {row['label']}" for n, row in enumerate(best, start=1)]
-        ax.text(0.02, 0.02, "\n".join(names), transform=ax.transAxes, size=8.5)
+        ax.text(0.02, 0.02, "\n".join(names), transform=ax.transAxes, size=8)
         ax.set(xlabel="milliseconds", title=title)
         ax.margins(0.1, 0.05)
         ax.set_ylim(bottom=100 * floor / 40)
     for ax in axes[:, 0]:
         ax.set_ylabel("displacement error [%]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=9)
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8)
     with whole_file(file) as path:
-        figure.savefig(path, dpi=85, format="png")
+        figure.savefig(path, dpi=110, format="png")
     plt.close(figure)
 
 

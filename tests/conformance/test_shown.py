@@ -10,8 +10,8 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 
 SEEN = {
-    "LPS": ("λ, μ 0.3, 0.8 TPa", "3 Å", "One solution.", "certified on 1 Å"),
-    "third order, energy": ("t3, tq2, q3", "-0.5, -6.8, 1.04 TPa", "|H| = 3.00%", "λ, μ"),
+    "LPS": ("λ, μ 300, 800 GPa", "3 Å", "One solution.", "certified on 1 Å"),
+    "third order, energy": ("t3, tq2, q3", "-500, -6800, 1040 GPa", "|H| = 3.00%", "λ, μ"),
     "hyperelastic": ("0.1 Å", "bond (", "TPa", "stretch of the data not known"),
 }
 

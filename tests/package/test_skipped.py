@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
-from warp_peri.launch import launch_slices
+from warp_peri.launch import Recorded, launch_slices
 from warp_peri.operator import launches, rows, tables
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
@@ -23,8 +23,18 @@ def launched(monkeypatch):
         names.append(kernel.key)
         launch_slices(kernel, *rest, **options)
 
+    class Noted(Recorded):
+        def __init__(self, kernel, *rest, **options):
+            super().__init__(kernel, *rest, **options)
+            self.name = kernel.key
+
+        def __call__(self):
+            names.append(self.name)
+            super().__call__()
+
     for module in (launches, rows, tables):
         monkeypatch.setattr(module, "launch_slices", note)
+    monkeypatch.setattr(rows, "Recorded", Noted)
     return names
 
 

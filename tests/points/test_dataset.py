@@ -107,7 +107,7 @@ BAD_FILES = {
     "version": (attribute("version", 2), "version: expected 1, got .*2"),
     "versions": (attribute("version", [1, 1]), "version: expected 1, got"),
     "length unit": (attribute("length_unit", "nm"), "sha256: the contents are not"),
-    "stress unit": (attribute("stress_unit", "bar"), "stress_unit: expected one of TPa"),
+    "stress unit": (attribute("stress_unit", "psi"), "stress_unit: expected one of TPa"),
     "no unit": (attribute("stress_unit", None), "stress_unit: expected one of TPa, .*got None"),
     "no thickness": (attribute("thickness", None), "'thickness' is missing"),
     "thickness": (attribute("thickness", 0.0), "thickness: expected a number > 0, got 0.0"),
@@ -292,7 +292,7 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path, units):
     assert same[name].x == pytest.approx(before[name].x, rel=0, abs=0)
     with pytest.raises(InputError, match="length_unit: expected one of angstrom, nm, .* 'mile'"):
         load_dataset(path, units=("mile", "TPa"))
-    with pytest.raises(InputError, match=r"units: expected \(length, stress\), got 'nm!'"):
+    with pytest.raises(InputError, match=r"units: expected \(length, stress\), or ase, .* got 'nm!'"):
         save_dataset(path, before, units="nm!")
 
 

@@ -124,7 +124,7 @@ def test_interrupt(small, tmp_path, monkeypatch, capsys):
 
 
 def test_missing_potential(small, tmp_path, monkeypatch, capsys):
-    def missing():
+    def missing(*_):
         raise FileNotFoundError("interatomic potential not found: X.tersoff")
 
     monkeypatch.setattr(tool, "potential_file", missing)
