@@ -31,7 +31,11 @@ def main(folder):
     body, run = crack_run(folder)
     state = body.start(cracks=CRACK)
     print("begun", flush=True)
-    for steps in range(2, STEPS + 1, 2):
+    done = 0
+    if (folder / "run.npz").exists():
+        with np.load(folder / "run.npz") as kept:
+            done = int(kept["steps"])
+    for steps in range(done + 2, STEPS + 1, 2):
         state = run.march(state, steps=steps)
         time.sleep(0.005)
     np.savez(
