@@ -292,7 +292,7 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path, units):
     assert same[name].x == pytest.approx(before[name].x, rel=0, abs=0)
     with pytest.raises(InputError, match="length_unit: expected one of angstrom, nm, .* 'mile'"):
         load_dataset(path, units=("mile", "TPa"))
-    with pytest.raises(InputError, match=r"units: expected \(length, stress\), or ase, .* got 'nm!'"):
+    with pytest.raises(InputError, match=r"expected \(length, stress\), or ase, .* got 'nm!'"):
         save_dataset(path, before, units="nm!")
 
 
