@@ -82,10 +82,6 @@ def kill_and_resume(name, folder, kills, seed):
     return hit
 
 
-def test_a_killed_job_resumes_to_the_same_bits(tmp_path):
-    assert kill_and_resume("data", tmp_path, kills=1, seed=1) == 1
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", JOBS)
 def test_ten_kills_of_each_job(name, tmp_path):

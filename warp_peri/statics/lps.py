@@ -39,8 +39,8 @@ DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
 FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-LOADS, NODES_A_LOAD = 2, 60
-"""A factorisation pays from 2 + n/60 loads on n nodes; the two were measured together."""
+LOADS, NODES_A_LOAD = 1, 200
+"""A factorisation pays from 1 + n/200 loads on n nodes, on average over 20 and 48 bonds."""
 LARGEST_SOLID = 4_000
 """Most unknown nodes in space, where factors fill up."""
 STIFF = 30.0
