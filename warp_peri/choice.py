@@ -269,7 +269,7 @@ def choose_model(
     if not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
     table = shipped_table() if table is None else table
-    if isinstance(model, DressedSolid):
+    if hasattr(model, "layered"):  # a base between two convolutions
         if model.dimension != 2:
             raise InputError("choose_model: expected a sheet, got a dressed solid in space")
         return _of_dressed(model, tolerance, scene, table)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import null_space
 
+from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.elastic import bracket_rows, huang_rows
 from warp_peri.micromodulus.family import Family, family
@@ -66,9 +67,7 @@ def next_load(
 
     Raises InputError for another law, and samples that do not carry its horizon.
     """
-    if not isinstance(material, Crystal):
-        kind = type(material).__name__
-        raise InputError(f"next_load: expected a law of micromodulus tensors, got {kind}")
+    offered(material, "group", "next_load", "a law of micromodulus tensors")
     bonds = family(material.horizon / material.spacing, material.group)
     free, p = _coordinates(material, bonds), _numbers(material, bonds)
     if quantity is None:
@@ -77,7 +76,7 @@ def next_load(
     else:
         slopes = _slopes(material, bonds, free, quantity)
     prior = np.eye(free.shape[1]) / float((p**2).mean())
-    offered, _ = _information(_answered(material, candidates), bonds, free, p)
+    told_by, _ = _information(_answered(material, candidates), bonds, free, p)
     before, residual = prior, RESIDUAL
     if known is not None and len(known):
         told, pull = _information(known, bonds, free, p)
@@ -86,7 +85,7 @@ def next_load(
             seen, count = calibrated(told, pull, prior, slopes), len(known)
             residual = np.sqrt((GUESSED * RESIDUAL**2 + count * seen**2) / (GUESSED + count))
             before = prior + told.sum(axis=0) / residual**2
-    after = [deviation(before + each / residual**2, slopes) for each in offered]
+    after = [deviation(before + each / residual**2, slopes) for each in told_by]
     return NextLoad(
         int(np.argmin(after)), np.array(after), deviation(before, slopes), float(residual)
     )
