@@ -7,21 +7,19 @@ tip is: that comes out.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from warp_peri.damage.cubic_energy import CubicEnergy, squares
+from warp_peri.damage.cubic_energy import CubicEnergy, check_lengths
 from warp_peri.damage.straight_cracks import CrackedRectangle
 from warp_peri.errors import InputError
 
 ROUNDS = 60
 NODES = 6
 """Points of a cell over which its opening is averaged, so that the compliance is symmetric."""
-FINER = 2
-"""Points of the sheet in a step, and in a height."""
-CHUNK = 4000
-"""Of these points, whose fields are held at a time."""
 STAGES = 40
 """Steps along the path of equilibria in which a bond alone would come to the end of the law."""
 
@@ -99,9 +97,7 @@ class HeldCracks:
         cubic: CubicEnergy | None = None,
         height: float = 0.0,
     ) -> None:
-        for name, value in (("step", step), ("height", 1.0 if cubic is None else height)):
-            if not value > 0:
-                raise InputError(f"{name}: expected a number > 0, got {value}")
+        check_lengths(step, height, cubic)
         rows = _rows(np.asarray(cracks, dtype=float), step, cells)
         ends = np.array([row[0] for row in rows])
         solid = CrackedRectangle(lam, mu, half, ends, terms=terms)
@@ -128,13 +124,14 @@ class HeldCracks:
         self.bonds = middle[owner] + places[:, None] * arm[owner]
         self.bent = np.zeros(3 * (x.shape[1],))
         if cubic is not None:
-            z, area = squares(half, (step / FINER, height / FINER))
-            local = (z[:, None] - middle @ (1, 1j)) / (arm @ (1, 1j))
-            law_speaks = np.abs(local.imag) * solid.length < height / 2
-            beside = ~(law_speaks & (np.abs(local.real) < 1)).any(axis=1)
-            z, area = z[beside], area[beside] / step
-            for part in np.array_split(np.arange(len(z)), 1 + len(z) // CHUNK):
-                self.bent += cubic.between(*solid.gradients(x, z[part]), area[part])
+
+            def beside(z: np.ndarray) -> np.ndarray:
+                local = (z[:, None] - middle @ (1, 1j)) / (arm @ (1, 1j))
+                law_speaks = np.abs(local.imag) * solid.length < height / 2
+                return np.asarray(~(law_speaks & (np.abs(local.real) < 1)).any(axis=1))
+
+            fields = partial(solid.gradients, x)
+            self.bent = cubic.bent(half, step, height, beside, fields, x.shape[1])
 
     def opened(self, law: RowLaw) -> tuple[np.ndarray, np.ndarray]:
         """Equilibria as bonds open, along their path through folds, to the end of the law.

@@ -6,10 +6,18 @@ field is what it adds, to first order.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from warp_peri.errors import InputError
+
+FINER = 2
+"""Points of the sheet in a step, and in a height."""
+CHUNK = 4000
+"""Of these points, whose fields are held at a time."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +70,38 @@ class CubicEnergy:
             curved = weight * self._curvature(*parts[:, :, k])
             tensor.append(flat.T @ np.einsum("abp,bpm->apm", curved, parts).reshape(flat.shape))
         return np.array(tensor)
+
+    def bent(
+        self,
+        half: tuple[float, float],
+        step: float,
+        height: float,
+        beside: Callable[[np.ndarray], np.ndarray],
+        gradients: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+        size: int,
+    ) -> np.ndarray:
+        """`between` over a rectangle but where rows have a law of their own, per step, [M, M, M].
+
+        Args:
+            half: half sides of the rectangle [length].
+            step, height: between bonds along a row, and between rows [length].
+            beside: which points x + i y belong to the sheet.
+            gradients: columns of the displacement gradient at points, as of `between`.
+            size: M, of these columns.
+        """
+        z, area = squares(half, (step / FINER, height / FINER))
+        kept = beside(z)
+        z, area, total = z[kept], area[kept] / step, np.zeros(3 * (size,))
+        for part in np.array_split(np.arange(len(z)), 1 + len(z) // CHUNK):
+            total += self.between(*gradients(z[part]), area[part])
+        return total
+
+
+def check_lengths(step: float, height: float, cubic: CubicEnergy | None) -> None:
+    """Raise InputError for a step, or beside a cubic energy a height, that is not > 0."""
+    for name, value in (("step", step), ("height", 1.0 if cubic is None else height)):
+        if not value > 0:
+            raise InputError(f"{name}: expected a number > 0, got {value}")
 
 
 def squares(half: tuple[float, float], size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -7,13 +7,14 @@ expressions.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.cohesive_zone import CHUNK, FINER, HeldCracks
-from warp_peri.damage.cubic_energy import CubicEnergy, squares
+from warp_peri.damage.cohesive_zone import HeldCracks
+from warp_peri.damage.cubic_energy import CubicEnergy, check_lengths
 from warp_peri.damage.straight_cracks import CrackedRectangle, meet
 from warp_peri.errors import InputError
 
@@ -61,9 +62,7 @@ class KinkedCracks(HeldCracks):
         cubic: CubicEnergy | None = None,
         height: float = 0.0,
     ) -> None:
-        for name, value in (("step", step), ("height", 1.0 if cubic is None else height)):
-            if not value > 0:
-                raise InputError(f"{name}: expected a number > 0, got {value}")
+        check_lengths(step, height, cubic)
         whole = CrackedRectangle(lam, mu, half, cracks, terms=TERMS)
         self.kinks, rows = _turned(whole, 0.0 if cubic is None else cubic.axis)
         _check_apart(whole.ends, step * cells * rows, half)
@@ -89,14 +88,15 @@ class KinkedCracks(HeldCracks):
         self.bent = np.zeros(3 * (gaps.shape[1],))
         if cubic is None:
             return
-        z, area = squares(half, (step / FINER, height / FINER))
-        place = (z[:, None] - start) / along
-        off = place - np.clip(place.real, 0, np.abs(end - start))
-        beside = np.abs(off).min(axis=1) > height / 2
-        z, area = z[beside], area[beside] / step
+
+        def beside(z: np.ndarray) -> np.ndarray:
+            place = (z[:, None] - start) / along
+            off = place - np.clip(place.real, 0, np.abs(end - start))
+            return np.asarray(np.abs(off).min(axis=1) > height / 2)
+
         unit = np.vstack([np.eye(1, gaps.shape[1]), gaps])
-        for part in np.array_split(np.arange(len(z)), 1 + len(z) // CHUNK):
-            self.bent += cubic.between(*fields.gradients(z[part], unit), area[part])
+        of_unit = partial(fields.gradients, columns=unit)
+        self.bent = cubic.bent(half, step, height, beside, of_unit, gaps.shape[1])
 
 
 def _turned(whole: CrackedRectangle, axis: float) -> tuple[np.ndarray, np.ndarray]:

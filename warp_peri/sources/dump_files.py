@@ -256,15 +256,14 @@ def _frame(
     unwrapped = used in ("x", "xs") and set(IMAGES) <= set(values)
     if unwrapped:
         positions = positions + np.stack([values[name] for name in IMAGES], axis=1) @ cell
-    tilted = bool(tilt.any())
-    if tilted and used in ("x", "xs") and not unwrapped:
+    if tilt.any() and used in ("x", "xs") and not unwrapped:
         raise ValueError(
             f"expected the columns xu, yu, zu in a tilted box, got {used}; or {used} with the "
             "images ix, iy, iz"
         )
     ids = values["id"].astype(np.int64)
     types = values["type"].astype(np.int64) if "type" in values else None
-    return _ordered(ids, positions, types, cell, columns, tilted=tilted, unwrapped=unwrapped)
+    return _ordered(ids, positions, types, cell, columns, unwrapped=unwrapped)
 
 
 def _ordered(
@@ -274,7 +273,6 @@ def _ordered(
     cell: np.ndarray,
     columns: tuple[str, ...],
     *,
-    tilted: bool,
     unwrapped: bool = False,
 ) -> Frame:
     """Atoms by rising id, none twice, all somewhere."""
@@ -287,7 +285,8 @@ def _ordered(
     types = None if types is None else types[order]
     x = positions[order]
     sides = (float(cell[0, 0]), float(cell[1, 1]))
-    box = None if tilted or not min(sides) > 0 else sides
+    straight = np.array_equal(cell, np.diag(np.diag(cell)))
+    box = sides if straight and min(sides) > 0 else None
     return Frame(ids, x[:, :2], types, box, columns, x[:, 2], cell, unwrapped)
 
 
@@ -302,9 +301,7 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:
         ids = np.asarray(atoms.arrays.get("id", np.arange(1, len(atoms) + 1)))
         types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
         cell = np.array(atoms.cell) * atoms.pbc[:, None]
-        tilted = bool(np.abs(cell - np.diag(np.diag(cell))).max() > 0)
-        columns = tuple(atoms.arrays)
-        yield _ordered(ids, np.array(atoms.positions), types, cell, columns, tilted=tilted)
+        yield _ordered(ids, np.array(atoms.positions), types, cell, tuple(atoms.arrays))
 
 
 def _h5md(path: str | os.PathLike[str]) -> Iterator[Frame]:
@@ -346,8 +343,5 @@ def _h5md(path: str | os.PathLike[str]) -> Iterator[Frame]:
                 x = x + np.pad(images, ((0, 0), (0, 3 - images.shape[1]))) @ cell
             ids, types = at("id", number), at("species", number)
             ids = np.arange(1, len(x) + 1) if ids is None else np.asarray(ids)
-            tilted = bool(np.abs(cell - np.diag(np.diag(cell))).max() > 0)
             types = None if types is None else np.asarray(types)
-            yield _ordered(
-                ids, x, types, cell, tuple(group), tilted=tilted, unwrapped=images is not None
-            )
+            yield _ordered(ids, x, types, cell, tuple(group), unwrapped=images is not None)
