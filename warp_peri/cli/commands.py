@@ -17,15 +17,17 @@ import numpy as np
 import warp_peri
 from warp_peri.cli.body import run_solve_body
 from warp_peri.cli.dic import run_dic as run_dic
-from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
+from warp_peri.cli.inputs import atom_forces, data_for, node_lattice, shape_of
 from warp_peri.cli.learn import run_learn as run_learn
+from warp_peri.cli.predict import run_plan as run_plan
+from warp_peri.cli.predict import run_predict as run_predict
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, locked, write_json
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import LENGTHS, USUAL, shown_moduli, symbols
+from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
 from warp_peri.sources import dump_files, dumps
 from warp_peri.sources.coarse_graining import smoothing_matrix
 from warp_peri.storage import load
@@ -263,22 +265,10 @@ def run_certify(given: argparse.Namespace) -> Result:
     return proven
 
 
-def _data_for(given: argparse.Namespace, model: Any) -> Dataset:
-    """The data in the units of a model, with the axis of its crystal where one was typed."""
-    data = load_dataset(given.data, units=model.units)
-    if given.axis is None:
-        return data
-    turned = {}
-    for name, samples in data.sets.items():
-        points = dataclasses.replace(samples.points, axis=given.axis)
-        turned[name] = dataclasses.replace(samples, points=points)
-    return dataclasses.replace(data, sets=turned)
-
-
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
     model = load(given.model)
-    data = _data_for(given, model)
+    data = data_for(given, model)
     given.unit = "{1}/{0}".format(*symbols(model.units))  # of E_res_abs, where it is printed
     tables: dict[str, dict[str, Any]] = {}
     for name in given.sets or data:
@@ -297,49 +287,12 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def run_predict(given: argparse.Namespace) -> Result:
-    """Displacement under the loads of a set, each with its likely error."""
-    model = load(given.model)
-    points = _data_for(given, model)[given.set]
-    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
-    options = {name: value for name, value in asked.items() if value != (name == "transfer")}
-    problem = warp_peri.Dirichlet(points, points.loads, points.u)
-    answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options)
-    samples = []
-    for answer, truth in zip(answers, points.u[:, points.interior]):
-        told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
-        if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
-            wrong = answer.u[points.interior] - truth
-            told["true"] = float(np.linalg.norm(wrong)) / size
-        samples.append(told)
-    return {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
-
-
-def run_plan(given: argparse.Namespace) -> Result:
-    """The cheapest model and solver that was measured within a tolerance, for a scene."""
-    from warp_peri.choice import Scene
-
-    typed = {"strain": given.strain, "loads": given.loads, "rectangle": given.rectangle or None}
-    typed |= {"size": given.size and tuple(given.size), "shortest_wave": given.shortest_wave}
-    typed = {name: value for name, value in typed.items() if value is not None}
-    if given.data is not None:
-        points = load_dataset(given.data, units=USUAL)[given.set]
-        problem = warp_peri.Dirichlet(points, points.loads, points.u)
-        scene = dataclasses.replace(Scene.of(problem, modulus=given.modulus), **typed)
-    elif {"size", "shortest_wave"} <= typed.keys():
-        scene = Scene(**typed)
-    else:
-        raise InputError("plan: expected a data file, or --size and --shortest-wave")
-    choice = warp_peri.choose_model(tolerance=given.tolerance, scene=scene)
-    return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}
-
-
 def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, or of a body with an outline, in a file."""
     if given.body is not None or given.data is None:
         return run_solve_body(given)
     model = load(given.model)
-    data = _data_for(given, model)
+    data = data_for(given, model)
     points = data[given.set]
     asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
     problem = warp_peri.Dirichlet(points, points.loads, points.u)
@@ -392,7 +345,7 @@ def run_export(given: argparse.Namespace) -> Result:
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = _data_for(given, model)[given.set]
+        points = data_for(given, model)[given.set]
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
         if given.what == "operator":
             model = model.on(points, **asked).model

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import warp_peri
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import load_dataset
 from warp_peri.points.points import Points
 
 
@@ -95,3 +100,15 @@ def influence_table(path: str) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"expected two columns r, K with a comma, or their names, got {first}")
     r, K = np.loadtxt(lines, delimiter=",", usecols=columns, ndmin=2, unpack=True)
     return r, K
+
+
+def data_for(given: argparse.Namespace, model: Any) -> Dataset:
+    """The data in the units of a model, with the axis of its crystal where one was typed."""
+    data = load_dataset(given.data, units=model.units)
+    if given.axis is None:
+        return data
+    turned = {}
+    for name, samples in data.sets.items():
+        points = dataclasses.replace(samples.points, axis=given.axis)
+        turned[name] = dataclasses.replace(samples, points=points)
+    return dataclasses.replace(data, sets=turned)
