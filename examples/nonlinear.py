@@ -94,6 +94,14 @@ def laws(
     return found
 
 
+def add_files(parser: argparse.ArgumentParser, out: Path) -> None:
+    """Options of what is read and written where the sheet is strained."""
+    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add_argument("--strained", type=Path, help="data at larger strain (made if not there)")
+    parser.add_argument("--out", type=Path, default=out, help="folder for the results")
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+
+
 def strained_file(given: argparse.Namespace) -> Path:
     """The data at larger strain, made if it is not there."""
     path = Path(given.strained or STRAINED)
@@ -153,10 +161,7 @@ def main(arguments: list[str] | None = None) -> int:
         type=float,
         help="ζ [TPa]: a larger one can prove larger strains (as fit takes it)",
     )
-    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
-    parser.add_argument("--strained", type=Path, help="data at larger strain (made if not there)")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_files(parser, OUT)
     given = parser.parse_args(arguments)
     with locked(given.out):
         numbers = run(given)

@@ -340,16 +340,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--refit", action="store_true", help="learn the family anew")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
-    given = parser.parse_args(arguments)
-    with locked(given.out):
+    tell(parser.parse_args(arguments), run)
+    return 0
+
+
+def tell(given: argparse.Namespace, run: Callable[[argparse.Namespace], dict[str, Any]]) -> None:
+    """Run, keep the numbers in metrics.json, and print them but for the rows."""
+    with locked(given.out), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="strain:")
         given.out.mkdir(parents=True, exist_ok=True)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="strain:")
-            numbers = run(given)
+        numbers = run(given)
         write_json(given.out / "metrics.json", numbers)
     told = {name: value for name, value in numbers.items() if name != "rows"}
     print(json.dumps(told) if given.json else json.dumps(told, indent=2))
-    return 0
 
 
 if __name__ == "__main__":

@@ -11,11 +11,9 @@ each and its reverse.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +25,14 @@ import torch
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.predict import tell
 from examples.train_graphene import DATA, make_data
 from tools import make_graphene as making
 from tools.loads import DESIGNED as TWO
 from tools.loads import TRAINING, both_ways
 from tools.samples import _statics, solve_samples
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import locked, whole_file, write_json
+from warp_peri.files.atomic import whole_file
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.elastic import from_voigt
 from warp_peri.micromodulus.learning import fit_symbol
@@ -223,14 +222,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
-    given = parser.parse_args(arguments)
-    with locked(given.out), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="strain:")
-        given.out.mkdir(parents=True, exist_ok=True)
-        numbers = run(given)
-        write_json(given.out / "metrics.json", numbers)
-    told = {name: value for name, value in numbers.items() if name != "rows"}
-    print(json.dumps(told) if given.json else json.dumps(told, indent=2))
+    tell(parser.parse_args(arguments), run)
     return 0
 
 

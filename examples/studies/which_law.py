@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
-from examples.nonlinear import errors, strained_file
+from examples.nonlinear import add_files, errors, strained_file
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools.benchmark_crystals import least
 from warp_peri.dressed import FiniteStrain
@@ -99,10 +99,7 @@ def picture(table: dict[str, Any], path: Path) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--data", type=Path, help="made with LAMMPS where it is not there")
-    parser.add_argument("--strained", type=Path, help="larger strains, made likewise")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "which_law")
+    add_files(parser, ROOT / "runs" / "which_law")
     given = parser.parse_args(arguments)
 
     def work() -> None:
