@@ -24,7 +24,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples.crystals import Unseen
-from examples.nonlinear import strained_file
+from examples.nonlinear import add_files, strained_file
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
@@ -33,6 +33,7 @@ from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, t
 from warp_peri.errors import exit_status
 from warp_peri.methods import Smoothing
 from warp_peri.micromodulus import from_phonons as tensors_from_phonons
+from warp_peri.micromodulus.elastic import plane_isotropic
 from warp_peri.structures.waves import wave_loads
 
 SETS = {"train": "train", "val": "val", "disks": "test"}
@@ -95,8 +96,7 @@ def finite_strain(data: wp.Dataset, larger: wp.Dataset) -> dict[str, Any]:
     straight ones; force against differences of the energy."""
     truth: dict[str, float] = larger.provenance["truth"]
     found: dict[str, Any] = {}
-    C = np.diag([truth["lambda"] + 2 * truth["mu"]] * 2 + [truth["mu"]])
-    C[0, 1] = C[1, 0] = truth["lambda"]
+    C = plane_isotropic(truth["lambda"], truth["mu"])
     for name, moduli in {"held": C, "from fields": Smoothing(10.0, 0.2)}.items():
         law = wp.fit(data["train"], FiniteStrain(moduli)).material
         tables = {}
@@ -275,11 +275,8 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--data", type=Path, help="made with LAMMPS where it is not there")
-    parser.add_argument("--strained", type=Path, help="larger strains, made likewise")
     parser.add_argument("--all", action="store_true", help="every crystal, with free balls")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "dressed")
+    add_files(parser, ROOT / "runs" / "dressed")
     given = parser.parse_args(arguments)
 
     def work() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
+from warp_peri.micromodulus.elastic import plane_isotropic
 from warp_peri.models.lps import read_content
 from warp_peri.models.nonlinear import CUBIC
 from warp_peri.points.arrays import is_number
@@ -86,8 +87,7 @@ class FiniteSolid:
     @cached_property
     def at_rest(self) -> DressedSolid:
         """The tangent at rest: elements of λ and μ under G."""
-        C = np.diag([self.lam + 2 * self.mu] * 2 + [self.mu])
-        C[0, 1] = C[1, 0] = self.lam
+        C = plane_isotropic(self.lam, self.mu)
         g = np.array([self.along, self.along, self.across, self.across])
         tensors = g[None, :, None, None] * np.eye(2)
         return DressedSolid(

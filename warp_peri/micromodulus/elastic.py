@@ -67,6 +67,13 @@ def voigt(tensor: np.ndarray) -> np.ndarray:
     return matrix
 
 
+def plane_isotropic(lam: float, mu: float) -> np.ndarray:
+    """The elastic matrix of λ and μ in the plane [stress], Voigt, shape [3, 3]."""
+    C = np.diag([lam + 2 * mu, lam + 2 * mu, mu])
+    C[0, 1] = C[1, 0] = lam
+    return C
+
+
 def from_voigt(matrix: np.ndarray) -> np.ndarray:
     """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
 

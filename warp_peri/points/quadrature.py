@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
@@ -85,7 +86,7 @@ def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.n
         raise InputError(f"quadrature degree: expected a whole number ≥ 2, got {degree!r}")
     lowest = SINGULARITY + 1 - dimension
     powers = [p for n in range(lowest, degree + 1) for p in _monomials(n, dimension)]
-    return powers, np.array([_ball_integral(p) for p in powers])
+    return powers, np.array([ball_integral(p, SINGULARITY) for p in powers])
 
 
 def _smallest(rows: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -104,12 +105,12 @@ def _monomials(degree: int, dimension: int) -> list[tuple[int, ...]]:
     return [(n, *p) for n in range(degree, -1, -1) for p in _monomials(degree - n, dimension - 1)]
 
 
-def _ball_integral(powers: tuple[int, ...]) -> float:
-    """∫ ξ₁ᵃ ξ₂ᵇ … / r³ over the unit ball in as many dimensions as there are powers."""
+def ball_integral(powers: Sequence[int], exponent: float) -> float:
+    """∫ ξ₁ᵃ ξ₂ᵇ … r^(−exponent) over the unit ball in as many dimensions as there are powers."""
     if any(n % 2 for n in powers):
         return 0.0
     sphere, half = 2.0, (powers[0] + 1) / 2
     for n in powers[1:]:
         sphere *= beta(half, (n + 1) / 2)
         half += (n + 1) / 2
-    return float(sphere / (sum(powers) + len(powers) - SINGULARITY))
+    return float(sphere / (sum(powers) + len(powers) - exponent))

@@ -9,11 +9,10 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.phonons import forces_of
 from warp_peri.structures.rest import Reference
-from warp_peri.structures.waves import CONE, EV_IN_TPA, atoms_around, smoothing
+from warp_peri.structures.waves import EV_IN_TPA, watched
 
 INTERIOR, LOADS, WAVES = {2: 16, 3: 8}, {2: 24, 3: 10}, 6
 """Nodes along an axis where equilibrium is asked, loads, and waves of each."""
@@ -153,20 +152,11 @@ def _seen(
     """Smoothed on nodes: an interior, and a collar of twice the horizon."""
     d, n = atoms.dimension, len(atoms.positions)
     collar = int(np.ceil(2 * horizon / spacing - 1e-9))
-    edge = collar + int(CONE) + 1
-    line = np.arange(-edge, INTERIOR[d] + edge) * spacing
-    nodes = np.stack(np.meshgrid(*[line] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    x, kind = atoms_around(atoms, nodes, spacing, None)
+    points, x, kind, smooth = watched(atoms, spacing, INTERIOR[d], collar, None)
     cell = np.rint((x - atoms.positions[kind, :d]) @ np.linalg.inv(atoms.cell[:d, :d])).astype(int)
     number = np.ravel_multi_index(tuple((cell % counts[:d]).T), tuple(counts[:d])) * n + kind
-    smooth = smoothing(x, nodes, CONE * spacing, None)
-    middle = (INTERIOR[d] - 1) / 2
-    out = (np.abs(nodes / spacing - middle) - middle).max(axis=1)
-    kept = out <= collar + 1e-6
-    smooth = smooth[kept]
     density = np.asarray(smooth.sum(axis=1))
     share = EV_IN_TPA / (spacing**d * (atoms.thickness or 1.0))
-    points = Points(nodes[kept], out[kept] < 1e-6, spacing)
     displacement = np.array([smooth @ field[number] / density for field in u])
     load = np.array([share * (smooth @ field[number]) for field in force])
     return Samples(points, displacement, load)

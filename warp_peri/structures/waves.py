@@ -104,15 +104,7 @@ def wave_loads(
     )
     K, f = np.array(k), np.array(force)
     u = atoms.answer(K.reshape(-1, d), f.reshape(-1, d)).reshape(*f.shape[:2], count, d)
-    edge = 0 if in_step else collar + int(CONE) + 1
-    line = np.arange(-edge, cells + edge) * spacing
-    nodes = np.stack(np.meshgrid(*[line] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    box = length if in_step else None
-    x, kind = atoms_around(atoms, nodes, spacing, box)
-    smooth = smoothing(x, nodes, CONE * spacing, box)
-    from_edge = (np.abs(nodes - (cells - 1) * spacing / 2) / spacing - (cells - 1) / 2).max(axis=1)
-    kept = from_edge <= collar + 1e-6
-    smooth = smooth[kept]
+    points, x, kind, smooth = watched(atoms, spacing, cells, collar, length if in_step else None)
     density = np.asarray(smooth.sum(axis=1))
 
     def fields(amplitude: np.ndarray) -> np.ndarray:
@@ -130,9 +122,6 @@ def wave_loads(
     per_volume = EV_IN_TPA * count / atoms.volume
     share = EV_IN_TPA / (spacing**d * (atoms.thickness or 1.0))
     alike = np.broadcast_to(f[:, :, None], u.shape)
-    points = Points(
-        nodes[kept], from_edge[kept] < 1e-6, spacing, box=None if box is None else (box,) * d
-    )
     samples = Samples(points, fields(u) / density, share * fields(alike))
     return Loads(samples, K, u.mean(axis=2), per_volume * f, seen)
 
@@ -160,6 +149,34 @@ def random_waves(
             phase = rng.uniform(0, 2 * np.pi)
             force[row, axis] = rng.normal() * np.linalg.norm(k[row]) * np.exp(1j * phase)
     return k, force
+
+
+def watched(
+    atoms: ForceConstants, spacing: float, cells: int, collar: int, box: float | None
+) -> tuple[Points, np.ndarray, np.ndarray, sp.csr_matrix]:
+    """A cube of nodes in a crystal, and what they see of its atoms.
+
+    Args:
+        atoms: the crystal.
+        spacing: of the nodes [Å].
+        cells: interior nodes along an axis.
+        collar: nodes around them; none on a period.
+        box: period [Å], or None.
+
+    Returns the nodes; positions of atoms, [A, d], and their numbers in the cell; and the weights of
+    atoms at nodes, [N, A].
+    """
+    d = atoms.dimension
+    edge = 0 if box is not None else collar + int(CONE) + 1
+    line = np.arange(-edge, cells + edge) * spacing
+    nodes = np.stack(np.meshgrid(*[line] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    x, kind = atoms_around(atoms, nodes, spacing, box)
+    smooth = smoothing(x, nodes, CONE * spacing, box)
+    from_edge = (np.abs(nodes - (cells - 1) * spacing / 2) / spacing - (cells - 1) / 2).max(axis=1)
+    kept = from_edge <= collar + 1e-6
+    periods = None if box is None else (box,) * d
+    points = Points(nodes[kept], from_edge[kept] < 1e-6, spacing, box=periods)
+    return points, x, kind, smooth[kept]
 
 
 def atoms_around(
