@@ -143,7 +143,7 @@ def draw(
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     shown = {"conductivity κ": kappa, "solution φ": solved}
     for ax, (name, values) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
-        drawn = ax.tricontourf(*x[free].T, values[free], levels=20)
+        drawn = ax.tripcolor(*x[free].T, values[free], shading="gouraud")
         ax.set(aspect="equal", xlabel="x₁", title=name)
         figure.colorbar(drawn, ax=ax)
     figure.axes[0].set_ylabel("x₂")

@@ -33,7 +33,7 @@ from PIL import Image
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import whole_file, write_text
 
-LARGEST, WIDTH = 150_000, 1000
+LARGEST, WIDTH = 200_000, 1000
 """A picture of more bytes is brought to this width in pixels, in 256 colours of its own."""
 MAGNIFIED = 40
 """Displacements in the picture of stress are drawn this many times too large."""
