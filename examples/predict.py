@@ -324,7 +324,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     torch.set_num_threads(1)
     material = family(given)
     truth = wp.load(given.data or make_data(-1, 10.0)).provenance["truth"]
-    rows, shown = [], None
+    cost, rows, shown = costs(material, truth), [], None
     for name, samples in scenes(given).items():
         placed = material.with_doubts(samples.points)
         by_elements = elements(samples, truth)
@@ -336,7 +336,6 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         print(name, file=sys.stderr)
     assert isinstance(shown, Answer)
     draw(given.out / "predict.png", rows, shown)
-    cost = costs(material, truth)
     factors = {"factors": vars(material.factors)}
     return summary(rows, cost["prices"]) | {"cost": cost} | factors | {"rows": rows}
 

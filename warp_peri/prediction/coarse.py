@@ -20,7 +20,8 @@ class EverySecond:
     Args:
         points: a plain lattice.
 
-    Coarse nodes are an even number of steps from the first unknown ones.
+    Coarse nodes lie on the last line of the collar, where e is zero: one step before the first
+    unknown nodes, and every second from there.
 
     Attributes:
         nodes: the coarse ones, C of them, J unknown.
@@ -30,7 +31,7 @@ class EverySecond:
     def __init__(self, points: Points) -> None:
         self.points, inside = points, points.interior
         grid = lattice_steps(points)[0]
-        grid = grid - grid[inside].min(axis=0) % APART
+        grid = grid - (grid[inside].min(axis=0) - 1) % APART
         self.chosen = np.flatnonzero((grid % APART == 0).all(axis=1))
         x, interior = points.x[self.chosen], inside[self.chosen]
         self.nodes = replace(points, x=x, interior=interior, spacing=APART * points.spacing)

@@ -114,19 +114,12 @@ class PlacedMembers:
         knots = self.points.spacing * KNOTS if record is None else record.wavelength
         return Spectrum(self.points, knots)
 
-    def recorded(self, u: np.ndarray, enough: float = 0.0) -> tuple[float | None, float]:
+    def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
-        square that is shorter than all that the data held.
-
-        Of a field without waves shorter than those of every second node, `enough` is an error below
-        which the record's largest does for all.
-        """
+        square that is shorter than all that the data held."""
         record = self.family.record
         if record is None or self.points.spacing == 0:
             return None, 0.0
-        worst = float(record.error.max())
-        if worst <= enough and record.shortest <= 2 * APART * self.points.spacing:
-            return worst, 0.0
         shares = self.spectrum.shares(u)
         return record.of(shares), record.unseen(shares)
 
@@ -198,6 +191,7 @@ class OnCoarse:
 
     def __init__(self, nodes: EverySecond, operator: Any, family: Members) -> None:
         self.nodes, self.operator, self.inverse = nodes, operator, operator.inverse(1)
+        self.family = family
         linear = operator.straight if hasattr(operator, "straight") else operator
         self.straight: Callable[[np.ndarray], np.ndarray] = linear
         self.unseen = (nodes.nodes.spacing / np.pi) ** 2 / float(family.linear.mu)
@@ -218,12 +212,26 @@ class OnCoarse:
         """Root mean square of |H| of u [N, 2] near the unknowns."""
         return _gradient(self.operator, u[self.nodes.chosen])
 
+    def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
+        """As PlacedMembers.recorded, of the waves that these nodes hold."""
+        record = self.family.record
+        if record is None:
+            return None, 0.0
+        shares = self.spectrum.shares(u[self.nodes.chosen])
+        return record.of(shares), record.unseen(shares)
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """What part of a field has which wavelength, by the record of the family."""
+        return Spectrum(self.nodes.nodes, self.family.record.wavelength)
+
     def correction(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """e [I, 2] of a residual on all unknown nodes, and what coarse nodes do not see of it: the
         size that it has if it is as short as their shortest wave [length] (Q15)."""
-        e = np.zeros(self.nodes.nodes.x.shape)
-        e[self.nodes.nodes.interior] = self.inverse(self.nodes.gathered(residual), ROUGH)
-        return self.nodes.spread(e), self.unseen * float(np.linalg.norm(residual))
+        e, seen = np.zeros(self.nodes.nodes.x.shape), self.nodes.gathered(residual)
+        e[self.nodes.nodes.interior] = self.inverse(seen, ROUGH)
+        short = (residual**2).sum() - APART**2 * (seen**2).sum()
+        return self.nodes.spread(e), self.unseen * float(np.sqrt(max(short, 0.0)))
 
 
 def _gradient(operator: Any, u: np.ndarray) -> float:

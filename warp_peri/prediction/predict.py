@@ -30,8 +30,6 @@ SETTLED = 0.1
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
-LITTLE = 0.2
-"""Share of the tolerance up to which the largest error of the record needs no spectrum."""
 HALVED = 0.5
 """On every second node one more correction is worth its price if the last was so much smaller."""
 MOVED = 0.02
@@ -157,8 +155,7 @@ def _on_coarse(
         return None
     first = coarse.start(b, given, share)
     u, before = first.copy(), np.inf
-    little = 0.0 if tolerance is None else LITTLE * tolerance
-    told, unseen = placed.recorded(u, little)
+    told, unseen = coarse.recorded(u)
     taken = 0
     while True:
         size = float(np.linalg.norm(u[inside])) or 1.0
