@@ -130,13 +130,15 @@ class PlacedMembers:
         plain = points.is_plain_lattice and points.dimension == 2 and self.turned is None
         if family.coarse is None or not plain:
             return None
-        nodes = EverySecond(points)
-        if np.count_nonzero(nodes.nodes.interior) < FEW:
-            return None
         try:
-            return OnCoarse(nodes, family.coarse.on(nodes.nodes, transfer=False), family)
-        except InputError:  # another spacing, or a collar that does not carry its horizon
+            nodes = EverySecond(points)
+            placed = family.coarse.on(nodes.nodes, transfer=False)
+        except (
+            InputError
+        ):  # no unknowns there, another spacing, a collar too narrow for its horizon
             return None
+        few = np.count_nonzero(nodes.nodes.interior) < FEW
+        return None if few else OnCoarse(nodes, placed, family)
 
     @cached_property
     def turned(self) -> Any:

@@ -32,6 +32,9 @@ STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
 HALVED = 0.5
 """On every second node one more correction is worth its price if the last was so much smaller."""
+ASTRAY = 0.3
+"""An answer on every second node that is as wrong as this is no start: short waves may pose as long
+ones there."""
 MOVED = 0.02
 """By how much more of it an answer was corrected since, what members do not know is asked again."""
 SHORTER, STRAINED = 0.01, 1.2
@@ -123,7 +126,7 @@ def _predict(
     coarse = _on_coarse(placed, load, b, start, share, tolerance, noise)
     if coarse is not None and coarse.answers:
         stage = coarse
-    elif coarse is not None and ROUGH * coarse.error <= share:
+    elif coarse is not None and coarse.error <= min(share / ROUGH, ASTRAY):
         stage = _corrected(placed, load, coarse.u, tolerance, noise, coarse.bent)
         stage.corrections += coarse.corrections
         stage.on = "from every second node, "
