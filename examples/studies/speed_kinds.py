@@ -54,8 +54,15 @@ def row(label: str, kind: str, seconds: float, error: float) -> Row:
 
 def tissue() -> Iterator[Row]:
     """An HGO sheet learned from 200 squares, on ten disks; errors of displacement."""
-    few = {"counts": (200, 1, 1, DISKS), "seed": 1000, "jobs": 1, "progress": False}
-    sets = make_hgo(ROOT / "data" / "hgo", material=hgo_square.Material(), element="linear", **few)
+    sets = make_hgo(
+        ROOT / "data" / "hgo",
+        material=hgo_square.Material(),
+        element="linear",
+        counts=(200, 1, 1, DISKS),
+        seed=1000,
+        jobs=1,
+        progress=False,
+    )
     disks = sets["disks"]
     some = Samples(disks.points, disks.u[:DISKS], disks.loads[:DISKS])
     for name, (solid, learned) in hgo_square.learn(sets["train"], hgo_square.STIFFNESS).items():
@@ -72,21 +79,21 @@ def flow() -> Iterator[Row]:
     n = Particles(problem).fluid
     exact, _ = polymer_flow.channel(UpperConvectedMaxwell(), problem)
 
-    def run(label: str, kind: str, fluid: Callable[[], Any]) -> Row:
+    def learned(count: int) -> Any:
+        return polymer_flow.hookean_law(count, 0).tabulated()
+
+    def run(label: str, kind: str, fluid: Callable[..., Any], *given: Any) -> Row:
         began = time.process_time()
-        record, _ = polymer_flow.channel(fluid(), problem)
+        record, _ = polymer_flow.channel(fluid(*given), problem)
         seconds = time.process_time() - began
         return row(label, kind, seconds, polymer_flow.relative(record.v, exact.v) / 100)
 
     for count in (100, 1000, 10_000):
-        label = f"law learned from 22 × {count} dumbbells"
-        law = partial(polymer_flow.hookean_law, count, 0)
-        yield run(label, "learned", lambda law=law: law().tabulated())
+        yield run(f"law learned from 22 × {count} dumbbells", "learned", learned, count)
+    alongside = partial(Dumbbells, seed=0, common=True)
     for count in (10, 100, 1000):
-        label = f"{count} dumbbells under every point"
-        fluid = Dumbbells(n, count, seed=0, common=True)
-        yield run(label, "simulated alongside", lambda fluid=fluid: fluid)
-    yield run("FENE-P, b = 50", "another law", lambda: FENEP(polymer_flow.B))
+        yield run(f"{count} dumbbells under every point", "alongside", alongside, n, count)
+    yield run("FENE-P, b = 50", "another law", FENEP, polymer_flow.B)
 
 
 def cracks() -> Iterator[Row]:

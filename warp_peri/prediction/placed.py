@@ -133,9 +133,7 @@ class PlacedMembers:
         try:
             nodes = EverySecond(points)
             placed = family.coarse.on(nodes.nodes, transfer=False)
-        except (
-            InputError
-        ):  # no unknowns there, another spacing, a collar too narrow for its horizon
+        except InputError:  # no unknowns there, another spacing, a narrow collar
             return None
         few = np.count_nonzero(nodes.nodes.interior) < FEW
         return None if few else OnCoarse(nodes, placed, family)
@@ -225,7 +223,9 @@ class OnCoarse:
     @cached_property
     def spectrum(self) -> Spectrum:
         """What part of a field has which wavelength, by the record of the family."""
-        return Spectrum(self.nodes.nodes, self.family.record.wavelength)
+        record = self.family.record
+        knots = self.nodes.nodes.spacing * KNOTS if record is None else record.wavelength
+        return Spectrum(self.nodes.nodes, knots)
 
     def correction(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """e [I, 2] of a residual on all unknown nodes, and what coarse nodes do not see of it: the
