@@ -83,13 +83,22 @@ class Continuum:
         return float(max(by_inner, by_outer) / (2 * self.step))
 
 
-def fitted(release, strain: float, E: float, strength: float, step: float) -> tuple[float, float]:
+def fitted(
+    release, strain: float, E: float, strength: float, step: float, half: float = FITTED / 2
+) -> tuple[float, float]:
     """G_c [TPa Å] of the fitted crack, and Irwin's zone [hexagons], which needs G_c itself."""
     zone = 0.0
     for _ in range(50):
-        toughness = release(FITTED / 2 + zone) * strain**2
+        toughness = release(half + zone) * strain**2
         zone = E * toughness / (2 * np.pi * strength**2) / step
     return toughness, zone
+
+
+def critical(solid: Continuum, release, toughness: float, zone: float, cracks: list) -> float:
+    """Critical strain of one crack in the middle or of two collinear ones."""
+    one = len(cracks) == 1
+    unit = release(cracks[0][1] + zone) if one else solid.release_of_two(zone, *cracks[0])
+    return float(np.sqrt(toughness / unit))
 
 
 def atoms(names: dict[str, tuple[list, float]], step: float, kept: Path) -> dict[str, float]:
@@ -108,11 +117,7 @@ def later(solid: Continuum, toughness: float, zone: float, kept: Path) -> dict[s
     """What the toughness and the zone found on the large sheet predict for a small one."""
     release, predicted = solid.release(max(b for ((_, b), *_) in LATER.values())), {}
     for name, cracks in LATER.items():
-        if len(cracks) == 1:
-            unit = release(cracks[0][1] + zone)
-        else:
-            unit = solid.release_of_two(zone, *cracks[0])
-        predicted[name + SMALL] = float(np.sqrt(toughness / unit))
+        predicted[name + SMALL] = critical(solid, release, toughness, zone, cracks)
     names = {name + SMALL: (LATER[name], 0.95 * predicted[name + SMALL]) for name in LATER}
     measured = atoms(names, solid.step, kept)
     return {

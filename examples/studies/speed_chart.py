@@ -88,6 +88,26 @@ def training_chart(rows: list[Row], file: Path) -> None:
     plt.close(figure)
 
 
+def error_chart(rows: list[Row], file: Path, error: str) -> None:
+    """Error [%] against seconds of rows with label, kind, seconds and error; 0 is drawn below."""
+    figure, ax = plt.subplots(figsize=(8.5, 4), layout="constrained")
+    floor = min(row["error"] for row in rows if row["error"] > 0) / 3
+    for kind, mark in zip(dict.fromkeys(row["kind"] for row in rows), "osD^vP*X"):
+        some = [(n, row) for n, row in enumerate(rows, start=1) if row["kind"] == kind]
+        where = np.array([[r["seconds"], 100 * max(r["error"], floor)] for _, r in some])
+        names = "\n".join(f"{n}  {r['label']}{'' if r['error'] else ' (0 %)'}" for n, r in some)
+        ax.loglog(*where.T, mark, ms=8, label=names)
+        for (n, _), at in zip(some, where):
+            ax.annotate(str(n), at, (6, 4), textcoords="offset points", size=9)
+    ax.set(xlabel="seconds in all", ylabel=error)
+    ax.grid(alpha=0.3)
+    ax.margins(0.1)
+    figure.legend(loc="outside right center", fontsize=8)
+    with whole_file(file) as path:
+        figure.savefig(path, dpi=110, format="png")
+    plt.close(figure)
+
+
 NAMES = ("disks", "smooth", "waves")
 WAYS = ("learned", "two functions", "from δ = 25", "from two functions")
 """Of coming to a model on nodes 5 Å apart."""

@@ -1,4 +1,4 @@
-"""An answer with its error: the richest model is evaluated, and corrects (theory.md, Q1–Q10)."""
+"""An answer with its error: the richest model is evaluated, and corrects (theory.md, Q1–Q15)."""
 
 from warp_peri.prediction.answer import Answer, Quantity
 from warp_peri.prediction.guarantee import Guarantee

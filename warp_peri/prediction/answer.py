@@ -72,7 +72,6 @@ class Answer:
     operator: PlacedMembers | None = field(default=None, repr=False)
     load: np.ndarray | None = field(default=None, repr=False)
     known: Parts | None = field(default=None, repr=False)
-    linear: np.ndarray | None = field(default=None, repr=False)
 
     @cached_property
     def fields(self) -> Parts:
@@ -80,9 +79,8 @@ class Answer:
         if self.known is not None:
             return self.known
         placed, load = self._placed()
-        first = self.u if self.linear is None else self.linear
         left = placed.correction(load, self.u)
-        return placed.doubts(self.u, left, first, placed.recorded(first))
+        return placed.doubts(self.u, left, placed.recorded(self.u)[0])
 
     @property
     def corrected(self) -> np.ndarray:

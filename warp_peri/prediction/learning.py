@@ -9,8 +9,10 @@ import numpy as np
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
+from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
+from warp_peri.prediction.coarse import EverySecond
 from warp_peri.prediction.members import Factors, Members
 from warp_peri.prediction.placed import PlacedMembers, pulled, spread
 from warp_peri.prediction.predict import MOST
@@ -68,6 +70,7 @@ class Family:
             (halves[0].material, halves[1].material),
             strain=strain,
             temperature=temperature,
+            coarse=carried(fits["rich"].material, samples.points),
         )
         family = calibrated(family, samples, held_out)
         return FamilyFit(family, fits["rich"])
@@ -144,6 +147,16 @@ def calibrated(family: Members, samples: Samples, held_out: Samples | None) -> M
     return replace(family, factors=factors, record=record)
 
 
+def carried(rich: Any, points: Points) -> Any:
+    """The rich member on every second node, where its law is carried there; else None."""
+    if not (points.is_plain_lattice and points.dimension == 2):
+        return None
+    try:
+        return rich.on(EverySecond(points).nodes).model
+    except InputError:  # a law that no other lattice has, or a collar that does not carry it
+        return None
+
+
 def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
     """What is computed of each sample and what is true, as fractions, shape [S] each."""
     placed = PlacedMembers(family, samples.points)
@@ -159,7 +172,7 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
             u[inside] += left
             left = placed.correction(load, u)
         size = float(np.linalg.norm(truth[inside]))
-        fields = placed.doubts(u, left, first)
+        fields = placed.doubts(u, left)
 
         def norm(field: np.ndarray, size: float = size) -> float:
             return float(np.linalg.norm(field)) / size
@@ -168,7 +181,7 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
         row |= {"true": norm((u - truth)[inside]), "cubic": cubic, "series": series}
         row["members"] = spread(fields.waves, fields.data) / size
-        row["gradient"] = placed.gradient(u) if placed.nonlinear else 0.0
+        row["gradient"] = placed.gradient(u)
         row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
         rows.append(row)
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
@@ -64,6 +62,7 @@ class Members:
         factors: calibration.
         strain: largest strain between neighbouring nodes in the samples.
         temperature: [K] of the samples, where they state it.
+        coarse: the rich member on nodes twice as far apart, where it can be transferred there.
         provenance: of the fit.
     """
 
@@ -74,6 +73,7 @@ class Members:
     factors: Factors = Factors()
     strain: float = 0.0
     temperature: float | None = None
+    coarse: Any = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -107,22 +107,21 @@ class Members:
     def in_units(self, units: Units) -> Members:
         """The same in other units."""
         length, _ = factors(self.units, units)
-        record = self.record
-        if record is not None:
-            shortest = record.shortest * length
-            record = replace(record, wavelength=record.wavelength * length, shortest=shortest)
+        record = self.record and self.record.longer(length)
+        coarse = self.coarse and self.coarse.in_units(units)
         rich, second, *halves = (
             one.in_units(units) for one in (self.rich, self.second, *self.halves)
         )
-        return replace(self, rich=rich, second=second, halves=tuple(halves), record=record)
+        pair = (halves[0], halves[1])
+        return replace(self, rich=rich, second=second, halves=pair, record=record, coarse=coarse)
 
     def content(self) -> dict[str, Any]:
         """What the file holds: its members whole, each with its own records."""
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
         content |= {name: getattr(self, name).content() for name in ("rich", "second")}
         content["halves"] = [one.content() for one in self.halves]
-        record = self.record
-        content["record"] = record and {k: np.asarray(v).tolist() for k, v in vars(record).items()}
+        content["record"] = self.record and self.record.content()
+        content["coarse"] = self.coarse and self.coarse.content()
         content["factors"] = asdict(self.factors)
         content |= {n: getattr(self, n) for n in ("strain", "temperature", "provenance")}
         content["sha256"] = content_hash(content)
@@ -152,16 +151,14 @@ def load_members(path: Any) -> Members:
             raise InputError(
                 "sha256: the contents are not what was written; remove this key to accept them"
             )
-        record = content["record"]
-        if record is not None:
-            wavelength, error = (np.array(record[n], float) for n in ("wavelength", "error"))
-            record = Record(wavelength, error, float(record["shortest"]))
+        record = content["record"] and Record.of_content(content["record"])
+        coarse = _member(content["coarse"]) if content.get("coarse") else None
         rich, second, *halves = (
             _member(one) for one in (content["rich"], content["second"], *content["halves"])
         )
         own = {name: content[name] for name in ("strain", "temperature", "provenance")}
         factors = Factors(**content["factors"])
-        return Members(rich, second, (halves[0], halves[1]), record, factors, **own)
+        return Members(rich, second, (halves[0], halves[1]), record, factors, coarse=coarse, **own)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:

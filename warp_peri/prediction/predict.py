@@ -18,7 +18,7 @@ from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.answer import WORDS, Answer, combined
 from warp_peri.prediction.members import Factors
-from warp_peri.prediction.placed import BEYOND, Parts, PlacedMembers
+from warp_peri.prediction.placed import BEYOND, ROUGH, Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
 SOLVED, SHARE = 0.03, 0.3
@@ -30,6 +30,11 @@ SETTLED = 0.1
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
+HALVED = 0.5
+"""On every second node one more correction is worth its price if the last was so much smaller."""
+ASTRAY = 0.3
+"""An answer on every second node that is as wrong as this is no start: short waves may pose as long
+ones there."""
 MOVED = 0.02
 """By how much more of it an answer was corrected since, what members do not know is asked again."""
 SHORTER, STRAINED = 0.01, 1.2
@@ -47,12 +52,20 @@ AXIS = "axis: the points do not state the direction of the crystal; its largest 
 
 @dataclass
 class _Stage:
-    """One displacement and what is known of it."""
+    """One displacement and what is known of it.
+
+    `unseen` is the share of waves shorter than the data's, `on` says which nodes. `answers`: more
+    than a start of other nodes' answer, which is to know the size of the nonlinear part, `bent`.
+    """
 
     u: np.ndarray
     parts: dict[str, float]
     fields: Parts | None
     corrections: int
+    unseen: float = 0.0
+    on: str = ""
+    answers: bool = True
+    bent: float | None = None
 
     @property
     def error(self) -> float:
@@ -106,62 +119,112 @@ def _predict(
     uncovered: tuple[str, ...],
     noise: float,
 ) -> Answer:
-    """The answer for one load."""
+    """The answer for one load: on every second node if that will do, else on all of them."""
     inside, load = placed.points.interior, placed.load(b)
-    u = np.where(inside[:, None], 0.0, given)
+    start = np.where(inside[:, None], 0.0, given)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
-    u[inside] = placed.inverse(load - placed.straight(u), share)
-    stage = _corrected(placed, load, u, tolerance, noise)
-    error = stage.error
-    kept = tolerance is None or error <= tolerance
-    uncovered += _beyond(placed, stage.u)
+    coarse = _on_coarse(placed, load, b, start, share, tolerance, noise)
+    if coarse is not None and coarse.answers:
+        stage = coarse
+    elif coarse is not None and coarse.error <= min(share / ROUGH, ASTRAY):
+        stage = _corrected(placed, load, coarse.u, tolerance, noise, coarse.bent)
+        stage.corrections += coarse.corrections
+        stage.on = "from every second node, "
+    else:
+        start[inside] = placed.inverse(load - placed.straight(start), share)
+        stage = _corrected(placed, load, start, tolerance, noise)
+    kept = tolerance is None or stage.error <= tolerance
+    uncovered += _beyond(placed, stage)
     why = _reason(stage, tolerance, kept, uncovered)
     only_axis = all(one == AXIS for one in uncovered)
-    known = stage.fields
     return Answer(
-        stage.u, error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
-        tolerance, placed, load, known, u,
+        stage.u, stage.error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
+        tolerance, placed, load, stage.fields,
     )  # fmt: skip
 
 
+def _on_coarse(
+    placed: PlacedMembers,
+    load: np.ndarray,
+    b: np.ndarray,
+    given: np.ndarray,
+    share: float,
+    tolerance: float | None,
+    noise: float,
+) -> _Stage | None:
+    """An answer on every second node, or what one on all may start from; None without (Q14)."""
+    coarse, inside = placed.coarse, placed.points.interior
+    if coarse is None:
+        return None
+    first = coarse.start(b, given, share)
+    u, before = first.copy(), np.inf
+    told, unseen = coarse.recorded(u)
+    taken = 0
+    while True:
+        size = float(np.linalg.norm(u[inside])) or 1.0
+        left, missed = coarse.correction(load - placed.rich(u))
+        moved = float(np.linalg.norm(left)) / size
+        bent = float(np.linalg.norm((first - u)[inside] - left)) / size
+        parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
+        parts["waves"] = float(np.hypot(parts["waves"], missed / size))
+        answers = tolerance is not None and _size(parts) <= tolerance
+        if answers:
+            break
+        u[inside] += left
+        taken += 1
+        if tolerance is None or _rest(parts) > tolerance or moved > HALVED * before:
+            break
+        before = moved
+    return _Stage(u, parts, None, taken, unseen, "on every second node, ", answers, bent)
+
+
 def _screened(
-    placed: PlacedMembers, u: np.ndarray, moved: float, bent: float, told: float | None
+    placed: PlacedMembers, gradient: float, moved: float, bent: float, told: float | None
 ) -> dict[str, float]:
     """Parts of an answer whose members are not asked, but for their record (Q5).
 
-    `moved` is the size of the correction that is left, `bent` that of all so far.
+    `gradient` is |H|, `moved` the size of the correction that is left, `bent` that of all so far.
     """
     if told is None or placed.turned is not None:
         return {"left": np.inf, "waves": np.inf}
-    factors, strain = placed.family.factors, 0.0
-    if placed.nonlinear:
-        gradient = placed.gradient(u)
-        strain = SURE * BEYOND * factors.floor * factors.screen * gradient * max(bent, gradient)
-    return {"left": factors.left * moved, "waves": factors.floor * told, "strain": strain}
+    factors = placed.family.factors
+    strain = SURE * BEYOND * factors.floor * factors.screen * gradient * max(bent, gradient)
+    waves = factors.floor * told
+    return {"left": factors.left * moved, "waves": waves, "data": 0.0, "strain": strain}
 
 
 def _corrected(
-    placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
+    placed: PlacedMembers,
+    load: np.ndarray,
+    u: np.ndarray,
+    tolerance: float | None,
+    noise: float,
+    known: float | None = None,
 ) -> _Stage:
-    """Correct until the tolerance is kept, or cannot be."""
+    """Correct until the tolerance is kept, or cannot be.
+
+    `known` is the size of the nonlinear part, where u is not the linear answer that tells it.
+    """
     factors, first = placed.family.factors, u
-    inside, told = placed.points.interior, placed.recorded(u)
+    inside, (told, unseen) = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
     before, since = np.inf, 0.0
     for done in range(MOST + 1):
         size = float(np.linalg.norm(u[inside])) or 1.0
         left = placed.correction(load, u)
         moved = float(np.linalg.norm(left)) / size
-        bent = float(np.linalg.norm((first - u)[inside] - left)) / size
-        screen = _screened(placed, u, moved, bent, told) | {"noise": noise}
+        bent = known
+        if bent is None:
+            bent = float(np.linalg.norm((first - u)[inside] - left)) / size
+        screen = _screened(placed, placed.gradient(u), moved, bent, told) | {"noise": noise}
         if tolerance is not None and _size(screen) <= tolerance:
-            return _Stage(u, {"data": 0.0} | screen, None, done)
+            return _Stage(u, screen, None, done, unseen)
         last = done == MOST or moved > STALLED * before or not placed.nonlinear
         # waves and strain that a screen sees say where an answer with no tolerance settles
         goal = SETTLED * _rest(screen) if tolerance is None else tolerance
         if factors.left * moved <= goal or last:
             if fields is None or since > MOVED:
-                fields, since = placed.doubts(u, left, first, told), 0.0
+                fields, since = placed.doubts(u, left, told), 0.0
             fields = replace(fields, left=left)
             parts = _parts(fields, factors, size, noise)
             floor = _rest(parts)
@@ -170,7 +233,7 @@ def _corrected(
             else:  # or what is left is not what keeps it from being kept
                 enough = _size(parts) <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
-                return _Stage(u, parts, fields, done)
+                return _Stage(u, parts, fields, done, unseen)
         u = u.copy()
         u[inside] += left
         before, since = moved, since + moved
@@ -188,7 +251,7 @@ def _parts(fields: Parts, factors: Factors, size: float, noise: float) -> dict[s
 def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]) -> str:
     """One sentence."""
     n = stage.corrections
-    way = "linear" + (f" and {n or 'no'} nonlinear correction{'s' * (n != 1)}" if n else "")
+    way = stage.on + "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
     way = way.replace(" 1 ", " one ")
     largest = max(stage.parts, key=lambda name: stage.parts[name])
     told = f"{way}; {100 * stage.error:.2g} %, most of it {WORDS[largest]}"
@@ -211,14 +274,14 @@ def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(placed: PlacedMembers, u: np.ndarray) -> tuple[str, ...]:
+def _beyond(placed: PlacedMembers, stage: _Stage) -> tuple[str, ...]:
     """What the family's data say nothing of, and no part does."""
     found = []
-    if placed.unseen(u) > SHORTER:
+    if stage.unseen > SHORTER:
         found.append("short waves: shorter than any that the family learned from")
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
-        strain = largest_strain(placed.points, u[None])
+        strain = largest_strain(placed.points, stage.u[None])
         if strain > STRAINED * known:
             found.append(
                 f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -32,6 +33,20 @@ class Record:
     wavelength: np.ndarray
     error: np.ndarray
     shortest: float = 0.0
+
+    def longer(self, factor: float) -> Record:
+        """The same with lengths in a unit so many times smaller."""
+        return Record(self.wavelength * factor, self.error, self.shortest * factor)
+
+    def content(self) -> dict[str, Any]:
+        """What a file holds of it."""
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
+
+    @classmethod
+    def of_content(cls, content: dict[str, Any]) -> Record:
+        """The record of such content."""
+        wavelength, error = (np.array(content[n], float) for n in ("wavelength", "error"))
+        return cls(wavelength, error, float(content["shortest"]))
 
     def of(self, shares: np.ndarray) -> float:
         """The error of a field with those shares, relative to the field."""

@@ -39,8 +39,11 @@ DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
 FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-LOADS, NODES_A_LOAD = 1, 200
-"""A factorisation pays from 1 + n/200 loads on n nodes, on average over 20 and 48 bonds."""
+PAYS = {"sine": 4600, "fft": 8500}
+"""A factorisation pays from 1 + n B/4600 loads on n nodes with B bonds where the sine transform
+does, from 1 + n B/8500 elsewhere."""
+BONDS = 34
+"""Where nobody says how many: between δ = 2.5 and 4 spacings."""
 LARGEST_SOLID = 4_000
 """Most unknown nodes in space, where factors fill up."""
 STIFF = 30.0
@@ -180,7 +183,8 @@ class PlacedLPS(LPSOperator):
             return chosen
         stiff = self.model.lam > STIFF * self.model.mu
         loads = 0 if isinstance(solver, Krylov) else loads
-        return choose_method(self.nodes, plain=plain, stiff=stiff, loads=loads)
+        bonds = bonds_within(self.model.horizon, self.nodes.spacing)
+        return choose_method(self.nodes, plain=plain, stiff=stiff, loads=loads, bonds=bonds)
 
     def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
         """The solution of the assembled problem."""
@@ -287,7 +291,19 @@ def checked_fields(
     return load, u
 
 
-def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads: int = 1) -> str:
+def bonds_within(horizon: float, spacing: float) -> float:
+    """About how many bonds a node of a plane lattice has; BONDS off lattices."""
+    return float(np.pi * (horizon / spacing) ** 2 if spacing > 0 else BONDS)
+
+
+def choose_method(
+    points: PointsLike,
+    *,
+    plain: bool,
+    stiff: bool = False,
+    loads: int = 1,
+    bonds: float = BONDS,
+) -> str:
     """The cheapest method for a point set.
 
     Args:
@@ -295,6 +311,7 @@ def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads
         plain: a lattice without a box or broken bonds.
         stiff: λ ≫ μ.
         loads: how many are solved for; 0 for iteration in any case.
+        bonds: of a node, about.
     """
     nodes = int(np.count_nonzero(points.interior))
     if points.x.shape[1] == 3:
@@ -309,12 +326,15 @@ def choose_method(points: PointsLike, *, plain: bool, stiff: bool = False, loads
         return "lu" if nodes <= LARGEST_LU else "gmres"
     inside = lattice_steps(points)[0][points.interior]
     rectangle = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
-    return cheapest_method(nodes, rectangle=rectangle, stiff=stiff, loads=loads)
+    return cheapest_method(nodes, rectangle=rectangle, stiff=stiff, loads=loads, bonds=bonds)
 
 
-def cheapest_method(nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1) -> str:
+def cheapest_method(
+    nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1, bonds: float = BONDS
+) -> str:
     """The cheapest method for so many unknown nodes of a plain sheet; as choose_method."""
-    if nodes <= DIRECT and loads and (stiff or loads > LOADS + nodes / NODES_A_LOAD):
+    pays = 1 + nodes * bonds / PAYS["sine" if rectangle else "fft"]
+    if nodes <= DIRECT and loads and (stiff or loads > pays):
         return "lu"
     if stiff:
         return "strip"

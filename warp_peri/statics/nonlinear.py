@@ -28,7 +28,7 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.direct import factorised
 from warp_peri.statics.equilibrium import Inverse, iterated_inverse
-from warp_peri.statics.lps import checked_fields, choose_method, linear_energy
+from warp_peri.statics.lps import bonds_within, checked_fields, choose_method, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.transfer.nonlinear import nonlinear_for
@@ -341,7 +341,8 @@ def linear_solver(operator: NonlinearOperator, points: PointsLike, loads: int) -
     positive definite.
     """
     nodes = on_nominal_lattice(operator.model.linear, points)
-    method = choose_method(nodes, plain=True, loads=SOLVES * loads)
+    bonds = bonds_within(operator.model.linear.horizon, nodes.spacing)
+    method = choose_method(nodes, plain=True, loads=SOLVES * loads, bonds=bonds)
     if method == "lu":
         return factorised_tangent(operator)
     linear = operator.model.linear

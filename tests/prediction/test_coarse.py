@@ -1,0 +1,73 @@
+"""Answers on every second node, held to the rich member's own on all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.prediction.test_predict import family, far  # noqa: F401 (a fixture)
+from tests.support.problems import lattice, smooth
+from warp_peri.prediction.coarse import EverySecond
+
+pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
+WIDE = 6.0
+
+
+@pytest.fixture(scope="module")
+def both(family):  # noqa: F811
+    """The family with K = 1/r at twice the spacing, which is the same solid on long waves."""
+    rich = family.rich
+    linear = replace(rich.linear, horizon=WIDE, certified_on=(2.0,), certificate={}, provenance={})
+    linear = replace(linear, certificate={"2": wp.certify(linear, spacing=2.0).figures()})
+    return replace(family, coarse=replace(rich, linear=linear, proven={}))
+
+
+def problem(family, size, wave, interior=21):  # noqa: F811
+    """Nodes with a wide collar, a field, and the load that holds the rich member there."""
+    points = lattice(interior, WIDE)
+    u = size * smooth(points.x, 1, 0, wave_number=wave)[0]
+    b = np.zeros_like(u)
+    b[points.interior] = family.on(points)(u)
+    return points, u, b
+
+
+def test_splines_and_means_keep_what_is_smooth():
+    points = lattice(17, 5.0)
+    nodes = EverySecond(points)
+    assert nodes.nodes.spacing == 2
+    u = smooth(points.x, 1, 3, wave_number=0.2)[0]
+    found = nodes.spread(u[nodes.chosen])
+    assert np.abs(found - u[points.interior]).max() < 1e-3 * np.abs(u).max()
+    one = np.ones((points.interior.sum(), 2))
+    np.testing.assert_allclose(nodes.gathered(one).max(axis=0), 1.0)
+
+
+def test_a_loose_tolerance_is_answered_on_every_second_node(both):
+    points, u, b = problem(both, 0.05, 0.12)
+    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    loose, best = wp.predict(both, given, 0.1), wp.predict(both, given, None)
+    assert loose.why.startswith("on every second node, linear")
+    assert loose.kept
+    assert 0.75 * far(loose.u, u, points) < loose.error < 0.1
+    assert best.why.startswith("from every second node")
+    assert far(best.u, u, points) < 0.1 * far(loose.u, u, points)
+    assert loose.map()[points.interior].max() > 0
+
+
+def test_short_waves_do_not_pose_as_long_ones(both):
+    points, u, b = problem(both, 0.01, 3.0)  # 2.1 spacings
+    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    alone = wp.predict(replace(both, coarse=None), given, None)
+    answer = wp.predict(both, given, None)
+    assert far(answer.u, alone.u, points) < 0.01
+    assert not wp.predict(both, given, 0.1).why.startswith("on every second node")
+
+
+def test_bodies_between_the_coarse_nodes_are_answered(both):
+    points, u, b = problem(both, 0.01, 0.12)
+    middle = np.abs(points.x - points.x.mean(axis=0))[:, 0] < 0.5
+    thin = replace(points, interior=points.interior & middle)
+    answer = wp.predict(both, wp.Dirichlet(thin, b, u), 0.1)
+    assert answer.why.startswith("linear")
+    assert far(answer.u, u, thin) < 0.1
