@@ -105,7 +105,7 @@ def shear_laws(De: float, count: int) -> dict[str, ShearLaw]:
     record = shear_record(De, count)
     return {
         LAWS[0]: printed_shear(record, 0),
-        LAWS[1]: learn_shear(record, 5, outside="allow"),
+        LAWS[1]: learn_shear(record, outside="allow"),
     }
 
 
@@ -217,7 +217,7 @@ def training(n: int) -> dict[str, Any]:
         "start pairing": start_pairs(record, 1).choose(n, random),
     }
     learners = {
-        "printed pairing": lambda: learn_rate(pairs["printed pairing"], outside="allow"),
+        "printed pairing": lambda: learn_rate(pairs["printed pairing"], kinematics=False, outside="allow"),
         "kinematics known": lambda: learn_rate(
             pairs["start pairing"], kinematics=True, outside="allow"
         ),
