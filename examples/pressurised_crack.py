@@ -26,11 +26,11 @@ HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
 def square(cells: int, lam: float):
     """The solid and its points, at spacing 1/cells."""
     h = 1 / cells
-    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
+    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units="reduced")
     side = 2 * (1 + 2 * RATIO * h)
     x = damage.rectangle(side, side, h)
     solid = damage.BrittleSolid(model, 1.0, toughness=TOUGHNESS)
-    return solid, wp.Points(x, (np.abs(x) <= 1).all(axis=1), h)
+    return solid, wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units="reduced")
 
 
 def opening(cells: int, lam: float = 1.0):
