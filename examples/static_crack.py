@@ -52,7 +52,9 @@ def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float]
     return numbers, (x, u, exact, h)
 
 
-def edge_crack(model: wp.Model, n: int, share: float, shift: float = 0.0, start: float = 0) -> float:
+def edge_crack(
+    model: wp.Model, n: int, share: float, shift: float = 0.0, start: float = 0
+) -> float:
     """G over the exact one, of a crack n spacings of 1 long from the edge of a strip under dead load.
 
     `share` is the crack's of the strip's width; B. Gross and J. E. Srawley, 1965, within 0.5 %.
@@ -106,7 +108,9 @@ def main(argv: list[str] | None = None) -> int:
     for cells in args.cells:
         table[f"L/{cells}"], (x, u, exact, h) = static_crack(cells, args.ratio, args.lam)
     if args.growth:
-        model = wp.Model(lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio, units="reduced")
+        model = wp.Model(
+            lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio, units="reduced"
+        )
         table["growth"] = {"apparent_toughness": damage.apparent_toughness(model, 1.0)}
     print(json.dumps(table) if args.json else json.dumps(table, indent=1))
     figure = Figure(figsize=(9, 4), layout="constrained")

@@ -44,7 +44,11 @@ def unseen() -> flow.Ensembles:
     """Shear and rest, oscillating shear, shear then a mixed flow, elongation and rest."""
     K = np.zeros((80, 4, 4))
     K[:40, 0], K[:, 1] = flow.shear([0.67]), flow.shear(np.sin(0.15 * np.arange(80)))
-    K[:30, 2], K[30:60, 2], K[:40, 3] = flow.shear([1.0]), [0.17, 0.33, 0.07, -0.17], [0.27, 0, 0, -0.27]
+    K[:30, 2], K[30:60, 2], K[:40, 3] = (
+        flow.shear([1.0]),
+        [0.17, 0.33, 0.07, -0.17],
+        [0.27, 0, 0, -0.27],
+    )
     return flow.simulate(flow.Dumbbells(4, 4 * COUNT, b=B, seed=99), K, TIME, steps=5)
 
 

@@ -147,7 +147,11 @@ def test_tables_agree_and_do_not_extrapolate(spring, exact):
 def test_laws_go_through_their_files(spring, exact, shears, tmp_path):
     train, test = exact
     file = tmp_path / "law.json"
-    laws = [spring[0], learn_rate(train, kinematics=False), learn_shear(shears, most=60, outside="refuse")]
+    laws = [
+        spring[0],
+        learn_rate(train, kinematics=False),
+        learn_shear(shears, most=60, outside="refuse"),
+    ]
     for law in laws:
         save(file, replace(law, provenance={"dumbbells": 1}))
         again = load(file)

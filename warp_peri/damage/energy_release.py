@@ -72,7 +72,9 @@ def energy_release(
 
 def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
     """How many ends of the polylines are elsewhere in the last of these sets than in the first."""
-    first, last = ([np.asarray(line, dtype=float) for line in one] for one in (cracks[0], cracks[-1]))
+    first, last = (
+        [np.asarray(line, dtype=float) for line in one] for one in (cracks[0], cracks[-1])
+    )
     if len(first) != len(last) or any(line.shape[1:] != (2,) for line in first + last):
         raise InputError("shift: expected the same number of polylines in a sheet at all lengths")
     ends = [(a[end], b[end]) for a, b in zip(first, last) for end in (0, -1)]

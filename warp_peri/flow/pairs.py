@@ -47,7 +47,9 @@ class Pairs:
 
     def evenly(self, most: int) -> Pairs:
         """At most so many, evenly from the first to the last."""
-        return self._some(np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int)))
+        return self._some(
+            np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
+        )
 
     def _some(self, keep: np.ndarray) -> Pairs:
         return Pairs(self.K[keep], self.s[keep], self.rate[keep], self.noise[keep], self.window)

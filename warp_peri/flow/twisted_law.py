@@ -203,7 +203,5 @@ def learn_twisted(
     process = condensed(shaped, ratio, turns, noise=noise, floor=FLOOR**2, progress=progress)
     X, y = np.concatenate(inputs), np.concatenate(left)
     known = np.full(len(y), SPREAD**2)  # steady states, which are many samples, weigh more
-    excess = condensed(
-        X, y, turns, noise=known, floor=LEAST_SPREAD**2, mean=0.0, progress=progress
-    )
+    excess = condensed(X, y, turns, noise=known, floor=LEAST_SPREAD**2, mean=0.0, progress=progress)
     return TwistedSpringLaw(law, process, excess, b)
