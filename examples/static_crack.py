@@ -55,7 +55,7 @@ def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float]
 def edge_crack(
     model: wp.Model, n: int, share: float, shift: float = 0.0, start: float = 0
 ) -> float:
-    """G over the exact one, of a crack n spacings of 1 long from the edge of a strip under dead load.
+    """G over the exact one of a crack, n spacings of 1 long, in the edge of a strip that is pulled.
 
     `share` is the crack's of the strip's width; B. Gross and J. E. Srawley, 1965, within 0.5 %.
     """

@@ -25,7 +25,7 @@ from warp_peri import flow
 from warp_peri.errors import exit_status
 
 B, COUNT, TIME = 50.0, 2000, 0.1
-"""Springs of the FENE dumbbells that stand for the polymer, their number, relaxation times a row."""
+"""FENE dumbbells that stand for the polymer: spring, number; relaxation times from row to row."""
 
 
 def histories(folder: Path) -> list[flow.Ensembles]:

@@ -221,8 +221,8 @@ def test_a_tip_acts_further_than_it_is_cut():
     with pytest.raises(InputError, match="three lengths or more"):
         energy_release(model, problem, [[[(-9, 0), (d, 0)]] for d in (-1, 1)], shift=0.1)
     one = [[(-9, 0), (0, 0)]]
+    lengths = [one, [[(-9, 0), (1, 0)]], [*one, [(2, 0), (3, 0)]], [*one, [(2, 0), (4, 0)]]]
     with pytest.raises(InputError, match="the same number of polylines"):
-        lengths = [one, [[(-9, 0), (1, 0)]], [*one, [(2, 0), (3, 0)]], [*one, [(2, 0), (4, 0)]]]
         energy_release(model, problem, lengths, shift=0.1)
     with pytest.raises(InputError, match="in the plane"):
         tip_shift(Model(1.0, 1.0, 1.0, np.ones(1), 2.0, dimension=3), 1.0)

@@ -61,7 +61,7 @@ def test_any_calculator_of_ase_does():
 class Ions(EMT):
     """A metal that says it has charges."""
 
-    implemented_properties = [*EMT.implemented_properties, "born_effective_charges"]
+    implemented_properties = (*EMT.implemented_properties, "born_effective_charges")
     charge = 1.0
 
     def calculate(self, atoms=None, properties=(), changes=()):
@@ -95,9 +95,9 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
     from ase.calculators.lammpslib import LAMMPSlib
 
     class RigidIons(LAMMPSlib):
-        implemented_properties = [
+        implemented_properties = (
             *LAMMPSlib.implemented_properties, "born_effective_charges", "dielectric_tensor"
-        ]  # fmt: skip
+        )  # fmt: skip
 
         def calculate(self, atoms, properties, changes):
             super().calculate(atoms, ["energy", "forces", "stress"], changes)

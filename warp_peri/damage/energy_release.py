@@ -84,9 +84,9 @@ def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
 def tip_shift(material: Any, spacing: float) -> float:
     """How much further the tip of a crack along rows of nodes acts than it is cut (C25) [length].
 
-    The field of a tip in an endless sheet is given around squares of four and eight horizons half side;
-    the place where the cut tip releases what that field brings is behind its origin by the shift.
-    What is left falls with the inverse of the side and is taken off.
+    The field of a tip in an endless sheet is given around squares of four and eight horizons half
+    side; the place where the cut tip releases what that field brings is behind its origin by the
+    shift. What is left falls with the inverse of the side and is taken off.
 
     Args:
         material: a solid with a linear part, in the plane.
