@@ -21,6 +21,8 @@ import warp_peri as wp
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Units of numbers that have none."""
 HALF = 0.5
 """Half the crack's length; the square is 2 × 2."""
 
@@ -28,10 +30,10 @@ HALF = 0.5
 def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float], tuple]:
     """Relative errors at spacing 1/cells and horizon ratio/cells, and what the picture needs."""
     h = 1 / cells
-    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h, units="reduced")
+    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=REDUCED)
     side = 2 * (1 + 2 * int(np.ceil(ratio)) * h)
     x = damage.rectangle(side, side, h)
-    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units="reduced")
+    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=REDUCED)
     exact = damage.westergaard(x, HALF, 1.0, lam, 1.0)
     crack = damage.Cracked(points, u=exact, cracks=[[(-HALF, 0), (HALF, 0)]])
     solution = wp.solve(model, crack)
@@ -67,18 +69,18 @@ def edge_crack(
     free = np.ones(x.shape, bool)
     free[middle[0]], free[middle[1], 0] = False, False  # not loose, and nothing else
     b = np.where(np.abs(x[:, 1:]) > height / 2 - 1, np.sign(x) * (0.0, 1.0), 0.0)
-    strip = damage.Cracked(wp.Points(x, np.ones(len(x), bool), 1.0, units="reduced"), b, free=free)
+    strip = damage.Cracked(wp.Points(x, np.ones(len(x), bool), 1.0, units=REDUCED), b, free=free)
     cracks = [[[(start - width / 2, 0), (n + d - width / 2, 0)]] for d in (-1, 0, 1)]
     shape = np.polyval([30.382, -21.71, 10.55, -0.231, 1.122], share)
     G = damage.energy_release(model, strip, cracks, shift=shift)
-    return G * model.E / (np.pi * n * shape**2)
+    return float(G * model.E / (np.pi * n * shape**2))
 
 
 def edge_cracks(lam: float) -> dict[str, dict[str, list[float]]]:
     """Errors of G without and with the shift of the tip, by length over spacing and horizon."""
     table: dict[str, dict[str, list[float]]] = {}
     for ratio in (2.0, 3.0, 4.0):
-        model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, units="reduced")
+        model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, units=REDUCED)
         shift = damage.tip_shift(model, 1.0)
         row = table[f"horizon {ratio:g}h, shift {shift:.3f}h"] = {}
         for n in (6, 13, 26):
@@ -109,7 +111,7 @@ def main(argv: list[str] | None = None) -> int:
         table[f"L/{cells}"], (x, u, exact, h) = static_crack(cells, args.ratio, args.lam)
     if args.growth:
         model = wp.Model(
-            lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio, units="reduced"
+            lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio, units=REDUCED
         )
         table["growth"] = {"apparent_toughness": damage.apparent_toughness(model, 1.0)}
     print(json.dumps(table) if args.json else json.dumps(table, indent=1))

@@ -118,8 +118,8 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     A bond that meets an end of the polyline is not cut, one that meets a corner is, or an end
     beyond which the body has no nodes: a mouth. A polyline that comes back to its start has corners
     only. Where a segment runs through nodes, these nodes stand on its left: the segment is moved by
-    a hair, with a warning. In space a crack is a flat convex polygon, whose edges cut nothing; nodes on it stand
-    where the corners are seen to go round against the clock.
+    a hair, with a warning. In space a crack is a flat convex polygon, whose edges cut nothing;
+    nodes on it stand where the corners are seen to go round against the clock.
 
     Args:
         body: the body.
