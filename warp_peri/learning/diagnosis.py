@@ -105,7 +105,6 @@ class Diagnosis:
             f"The largest part is {WORDS[name]}. Try {NEXT[name]}"
         )
 
-
     def __repr__(self) -> str:
         shares = {name: f"{100 * self.shares[name]:.0f} % of its square" for name in self.causes}
         left = f"{100 * self.residual:.3g} % of the loads"
