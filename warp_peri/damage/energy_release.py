@@ -65,8 +65,8 @@ def energy_release(
         raise InputError(f"cracks: expected {words} lengths or more, got {lengths}")
     if not shift:
         return -float(np.polyfit(lengths, energies, 1)[0])
-    middle = np.mean(lengths)
-    bend, slope, _ = np.polyfit(lengths - middle, energies, 2)
+    off = np.array(lengths) - np.mean(lengths)
+    bend, slope, _ = np.polyfit(off, energies, 2)
     return -float(slope - 2 * bend * shift * _moving(cracks))
 
 
@@ -120,4 +120,5 @@ def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
     kolosov = (model.lam + 3 * model.mu) / (model.lam + model.mu)
     angle = np.arctan2(x[:, 1], x[:, 0])
     size = np.sqrt(np.hypot(*x.T) / (2 * np.pi)) / (2 * model.mu) * (kolosov - np.cos(angle))
-    return size[:, None] * np.column_stack([np.cos(angle / 2), np.sin(angle / 2)])
+    field: np.ndarray = size[:, None] * np.column_stack([np.cos(angle / 2), np.sin(angle / 2)])
+    return field

@@ -305,7 +305,10 @@ def condensed(
 def bar(rounds: int, progress: bool | None) -> Iterable[int]:
     """The rounds of a fit with a bar; None shows one on a terminal only."""
     hidden = None if progress is None else not progress
-    return tqdm(range(rounds), desc="fits of a process", disable=hidden, leave=False)
+    steps: Iterable[int] = tqdm(
+        range(rounds), desc="fits of a process", disable=hidden, leave=False
+    )
+    return steps
 
 
 def _matrix(noise: np.ndarray) -> np.ndarray:
