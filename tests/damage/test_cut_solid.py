@@ -208,7 +208,7 @@ def test_a_body_that_nothing_pulls_at_is_refused():
 
 
 def test_a_tip_acts_further_than_it_is_cut():
-    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3.0)
+    model = Model(1.0, 1.0, 1.0, np.ones(1), 3.0, units=("sigma", "epsilon/sigma^3"))
     plain, shifted = (edge_crack(model, 10, 0.5, shift) for shift in (0.0, tip_shift(model, 1.0)))
     assert plain > 1.1
     assert abs(shifted - 1) < 0.6 * (plain - 1)  # softer edges are left
@@ -259,7 +259,7 @@ def test_contours_and_lengths_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="more than from the tip to the edge"):
         contour_integral(solution, (6.0, 0.0), (2.0, 6.0))
     with pytest.raises(InputError, match="two lengths or more"):
-        energy_release(model, problem, [[[(-4, 0), (4, 0)]]])
+        energy_release(model, Cracked(points, u=body.x), [[[(-4, 0), (4, 0)]]])
     short = CutSolid(model, body, (np.abs(body.x) > 5).any(axis=1))
     with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
         short.solve(None, u[:, 0])

@@ -168,6 +168,18 @@ def test_laws_go_through_their_files(spring, exact, shears, tmp_path):
         save(file, MAXWELL)
 
 
+def test_records_are_as_good_as_their_pairs(shears):
+    law = learn_rate([shears, shears], window=2, most=60, rounds=1, progress=False)
+    pairs = start_pairs(shears, 2).joined(start_pairs(shears, 2)).evenly(60)
+    same = learn_rate(pairs, rounds=1, progress=False)
+    C = shears.C[::50, 0]
+    assert np.array_equal(law.rate(shears.K[::50, 0], C[:-1]), same.rate(shears.K[::50, 0], C[:-1]))
+    with pytest.raises(InputError, match="records: expected one or more"):
+        learn_rate([])
+    with pytest.raises(InputError, match="expected one of simple shear, got 2"):
+        learn_shear([shears, shears])
+
+
 def test_a_law_refuses_states_beyond_its_data(exact):
     law = learn_rate(exact[0], kernel="product", kinematics=False, outside="refuse")
     closure = Closure(law, 1.0, 4, check_every=1)
