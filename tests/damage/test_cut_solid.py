@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from examples.static_crack import main, static_crack
+from examples.static_crack import edge_crack, main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
 from warp_peri import InputError, Model, Points, move, solve
@@ -15,6 +15,7 @@ from warp_peri.damage import (
     energy_release,
     lattice_body,
     rectangle,
+    tip_shift,
     westergaard,
 )
 from warp_peri.damage.cut_solid import CutSolid, domain_integral
@@ -198,12 +199,33 @@ def test_a_dead_load_on_a_strip_releases_what_is_known_of_it():
     assert G == pytest.approx(known, rel=0.1)
 
 
-def test_nothing_released_is_zero_without_a_sign():
+def test_a_body_that_nothing_pulls_at_is_refused():
     model, body, held, _, cracks = dead_load(16, 16, 3.0)
-    G = released(model, body, held, None, None, cracks)
-    assert str(G) == "0.0"
+    with pytest.raises(InputError, match="nothing pulls at it"):
+        released(model, body, held, None, None, cracks)
     with pytest.raises(InputError, match=r"b: expected shape \[256, 2\]"):
         released(model, body, held, np.ones(256), None, cracks)
+
+
+def test_a_tip_acts_further_than_it_is_cut():
+    model = Model(1.0, 1.0, 1.0, np.ones(1), 3.0, units=("sigma", "epsilon/sigma^3"))
+    plain, shifted = (edge_crack(model, 10, 0.5, shift) for shift in (0.0, tip_shift(model, 1.0)))
+    assert plain > 1.1
+    assert abs(shifted - 1) < 0.6 * (plain - 1)  # softer edges are left
+    assert edge_crack(model, 10, 0.5, start=0.5) == pytest.approx(plain)  # from the first nodes on
+    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=2.0)
+    smaller = tip_shift(model.in_units(("nm", "TPa")), 0.1)
+    assert smaller == pytest.approx(0.1 * tip_shift(model, 1.0))
+    x = rectangle(8, 8, 1.0)
+    problem = Cracked(Points(x, (np.abs(x) < 1).all(axis=1), 1.0), u=x)
+    with pytest.raises(InputError, match="three lengths or more"):
+        energy_release(model, problem, [[[(-9, 0), (d, 0)]] for d in (-1, 1)], shift=0.1)
+    one = [[(-9, 0), (0, 0)]]
+    lengths = [one, [[(-9, 0), (1, 0)]], [*one, [(2, 0), (3, 0)]], [*one, [(2, 0), (4, 0)]]]
+    with pytest.raises(InputError, match="the same number of polylines"):
+        energy_release(model, problem, lengths, shift=0.1)
+    with pytest.raises(InputError, match="in the plane"):
+        tip_shift(Model(1.0, 1.0, 1.0, np.ones(1), 2.0, dimension=3), 1.0)
 
 
 def test_the_release_of_an_inclined_crack_needs_several_lengths():
@@ -237,7 +259,7 @@ def test_contours_and_lengths_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="more than from the tip to the edge"):
         contour_integral(solution, (6.0, 0.0), (2.0, 6.0))
     with pytest.raises(InputError, match="two lengths or more"):
-        energy_release(model, problem, [[[(-4, 0), (4, 0)]]])
+        energy_release(model, Cracked(points, u=body.x), [[[(-4, 0), (4, 0)]]])
     short = CutSolid(model, body, (np.abs(body.x) > 5).any(axis=1))
     with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
         short.solve(None, u[:, 0])

@@ -115,11 +115,11 @@ def box(sides: Sequence[float], spacing: float) -> np.ndarray:
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
-    A bond that meets an end of the polyline is not cut, one that meets a corner is; a polyline that
-    comes back to its start has corners only. Where a
-    segment runs through nodes, these nodes stand on its left: the segment is moved by a hair, with
-    a warning. In space a crack is a flat convex polygon, whose edges cut nothing; nodes on it stand
-    where the corners are seen to go round against the clock.
+    A bond that meets an end of the polyline is not cut, one that meets a corner is, or an end
+    beyond which the body has no nodes: a mouth. A polyline that comes back to its start has corners
+    only. Where a segment runs through nodes, these nodes stand on its left: the segment is moved by
+    a hair, with a warning. In space a crack is a flat convex polygon, whose edges cut nothing;
+    nodes on it stand where the corners are seen to go round against the clock.
 
     Args:
         body: the body.
@@ -146,7 +146,10 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
         last = len(corners) - 2
         open_ended = not np.array_equal(corners[0], corners[-1])
         for number, (start, end) in enumerate(pairwise(corners)):
-            tips = (open_ended and number == 0, open_ended and number == last)
+            tips = (
+                open_ended and number == 0 and _goes_on(body, start, start - end),
+                open_ended and number == last and _goes_on(body, end, end - start),
+            )
             _cut_segment(body, start, end, tips, cut)
     node, bond = np.nonzero(cut)  # rounding at a tip must not leave half a bond
     cut[body.neighbour[node, bond], body.opposite[bond]] = True
@@ -218,6 +221,12 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
     area = np.cross(away, np.roll(away, -1, axis=0)).sum(axis=0) / 2
     size = float(np.linalg.norm(area))
     return size, area / (size or 1.0)
+
+
+def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
+    """Whether the body has nodes further along than the end of a crack; else it is a mouth."""
+    away = body.x[_near(body, tip[None])] - tip
+    return bool((away @ along > ON_LINE * body.spacing * np.hypot(*along)).any())
 
 
 def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:

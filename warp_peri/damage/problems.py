@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered, taken
 from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.lattice_body import LatticeBody, lattice_body, size_and_normal
+from warp_peri.damage.lattice_body import LatticeBody, lattice_body
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
 from warp_peri.damage.pressurised import crack_load, opening_volume
@@ -199,34 +199,3 @@ class Injected:
         """At rest under unit pressure."""
         crack, unit = [(-half, 0.0), (half, 0.0)], [[0.0, 0.0], [0.0, 1.0]]
         return Cracked(self.points, cracks=[crack], pressure=unit).solved(material, None, {})
-
-
-def energy_release(material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]]) -> float:
-    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
-
-    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
-    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
-
-    Args:
-        material: as of `solve`.
-        problem: its cracks are not looked at; loads stay as the crack grows, their potential
-            counts.
-        cracks: for each length its polylines, two or more; what longer ones add is the new area.
-
-    Returns what is released per length added, in space per area, by least squares
-    [stress · length]; with two tips, of each.
-
-    Raises InputError for fewer than two lengths, and as Cracked.solved.
-    """
-    energies, lengths = [], []
-    for polylines in cracks:
-        solution = replace(problem, cracks=polylines).solved(material, None, {})
-        cell = problem.points.spacing**problem.points.dimension
-        work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
-        energies.append(solution.operator.energy(solution.u) - work)
-        sizes = (size_and_normal(np.asarray(line, dtype=float))[0] for line in polylines)
-        lengths.append(sum(sizes))
-    if len(set(lengths)) < 2:
-        raise InputError(f"cracks: expected two lengths or more, got {lengths}")
-    off = np.array(lengths) - np.mean(lengths)
-    return float(off @ np.array(energies) / -(off @ off)) + 0.0  # no −0

@@ -51,8 +51,8 @@ class MapFit:
 
 
 def fit_maps(
-    solid: DressedSolid,
     samples: Samples,
+    solid: DressedSolid,
     *,
     parts: str = "each",
     coarse: int = 2,
@@ -61,8 +61,8 @@ def fit_maps(
     """The moduli of an uneven periodic sheet, G and the even solid held.
 
     Args:
-        solid: learned on the even sheet, of elements.
         samples: displacement and load on a period of whole multiples of `coarse` spacings.
+        solid: learned on the even sheet, of elements.
         parts: "each" has a map for each part, "one" the same for all.
         coarse: spacings between the values of a map, linear between.
         smoothness: α of (D13); None takes what predicts left-out loads best.
@@ -136,8 +136,8 @@ class DensityLaw:
 
 
 def fit_density(
-    solid: DressedSolid,
     samples: Samples,
+    solid: DressedSolid,
     density: ArrayLike,
     *,
     parts: str = "one",
@@ -146,8 +146,8 @@ def fit_density(
     """How moduli follow a density, learned on one uneven periodic sheet, for any other.
 
     Args:
-        solid: learned on the even sheet, of elements.
         samples: displacement and load on a period.
+        solid: learned on the even sheet, of elements.
         density: over that of the even sheet, at the nodes, [N].
         parts: "one" has the same law for all moduli, "each" one for each part.
         degree: of the polynomial.
