@@ -48,19 +48,17 @@ class NodeHalo:
         self.sent = 8 * d * sum(len(places) for _, places in self._give)
         self._out = [np.empty((len(places), d)) for _, places in self._give]
         self._in = [np.empty((len(places), d)) for _, places in self._take]
-        self._requests = [
-            *(comm.Recv_init(b, source=r) for (r, _), b in zip(self._take, self._in)),
-            *(comm.Send_init(b, dest=r) for (r, _), b in zip(self._give, self._out)),
-        ]
 
     def exchange(self, field: np.ndarray) -> None:
         """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
         from mpi4py import MPI
 
-        for (_, places), buffer in zip(self._give, self._out):
+        comm = self.comm
+        requests = [comm.Irecv(b, source=r) for (r, _), b in zip(self._take, self._in)]
+        for (rank, places), buffer in zip(self._give, self._out):
             np.take(field, places, axis=0, out=buffer)
-        MPI.Prequest.Startall(self._requests)
-        MPI.Request.Waitall(self._requests)
+            requests.append(comm.Isend(buffer, dest=rank))
+        MPI.Request.Waitall(requests)
         for (_, places), buffer in zip(self._take, self._in):
             field[places] = buffer
 

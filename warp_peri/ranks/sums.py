@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from typing import Any
 
 import numpy as np
 
@@ -50,23 +50,22 @@ def fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> str:
     """Of arrays [n, ...] on the nodes of these global numbers, whoever owns them."""
     from mpi4py import MPI
 
-    marks: Any = np.zeros(2, np.uint64)
+    marks = np.zeros((len(arrays), 2), np.uint64)
     with np.errstate(over="ignore"):
-        for array in arrays:
+        for mark, array in zip(marks, arrays):
             flat = np.ascontiguousarray(array, dtype=float).reshape(len(number), -1)
-            bits = flat.view(np.uint64)
             mixed = _mixed(number.astype(np.uint64))
-            for column in bits.T:
+            for column in flat.view(np.uint64).T:
                 mixed = _mixed(mixed ^ column)
-            marks = _mixed(marks) + np.array([mixed.sum(), _mixed(mixed).sum()], np.uint64)
-    both = np.zeros_like(marks)
-    comm.Allreduce(marks, both, op=MPI.SUM)
-    return "".join(f"{int(mark):016x}" for mark in both)
+            mark[:] = mixed.sum(), _mixed(mixed).sum()
+    sums = np.zeros_like(marks)
+    comm.Allreduce(marks, sums, op=MPI.SUM)
+    return hashlib.sha256(sums.tobytes()).hexdigest()
 
 
 def _mixed(x: np.ndarray) -> np.ndarray:
     """Splitmix64, a bijection that spreads every bit."""
-    x = (x + np.uint64(0x9E3779B97F4A7C15)) & np.uint64(0xFFFFFFFFFFFFFFFF)
+    x = x + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     mixed: np.ndarray = x ^ (x >> np.uint64(31))
