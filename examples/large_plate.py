@@ -20,7 +20,6 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import warp_peri as wp
 from warp_peri.errors import exit_status
@@ -99,7 +98,7 @@ def main(argv: list[str] | None = None) -> int:
             alone = None if args.shape == "cube" else solver
             numbers["difference"] = difference(points, law if args.shape == "cube" else model,
                                                b, u, solution.u, alone)  # fmt: skip
-        numbers["bits"][n] = hashlib.sha256(points.gather(solution.u)).hexdigest()[:12]
+        numbers["bits"][n] = hashlib.sha256(points.gather(solution.u).tobytes()).hexdigest()[:12]
     points, found = first
     numbers["ranks"] = points.comm.size
     owner = points.gather(np.full(len(points.x), points.comm.rank))
@@ -107,6 +106,8 @@ def main(argv: list[str] | None = None) -> int:
     x = points.gather(points.x)
     if not is_first():
         return 0
+    from matplotlib.figure import Figure  # the other ranks need no memory for it
+
     args.out.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     flat = slice(None) if x.shape[1] == 2 else x[:, 2] == np.median(x[:, 2])

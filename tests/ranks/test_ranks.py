@@ -54,7 +54,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def jobs(folder):
-    """What two ranks found, which stopped early, and one and three that went on with their crack."""
+    """What two ranks found, which stopped early, and one and three that went on from there."""
     found = {2: finished(start(2, folder, "rows", 40, "rest"))}
     for place in (1, 3):
         shutil.copytree(folder, folder / str(place), ignore=shutil.ignore_patterns("1", "*.npy"))
@@ -75,9 +75,7 @@ def test_sums_do_not_depend_on_who_has_what(jobs):
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(
-    dimension, jobs, folder
-):
+def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimension, jobs, folder):
     found = [jobs[count][f"{dimension}-D"] for count in (1, 2, 3)]
     assert len({one["u"] for one in found}) == len({one["iterations"] for one in found}) == 1
     assert found[0]["iterations"] <= (32 if dimension == 2 else 30)

@@ -1,4 +1,4 @@
-"""Stencils on blocks of rows: rows of others, then one local transform a block (overlap-save).
+"""Stencils on blocks of rows: rows of others, then one local transform a block (theory.md, R1).
 
 No transform crosses ranks, and a block's has the same bits on any number of ranks.
 """
@@ -45,7 +45,7 @@ class Convolution:
         self.halo = RowHalo(comm, rows.starts, reach)
         sizes = (rows.block + 2 * reach, *(n + reach for n in rows.shape[1:]))
         self.torus = tuple(scipy.fft.next_fast_len(n, real=True) for n in sizes)
-        self.symbol = symbol(self.torus).astype(dtype)
+        self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
 
     def start(self, field: np.ndarray) -> None:
         """Send for the rows of others; `finish` gives the product."""
@@ -80,8 +80,8 @@ def inverse_filter(
     """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
 
     The kernel of the inverse times a window; with Hann's the symbol is looked at, with Bartlett's,
-    whose transform is not negative, it is positive whatever the symbol. Cut off without a window
-    it would not be.
+    whose transform is not negative, it is positive whatever the symbol (theory.md, R2). Cut off
+    without a window it would not be.
     """
     d = steps.shape[1]
     width = WIDTH[d]
@@ -102,7 +102,7 @@ def inverse_filter(
         stencil = kernel.copy()
         for axis in range(d):
             stencil *= window.reshape([-1 if a == axis else 1 for a in range(d)])
-        if _smallest(_folded(stencil, torus)) > 0:
+        if smallest(_folded(stencil, torus)) > 0:
             break
     return width, lambda shape: _folded(stencil, shape)
 
@@ -116,7 +116,7 @@ def _folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
     return np.ascontiguousarray(scipy.fft.rfftn(field, axes=axes).real)
 
 
-def _smallest(symbol: np.ndarray) -> float:
+def smallest(symbol: np.ndarray) -> float:
     """Smallest eigenvalue of symmetric matrices [d (d + 1)/2, ...]."""
     d = {3: 2, 6: 3}[len(symbol)]
     full = np.empty((*symbol.shape[1:], d, d))

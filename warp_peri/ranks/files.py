@@ -72,6 +72,7 @@ def _laid_out(
                 plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
                 plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
                 plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+                plan.set_obj_track_times(False)  # the same bytes whenever it is written
                 kind = h5py.h5t.py_create(np.asarray(values).dtype)
                 space = h5py.h5s.create_simple(shape)
                 data = h5py.h5d.create(file.id, name.encode(), kind, space, plan)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 
 from warp_peri.ranks.pieces import Piece
@@ -88,7 +91,7 @@ class RowHalo:
         self.comm, self.width = comm, width
         first, last = self.first, self.last = starts[comm.rank : comm.rank + 2]
         self._give, self._take = [], []
-        for r, (start, end) in enumerate(zip(starts[:-1], starts[1:])):
+        for r, (start, end) in enumerate(pairwise(starts)):
             if r == comm.rank:
                 continue
             low, high = max(first, start - width), min(last, end + width)
@@ -98,8 +101,8 @@ class RowHalo:
             if low < high:
                 self._take.append((r, slice(low - first + width, high - first + width)))
         self._wide = np.zeros(0)
-        self._requests: list = []
-        self._buffers: list = []
+        self._requests: list[Any] = []
+        self._buffers: list[np.ndarray] = []
 
     def start(self, field: np.ndarray) -> np.ndarray:
         """A field [d, rows, ...] among rows of zeros, which `finish` fills. One at a time."""

@@ -65,7 +65,6 @@ class RankedRun(CrackRun):
         self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
         self._section_of = {name: _cut(body, halo, line) for name, line in (sections or {}).items()}
         self._lines = [np.asarray(line, dtype=float) for line in (sections or {}).values()]
-        self._size = {}
         for name, mask in self.regions.items():
             if mask.shape != (len(piece.x),) or mask.dtype != bool:
                 raise InputError(
@@ -97,7 +96,7 @@ class RankedRun(CrackRun):
         for name, section in self._section_of.items():
             shape = (0, self.piece.dimension)
             carried = np.zeros(shape) if section is None else section.carried(state)
-            force = self.piece.spacing ** self.piece.dimension * total(comm, carried)
+            force = self.piece.spacing**self.piece.dimension * total(comm, carried)
             history.force.setdefault(name, []).append(force.tolist())
         if self.watch or self.series is not None:
             phi = body.damage(state)[own]
@@ -226,14 +225,16 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     build(comm, *_kernels(piece.dimension, material.tension_only))
     felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if model.lam == model.mu else 2)
     halo = NodeHalo(piece, felt)
-    given = {"load": problem.b, "held": problem.held, "u": problem.u}
+    given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
     given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}
     given["v"] = begin.pop("v", None)
     with agreed(comm):
         for name, values in given.items():
             if values is not None and len(np.asarray(values)) != len(piece.x):
                 raise InputError(f"{name}: expected {len(piece.x)} nodes of this rank")
-    here = {name: None if v is None else halo.around(v) for name, v in given.items()}
+    here: dict[str, Any] = {
+        name: None if v is None else halo.around(v) for name, v in given.items()
+    }
     with agreed(comm):
         body = lattice_body(halo.x, piece.spacing, model.horizon)
         _check_straight(body)
@@ -261,5 +262,3 @@ def _check_straight(body: LatticeBody) -> None:
 def _kernels(dimension: int, tension_only: bool) -> list[Any]:
     made, steps = sweeps(dimension, bool(tension_only)), halves(dimension)
     return [neighbours.lattice_neighbours, made.state_based, steps.kick_and_drift]
-
-

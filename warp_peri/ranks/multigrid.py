@@ -7,7 +7,7 @@ import numpy as np
 from warp_peri.micromodulus.coarse import VCycle, prolong, restrict
 from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.micromodulus.sweeps import ByRows, torus_symbol
-from warp_peri.ranks.convolution import _smallest as smallest
+from warp_peri.ranks.convolution import smallest
 from warp_peri.ranks.halo import RowHalo
 from warp_peri.ranks.world import Comm
 
@@ -40,7 +40,9 @@ class Between:
         return prolong(before, (shape[0] + 2, *shape[1:]))[:, 2:]
 
 
-def cycle(comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, starts: np.ndarray):
+def cycle(
+    comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, starts: np.ndarray
+) -> _InRows | _Gathered:
     """A V-cycle on the rows of this rank of a mask [rows, ...], whole where there are few nodes."""
     nodes = starts[-1] * np.prod(mask.shape[1:])
     if nodes <= WHOLE or (starts[1:-1] % 2).any():

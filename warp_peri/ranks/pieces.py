@@ -98,8 +98,8 @@ def lattice(
     block: int | None = None,
     units: Units = USUAL,
     axis: float | None = None,
-) -> Piece:
-    """A box of lattice nodes of which no rank ever holds the whole.
+) -> Any:
+    """This rank's Piece of a box of lattice nodes, of which no rank ever holds the whole.
 
     Args:
         shape: nodes along each axis; the rows of the first axis go to the ranks.

@@ -66,8 +66,7 @@ class RowOperator:
         piece, law = self.points, self.law
         assert piece.rows is not None
         check_same(law.units, piece.units)
-        proof = law.certificate
-        if proof is None or not proof.holds:
+        if self.proven is None:
             raise InputError("material: expected one that is proven stable on the lattice")
         if abs(law.spacing / piece.spacing - 1) > 1e-6:
             raise InputError(
@@ -81,6 +80,14 @@ class RowOperator:
                 f"given, in a box of {piece.rows.shape}"
             )
 
+    @property
+    def proven(self) -> str | None:
+        """What is proven of the law, in one sentence."""
+        proof = self.law.certificate
+        if proof is None or not proof.holds:
+            return None
+        return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
+
     def lay_out(self, values: np.ndarray) -> np.ndarray:
         """Vectors of the nodes [n, d] in planes [d, rows, ...]."""
         field = np.zeros((self.dimension, int(np.prod(self._box))))
@@ -93,7 +100,7 @@ class RowOperator:
 
     def product(self, field: np.ndarray) -> np.ndarray:
         """L of planes, at the unknown nodes."""
-        return self._L(field) * self.mask
+        return np.asarray(self._L(field) * self.mask)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
@@ -143,7 +150,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     """
     taken(options, "solve")
     refuse_solver(solver, (Krylov,), "a body on ranks")
-    tolerance = solver.tolerance if solver is not None else TOLERANCE
+    tolerance = solver.tolerance if isinstance(solver, Krylov) else TOLERANCE
     piece = problem.points
     with agreed(piece.comm):
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
@@ -161,7 +168,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
     operator = RowOperator(law, piece)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
-    found = [operator.solve(*each, tolerance) for each in zip(*flat)]
+    found = [operator.solve(load, given, tolerance) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
     return Solution(
         np.reshape([answer for answer, _ in found], u.shape),
@@ -170,7 +177,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         b[..., piece.interior, :],
         "multigrid",
         tuple(record.iterations for record in records),
-        f"one stable answer: D(k) ≥ {law.certificate.proven:.3g} s(k) for all k",
+        operator.proven,
         details=records,
         measured=max(record.residual for record in records),
     )

@@ -1,4 +1,4 @@
-"""Sums over all nodes that have the same bits however the nodes lie on ranks."""
+"""Sums over all nodes that have the same bits however the nodes lie on ranks (theory.md, R3)."""
 
 from __future__ import annotations
 

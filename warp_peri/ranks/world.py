@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -95,8 +95,7 @@ def agreed(comm: Comm) -> Iterator[None]:
 
 def build(comm: Comm, *kernels: Any) -> None:
     """Load kernels, which one rank compiles and the others then find in Warp's cache."""
-    load: Callable[[], None] = lambda: [k.module.load(DEVICE) for k in kernels] and None  # noqa: E731
-    if comm.rank == 0:
-        load()
-    comm.Barrier()
-    load()
+    for turn in (comm.rank == 0, comm.rank != 0):
+        for kernel in kernels if turn else ():
+            kernel.module.load(DEVICE)
+        comm.Barrier()
