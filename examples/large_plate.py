@@ -23,12 +23,12 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri.errors import exit_status
-from warp_peri.ranks import Piece, is_first, lattice
+from warp_peri.ranks import is_first, lattice
 
 SHAPES = ("L", "square", "disk", "cube")
 
 
-def plate(shape: str, n: int, law) -> Piece:
+def plate(shape: str, n: int, law):
     """n nodes along each side, with the collar that the law asks for."""
     h, collar = law.spacing, int(np.abs(law.steps).max())
 
@@ -52,7 +52,7 @@ def given(x: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
     return 1e-6 * load, 1e-5 * side * bent
 
 
-def difference(points: Piece, law, b: np.ndarray, u: np.ndarray, found, solver) -> float | None:
+def difference(points, b: np.ndarray, u: np.ndarray, found, law, solver) -> float | None:
     """To the answer of one process, over the largest displacement; on the first rank."""
     x, interior, b, u, found = map(points.gather, (points.x, points.interior, b, u, found))
     if not is_first():
@@ -94,12 +94,11 @@ def main(argv: list[str] | None = None) -> int:
         numbers["iterations"][n] = solution.iterations[0]
         numbers["residual"][n] = solution.residual
         if n == args.sides[0]:
-            first = points, solution.u
-            alone = None if args.shape == "cube" else solver
-            numbers["difference"] = difference(points, law if args.shape == "cube" else model,
-                                               b, u, solution.u, alone)  # fmt: skip
+            first = points, b, u, solution.u
         numbers["bits"][n] = hashlib.sha256(points.gather(solution.u).tobytes()).hexdigest()[:12]
-    points, found = first
+    points, b, u, found = first
+    alone = (law, None) if args.shape == "cube" else (model, solver)
+    numbers["difference"] = difference(points, b, u, found, *alone)
     numbers["ranks"] = points.comm.size
     owner = points.gather(np.full(len(points.x), points.comm.rank))
     found = points.gather(np.where(points.interior[:, None], found, np.nan))

@@ -40,17 +40,19 @@ def run(count: int, script: str, *words: str) -> dict:
 
 def ranks(*, quick: bool) -> None:
     """Print the tables."""
-    sides = ["64", "128"] if quick else ["128", "250", "500", "1000"]
-    for shape in ("square", "L") if quick else ("square", "disk", "L"):
-        print(f"\n{shape}, residual 1e-8: ranks, iterations of {' '.join(sides)}, MB of a rank")
+    sides = ["64", "128"] if quick else ["128", "250", "500"]
+    for shape in ("L",) if quick else ("L", "disk", "square", "cube"):
+        those = {"L": [*sides, "1000"], "cube": ["32", "64"]}.get(shape, sides)
+        those = sides if quick else those
+        print(f"\n{shape}, residual 1e-8: ranks, iterations of {' '.join(those)}, MB of a rank")
         bits = set()
         for count in RANKS:
-            words = ("--shape", shape, "--tolerance", "1e-8", "--sides", *sides)
+            words = ("--shape", shape, "--tolerance", "1e-8", "--sides", *those)
             found = run(count, "large_plate.py", *words)
             bits.add(json.dumps(found["bits"]))
             counts = " ".join(str(number) for number in found["iterations"].values())
-            print(f"{count:6d}  {counts:>20}  {found['memory_mb']:6d}")
-        print("  the same bits" if len(bits) == 1 else "  DIFFERENT BITS")
+            print(f"{count:6d}  {counts:>20}  {found['memory_mb']:6d}", flush=True)
+        print("  the same bits" if len(bits) == 1 else "  DIFFERENT BITS", flush=True)
     short = ("--spacing", "1e-3", "--time", "10e-6") if quick else ()
     cracks = {json.dumps(run(count, "branching.py", *short)) for count in (1, 2, 3)}
     print("\nbranching.py on 1, 2, 3 ranks:", *cracks)

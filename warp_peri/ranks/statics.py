@@ -104,7 +104,8 @@ class RowOperator:
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
-        return self.take_up(self.product(self.lay_out(u)))[self.points.interior]
+        pulled: np.ndarray = self.take_up(self.product(self.lay_out(u)))[self.points.interior]
+        return pulled
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
         """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""

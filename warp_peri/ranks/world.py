@@ -32,6 +32,11 @@ def world() -> Comm:
     Raises InputError without mpi4py, and under another mpiexec than that of its MPI library.
     """
     os.environ.setdefault("MPIR_CVAR_SUPPRESS_ABORT_MESSAGE", "1")  # our line says it
+    started = ranks_started() or 1
+    if started == 1:
+        os.environ.setdefault("UCX_TLS", "self")  # as structures.lammps.find_mpi
+    elif os.environ.get("UCX_TLS") == "self":
+        del os.environ["UCX_TLS"]  # inherited from a process that was alone
     try:
         import mpi4py
 
@@ -39,7 +44,7 @@ def world() -> Comm:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
         raise InputError(f"ranks: needs mpi4py: pip install 'warp_peri[mpi]' ({error})") from None
-    comm, started = MPI.COMM_WORLD, ranks_started() or 1
+    comm = MPI.COMM_WORLD
     if started > comm.size:
         raise InputError(
             f"mpiexec: {started} processes were started, and they do not see each other: this one "
