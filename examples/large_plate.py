@@ -77,7 +77,8 @@ def main(argv: list[str] | None = None) -> int:
         lam = model.mu if args.ratio is None else lam
         model = wp.Model(lam, model.mu, 1.0, np.ones(1), horizon=15.0, dimension=3)
     elif args.ratio is not None:
-        model = wp.Model(lam, model.mu, model.alpha, model.D, horizon=model.horizon)
+        numbers_of_K = model.alpha, model.D, model.horizon
+        model = wp.Model(lam, model.mu, *numbers_of_K, certified_on=(5.0,))
     law = wp.micromodulus.tensors_of(model, 5.0)
     numbers: dict = {"iterations": {}, "residual": {}, "bits": {}, "seconds": {}, "processor": {}}
     solver = wp.Krylov(tolerance=args.tolerance)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.ranks.world import own_mpiexec
+from warp_peri.ranks.processes import own_mpiexec
 
 ROOT = Path(__file__).resolve().parent.parent
 RANKS = (1, 2, 4)

@@ -17,8 +17,8 @@ import numpy as np
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, rectangle
 from warp_peri.ranks import lattice, spread, whole
+from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
-from warp_peri.ranks.world import world
 
 H = 0.5
 

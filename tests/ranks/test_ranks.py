@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
+from examples.large_plate import main as large_plate
 from tests.ranks.job import H, crack, fields, inside, solid, uneven
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -132,7 +133,7 @@ def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
 
 def test_another_mpiexec_is_named():
     wrong = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", "import warp_peri.ranks.world as w; w.world()"],
+        [sys.executable, "-W", "ignore", "-c", "import warp_peri.ranks.processes as w; w.world()"],
         cwd=ROOT, env=os.environ | {"OMPI_COMM_WORLD_SIZE": "2"}, text=True, capture_output=True,
         timeout=LIMIT, check=False,
     )  # fmt: skip
@@ -152,3 +153,12 @@ def test_a_killed_rank_loses_nothing_but_the_steps_since_its_checkpoint(later, t
     os.kill(pids[1], signal.SIGKILL)
     assert ended(job)[2] != 0  # the other rank does not wait for ever
     assert finished(start(later, tmp_path))["crack"] == truth
+
+
+def test_the_plate_of_the_example_alone(tmp_path, capsys):
+    words = ["--sides", "32", "--shape", "disk", "--tolerance", "1e-8", "--json"]
+    assert large_plate([*words, "--out", str(tmp_path)]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["iterations"]["32"] <= 25
+    assert numbers["difference"] < 1e-7
+    assert (tmp_path / "plate.png").stat().st_size > 5000

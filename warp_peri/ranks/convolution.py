@@ -15,7 +15,7 @@ from warp_peri.micromodulus.coarse import SHIFT, shear
 from warp_peri.micromodulus.sweeps import convolved, inverse, torus_symbol
 from warp_peri.ranks.halo import RowHalo
 from warp_peri.ranks.pieces import Rows
-from warp_peri.ranks.world import Comm
+from warp_peri.ranks.processes import Comm
 
 WIDTH = {2: 32, 3: 12}
 """Half the width of the inverse filter [nodes]."""

@@ -19,7 +19,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import PART, destination, write_text
 from warp_peri.ranks.pieces import Piece
-from warp_peri.ranks.world import Comm, agreed
+from warp_peri.ranks.processes import Comm, agreed
 
 
 def write_arrays(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.ranks.pieces import Piece
-from warp_peri.ranks.world import Comm
+from warp_peri.ranks.processes import Comm
 
 
 class NodeHalo:

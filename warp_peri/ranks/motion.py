@@ -29,8 +29,8 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.files import Series, read_arrays, write_arrays
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.pieces import Piece
+from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import fingerprint, total
-from warp_peri.ranks.world import agreed, build
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""

@@ -9,7 +9,7 @@ from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.micromodulus.sweeps import ByRows, torus_symbol
 from warp_peri.ranks.convolution import smallest
 from warp_peri.ranks.halo import RowHalo
-from warp_peri.ranks.world import Comm
+from warp_peri.ranks.processes import Comm
 
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""

@@ -13,7 +13,7 @@ from warp_peri.launch import ranks_started
 from warp_peri.points.lattice import LATTICE_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
-from warp_peri.ranks.world import Comm, agreed, world
+from warp_peri.ranks.processes import Comm, agreed, world
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Blocks of rows that a box is cut to at least, where they have between so many rows each."""

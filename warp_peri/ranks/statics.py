@@ -18,8 +18,8 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.pieces import Piece
+from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
-from warp_peri.ranks.world import agreed, build
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.equilibrium import TOLERANCE
 from warp_peri.statics.settings import Krylov, Solver, refuse_solver

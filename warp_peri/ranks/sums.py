@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from warp_peri.ranks.world import Comm
+from warp_peri.ranks.processes import Comm
 
 LIMB, LIMBS = 30, 4
 """Bits of a part, of which 2³³ fit into a whole number, and parts: 120 bits below the largest."""

@@ -77,6 +77,7 @@ def _ended(comm: Comm, line: str, status: int) -> None:
         time.sleep(GRACE)
     print(line, file=sys.__stderr__, flush=True)
     comm.Abort(status)
+    os._exit(status)  # what has been said is not said again
 
 
 def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace: Any) -> None:
