@@ -44,8 +44,10 @@ class RankedRun(CrackRun):
         body: the nodes of this rank and those of others that it feels.
         halo: which are whose.
         piece: the nodes of this rank.
-        sections: refused where a rank has no bond across one, see CrackRun.
-        other: as of CrackRun; masks are of this rank's nodes, what is watched sees φ of all.
+        regions, sections, series: as of CrackRun; regions are masks of this rank's nodes.
+        other: as of CrackRun; what is watched sees φ of all nodes.
+
+    Raises InputError as CrackRun does.
     """
 
     def __init__(
@@ -65,12 +67,24 @@ class RankedRun(CrackRun):
         self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
         self._section_of = {name: _cut(body, halo, line) for name, line in (sections or {}).items()}
         self._lines = [np.asarray(line, dtype=float) for line in (sections or {}).values()]
+        self._size: dict[str, int] = {}
         for name, mask in self.regions.items():
             if mask.shape != (len(piece.x),) or mask.dtype != bool:
                 raise InputError(
                     f"regions: expected bool of this rank's {len(piece.x)} nodes, got {name!r} of "
                     f"shape {list(mask.shape)}"
                 )
+
+    def check(self) -> None:
+        """Raise InputError for regions and sections that no rank has a part of; all ranks ask."""
+        comm = self.piece.comm
+        for name, mask in self.regions.items():
+            self._size[name] = comm.allreduce(int(np.count_nonzero(mask)))
+            if not self._size[name]:
+                raise InputError(f"regions: expected some nodes, got none in {name!r}")
+        for name, section in self._section_of.items():
+            if not comm.allreduce(int(section is not None)):
+                raise InputError(f"section: expected a line that bonds cross, got {name!r}")
 
     def ledger(self, state: BreakingState) -> Ledger:
         """Energies of the whole body."""
@@ -88,11 +102,9 @@ class RankedRun(CrackRun):
         history.ledger.append([getattr(ledger, name) for name in LEDGER])
         u, v = body.displacement(state)[own], body.velocity(state)[own]
         for name, mask in self.regions.items():
-            size = comm.allreduce(int(np.count_nonzero(mask)))
-            if not size:
-                raise InputError(f"regions: expected some nodes, got none in {name!r}")
             for field, where in ((u, history.u), (v, history.v)):
-                where.setdefault(name, []).append((total(comm, field[mask]) / size).tolist())
+                mean = total(comm, field[mask]) / self._size[name]
+                where.setdefault(name, []).append(mean.tolist())
         for name, section in self._section_of.items():
             shape = (0, self.piece.dimension)
             carried = np.zeros(shape) if section is None else section.carried(state)
@@ -166,7 +178,6 @@ class RankedRun(CrackRun):
         links = self.body.neighbour(state)
         broken = (arrays["kept"] == 0) & (links >= 0)
         links[broken] = -1 - links[broken]
-        # bonds of others' nodes to nodes that are not here were never here
         state.dissipated[:here], state.whole = arrays["dissipated"], arrays["whole"]
         state.time, state.steps = float(numbers["time"]), int(numbers["steps"])
         self.history = History(content["ledger"])
@@ -242,6 +253,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         moving = BreakingBody(material, body, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
         marching = RankedRun(moving, halo, piece, **records)
+    marching.check()
     moving.exchange = lambda u: halo.exchange(u.numpy())
     state = marching.march(state, **run)
     own = halo.own
