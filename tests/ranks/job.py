@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import warp_peri as wp
-from warp_peri.damage import BrittleSolid, Cracked, rectangle
+from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.ranks import lattice, spread, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
@@ -127,6 +127,23 @@ def crack(folder, by="rows", steps="60", pause="0"):
     }
 
 
+def block(by="rows"):
+    """A notched block in space."""
+    x = box((20.0, 10.0, 8.0), 1.0)
+    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0), by)
+    x = points.x
+    model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
+    rock = BrittleSolid(model, 2.5, toughness=1e-4)
+    pull = np.where(np.abs(x[:, 1:2]) > 4, np.sign(x) * (0.0, 0.02, 0.0), 0.0)
+    notch = [(-11.0, 0.0, -5.0), (-4.0, 0.0, -5.0), (-4.0, 0.0, 5.0), (-11.0, 0.0, 5.0)]
+    motion = wp.move(
+        rock, Cracked(points, pull, cracks=[notch]), step=0.5 * rock.longest_step(1.0), steps=40,
+        no_fail=np.abs(x[:, 1]) > 3,
+    )  # fmt: skip
+    return {"u": digest(whole(points, motion.u)),
+            "worst": whole(points, motion.details.damage).max()}  # fmt: skip
+
+
 def fail():
     comm = world()
     if comm.rank == 1:
@@ -137,6 +154,8 @@ def fail():
 if __name__ == "__main__":
     folder, by, steps, pause, *more = sys.argv[1:]
     found = {"crack": crack(Path(folder), by, steps, pause)}
+    if pause == "0":
+        found["block"] = block(by)
     if "rest" in more:
         found |= rest(Path(folder))
     print(json.dumps(found), flush=True)

@@ -13,7 +13,7 @@ import pytest
 
 import warp_peri as wp
 from examples.large_plate import main as large_plate
-from tests.ranks.job import H, crack, fields, inside, solid, uneven
+from tests.ranks.job import H, block, crack, fields, inside, solid, uneven
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -122,6 +122,12 @@ def test_a_crack_has_the_bits_of_one_process_and_goes_on_with_another_number(
     assert time > 0
     assert x.shape == data["displacement"].shape == (800, 3)
     assert data["damage"].max() == alone["worst"]
+
+
+def test_a_breaking_block_in_space_has_the_bits_of_one_process(jobs):
+    alone = block()
+    assert alone["worst"] > 0.3
+    assert [jobs[count]["block"] for count in (1, 2, 3)] == [alone] * 3
 
 
 def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
