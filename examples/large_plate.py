@@ -113,10 +113,10 @@ def main(argv: list[str] | None = None) -> int:
     flat = slice(None) if x.shape[1] == 2 else x[:, 2] == np.median(x[:, 2])
     size = np.linalg.norm(found, axis=1)
     for ax, values, title in zip(figure.subplots(1, 2), (size, owner), ("|u| [Å]", "rank")):
-        shown = ax.scatter(*x[flat].T[:2], c=values[flat], s=2, linewidths=0)
+        shown = ax.scatter(*x[flat].T[:2], c=values[flat], s=6, marker="s", linewidths=0)
         ax.set(aspect="equal", title=title, xlabel="[Å]")
         figure.colorbar(shown, ax=ax)
-    figure.savefig(args.out / "plate.png", dpi=120)
+    figure.savefig(args.out / "plate.png", dpi=100)
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0
 
