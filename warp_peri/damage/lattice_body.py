@@ -69,13 +69,17 @@ class LatticeBody:
         return numbers
 
 
-def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
+def lattice_body(
+    x: ArrayLike, spacing: float, horizon: float, *, endless: bool = False
+) -> LatticeBody:
     """The bonds of a body on a square or cubic lattice, straight or turned.
 
     Args:
         x: positions [length], shape [N, 2] or [N, 3], in any order.
         spacing: h [length].
         horizon: δ [length].
+        endless: x is one layer, straight, of a body that goes on along its last axis, all layers
+            alike; a bond then leads to the node of this layer below or above its end.
 
     Raises InputError for points off the lattice, given twice, or too many to be numbered.
     """
@@ -88,7 +92,8 @@ def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
     grid, axes = straight_steps(x, spacing)
     if len(x) * len(classes.steps) >= 2**31:
         raise InputError(f"x: {len(x)} nodes have more bonds than can be numbered (2³¹)")
-    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, classes.steps), axes)
+    steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps
+    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes)
 
 
 def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
