@@ -163,9 +163,7 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
             )
 
 
-def contour_integral(
-    solution: Solution, tip: Sequence[float], radii: tuple[float, float]
-) -> float:
+def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
     From which side the crack comes is where the displacement jumps most. Gradients are differences
@@ -227,7 +225,9 @@ def domain_integral(
     sideways = np.arange(d) == away[..., :2].argmax(axis=-1)[..., None]
     within = np.clip((r2 - along) / (r2 - r1), 0.0, 1.0)  # along the front, in space
     slope = np.where(sideways, within[..., None] * _fall(away, h, r1, r2), 0.0)
-    slope[..., 2:] = (np.clip((r2 - across) / (r2 - r1), 0.0, 1.0) * _fall(along, h, r1, r2))[..., None]
+    slope[..., 2:] = (np.clip((r2 - across) / (r2 - r1), 0.0, 1.0) * _fall(along, h, r1, r2))[
+        ..., None
+    ]
     slope *= np.sign(x)
     pull = np.einsum("...ij,...i->...j", stress, gradient[..., 0])
     integrand = density * slope[..., 0] - (pull * slope).sum(axis=-1)

@@ -117,6 +117,13 @@ def box(sides: Sequence[float], spacing: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
 
 
+def penny(radius: float, corners: int = 48) -> np.ndarray:
+    """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
+    t = 2 * np.pi * np.arange(corners) / corners
+    reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
+    return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
+
+
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 

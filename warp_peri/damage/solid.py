@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.models.lps import Model, model_content, model_from
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import Units
+from warp_peri.points.unit_names import Units, factors
 
 FORMAT, VERSION = "warp_peri.brittle_solid", 2
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
@@ -88,6 +88,21 @@ class BrittleSolid:
     def by_energy(self) -> bool:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None
+
+    def in_units(self, units: Units) -> BrittleSolid:
+        """The same solid in other units; that of time stays, so that ρ is a stress over length²."""
+        length, stress = factors(self.units, units)
+        powers = {
+            "density": stress / length**2,
+            "toughness": stress * length,
+            "critical_stretch": 1.0,
+            "critical_energy": stress / length**2,
+        }
+        numbers = {name: getattr(self, name) for name in powers}
+        changed = {
+            name: None if value is None else value * powers[name] for name, value in numbers.items()
+        }
+        return replace(self, model=self.model.in_units(units), **changed)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solid as JSON, whole or not at all: the model with its units and records."""
