@@ -34,7 +34,7 @@ def block(side, radius, grip):
 
 
 def released(side=14, radius=3.0):
-    """G and J of a crack in a block with held faces, over 4 (1 − ν²) σ² a / (π E) of a large one."""
+    """G and J of a crack in a block with held faces, over 4 (1 − ν²) σ² a / (π E)."""
     solid, points, crack = block(side, radius, lambda away: away.max(axis=1))
     unit = points.x * [-NU / E, 1 / E, -NU / E]  # pulled by a unit of stress
     pulled = Cracked(points, u=unit, cracks=[crack])

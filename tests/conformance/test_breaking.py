@@ -1,7 +1,7 @@
-"""What every solid that breaks must do, in the plane and in space, with broken bonds and without.
+"""What every solid that breaks must do, in the plane and in space, bonds broken or not.
 
-Such a solid is placed on a body with free faces by a Cracked, not on points with whole families: the
-table of laws beside this one asks what these cannot offer, a stress at nodes and a collar.
+Such a solid is placed on a body with free faces by a Cracked, not on points with whole families:
+the table of laws beside this one asks what these cannot offer, a stress at nodes and a collar.
 """
 
 import dataclasses
@@ -31,8 +31,8 @@ def linear(d, lam):
 
 SOLIDS = {
     "brittle": lambda d: BrittleSolid(linear(d, 0.3), 2.0, toughness=0.01),
-    "brittle, by stretch": lambda d: BrittleSolid(linear(d, 0.8), 2.0, critical_stretch=0.01),
-    "brittle, by energy": lambda d: BrittleSolid(linear(d, 2.0), 2.0, critical_energy=1e-4),
+    "brittle, by stretch": lambda d: BrittleSolid(linear(d, 0.8), 2.0, critical_stretch=0.05),
+    "brittle, by energy": lambda d: BrittleSolid(linear(d, 2.0), 2.0, critical_energy=1e-3),
     "soft": lambda d: SoftSolid(linear(d, 0.8), BondLaw(4.0, 0.05, 0.05)),
     "mixed": lambda d: Mixed(
         2.0, lambda x: 2.5 + 0.1 * x[..., 0], lambda x: 1 + 0.1 * x[..., 1], dimension=d
@@ -93,7 +93,7 @@ def test_product_and_energy_belong_to_the_force(solid, share):
 def test_a_turned_body_answers_turned(solid):
     if isinstance(solid, Mixed):
         pytest.skip("its moduli are functions of positions, which do not turn")
-    (op, points), (other, turned) = torn(solid, 0.2), torn(solid, 0.2, angle=0.4)
+    (op, points), other = torn(solid, 0.2), torn(solid, 0.2, angle=0.4)[0]
     R, u = turn(solid.dimension, 0.4), noise(points)
     near(other(u @ R.T), op(u) @ R.T, 1e-11)
 
@@ -153,11 +153,11 @@ def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(name, 
             launch.set_threads(threads)
             points = wp.Points(scale * x, np.ones(len(x), bool), scale, units=one.units)
             step = 0.3 * one.longest_step(scale)
-            run = wp.move(one, Cracked(points), step=step, steps=30, v=scale * uneven / step)
+            run = wp.move(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
             found.append((run.details.damage, run.u / scale, run.time))
     finally:
         launch.set_threads(before)
-    assert 0 < found[0][0].max()
+    assert 0 < found[0][0].mean() < 0.9
     assert all(np.array_equal(a, b) for a, b in zip(found[0], found[1]))
     assert np.array_equal(found[0][0], found[2][0])
     near(found[2][1], found[0][1], 1e-9)

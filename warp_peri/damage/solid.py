@@ -36,7 +36,7 @@ class BrittleSolid:
         toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
         critical_stretch: s₀ itself, instead of G_c.
         critical_energy: energy density of a bond over its quadrature weight at which it breaks
-            [stress / length²], instead of both (C8).
+            [stress / length^d], instead of both (C8).
         tension_only: bonds in compression do not break.
 
     Raises InputError unless exactly one of the three criteria is given and all numbers are > 0.
@@ -96,7 +96,7 @@ class BrittleSolid:
             "density": stress / length**2,
             "toughness": stress * length,
             "critical_stretch": 1.0,
-            "critical_energy": stress / length**2,
+            "critical_energy": stress / length**self.dimension,
         }
         numbers = {name: getattr(self, name) for name in powers}
         changed = {
