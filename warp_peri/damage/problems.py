@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, taken
+from warp_peri.contract import offered, refuse_uncut, taken
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny, size_and_normal
 from warp_peri.damage.march import CrackRun
@@ -70,6 +70,7 @@ class Cracked:
 
     def body(self, material: Any, verb: str) -> LatticeBody:
         """Nodes and bonds; InputError for what has no linear part, and for other points."""
+        refuse_uncut(material, "Cracked")
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
         check_same(linear.units, self.points.units)
         linear.check_dimension(self.points)
