@@ -92,8 +92,8 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     A central crack in a plane under tension, `cells` spacings from its middle to the collar and 0.4
     of that long to each side, grown by `length` spacings; the largest load of each spacing counts,
     and their mean, with G from the energies. Divide a stretch by the root of this to calibrate it
-    (C7). In space the strain is plane, and the front straight: it advances as one, which a bent front
-    does not; there this is an upper end.
+    (C7). In space the strain is plane, and the front straight: it advances as one, which a bent
+    front does not; there this is an upper end.
 
     Args:
         model: positive on the lattice.
