@@ -153,7 +153,7 @@ class LearnedCrystal:
         law = self.law
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
-            ("proven", "nothing" if law.certificate is None else law.certificate.statement),
+            ("proven", "nothing" if self.certificate is None else self.certificate.statement),
             (
                 f"within {WITHIN:.0%} down to",
                 f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
@@ -183,7 +183,7 @@ class LearnedCrystal:
         C = {"law": self.law.tensor(), "atoms": self.tensor}
         if self.strained is not None:
             C["finite strains"] = self.strained
-        proof = self.law.certificate
+        proof = self.certificate  # in the units of the file, as its statement says
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
@@ -193,7 +193,7 @@ class LearnedCrystal:
             "holds_to": self.holds_to,
             "unseen_E_u": self.unseen,
             "statement": "" if proof is None else proof.statement,
-            "proven_GPa": None if proof is None else 1e3 * proof.proven,
+            "proven_GPa": None if proof is None else 1e3 * self.law.certificate.proven,
         }
 
 
