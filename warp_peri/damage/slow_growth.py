@@ -108,7 +108,7 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     held = (np.abs(x) > cells * h).any(axis=1)
     u = np.zeros_like(x)
     u[:, :2] = westergaard(x, half, 1.0, model.lam, model.mu)
-    crack = [(-half, 0), (half, 0)]
+    crack: list[tuple[float, ...]] = [(-half, 0), (half, 0)]
     if d == 3:  # along the front all layers are alike
         ends = side * np.array([-1.0, 1.0])
         crack = [(tip, 0, z) for tip, z in zip((-half, -half, half, half), [*ends, *ends[::-1]])]

@@ -92,17 +92,17 @@ class BrittleSolid:
     def in_units(self, units: Units) -> BrittleSolid:
         """The same solid in other units; that of time stays, so that ρ is a stress over length²."""
         length, stress = factors(self.units, units)
-        powers = {
-            "density": stress / length**2,
-            "toughness": stress * length,
-            "critical_stretch": 1.0,
-            "critical_energy": stress / length**self.dimension,
-        }
-        numbers = {name: getattr(self, name) for name in powers}
-        changed = {
-            name: None if value is None else value * powers[name] for name, value in numbers.items()
-        }
-        return replace(self, model=self.model.in_units(units), **changed)
+
+        def times(value: float | None, factor: float) -> float | None:
+            return None if value is None else value * factor
+
+        return replace(
+            self,
+            model=self.model.in_units(units),
+            density=self.density * stress / length**2,
+            toughness=times(self.toughness, stress * length),
+            critical_energy=times(self.critical_energy, stress / length**self.dimension),
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solid as JSON, whole or not at all: the model with its units and records."""

@@ -183,7 +183,7 @@ class LearnedCrystal:
         C = {"law": self.law.tensor(), "atoms": self.tensor}
         if self.strained is not None:
             C["finite strains"] = self.strained
-        proof = self.certificate  # in the units of the file, as its statement says
+        proof, told = self.certificate, self.law.certificate
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
@@ -192,8 +192,8 @@ class LearnedCrystal:
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
             "unseen_E_u": self.unseen,
-            "statement": "" if proof is None else proof.statement,
-            "proven_GPa": None if proof is None else 1e3 * self.law.certificate.proven,
+            "statement": "" if proof is None else proof.statement,  # in the file's units
+            "proven_GPa": None if told is None else 1e3 * told.proven,
         }
 
 
