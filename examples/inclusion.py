@@ -23,7 +23,7 @@ from warp_peri.errors import exit_status
 
 RADIUS = 0.5
 RATIO = {2: 3.0, 3: 2.0}
-CELLS = {2: [8, 16, 32], 3: [4, 6, 8]}
+CELLS = {2: [8, 16, 32], 3: [4, 6]}
 CASES = {
     "stiff in soft": ((30.0, 10.0), (1.5, 1.0)),
     "soft in stiff": ((1.5, 1.0), (30.0, 10.0)),
@@ -63,6 +63,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cells", type=int, nargs="+", help="per unit length")
     parser.add_argument("--space", action="store_true", help="a ball in space, not a disk")
+    parser.add_argument("--case", choices=list(CASES), help="one of them, by default all")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "inclusion")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
@@ -74,6 +75,8 @@ def main(argv: list[str] | None = None) -> int:
     figure = Figure(figsize=(5, 4), layout="constrained")
     ax = figure.subplots()
     for name, materials in CASES.items():
+        if args.case not in (None, name):
+            continue
         numbers[name] = {}
         ways = [("series, ball", "series", True), *((mean, mean, False) for mean in MEANS)]
         for label, mean, ball in ways:
