@@ -89,6 +89,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "noise-of-its-own": atlas_flow.independent_noise,
         "stretched-and-turned": atlas_flow.stretched_and_turned,
         "broken": lambda: atlas_cracks.broken_kernels(model()),
+        "cracks-in-space": atlas_cracks.in_space,
         "stretch": atlas_cracks.misjudged_stretch,
         "long-steps": atlas_cracks.long_steps,
     }

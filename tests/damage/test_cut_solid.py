@@ -11,6 +11,7 @@ from warp_peri.damage import (
     Cracked,
     Mixed,
     apparent_toughness,
+    box,
     contour_integral,
     energy_release,
     lattice_body,
@@ -105,6 +106,36 @@ def test_the_example_prints_and_draws(tmp_path, capsys):
     assert main(["--cells", "8", "--json", "--out", str(tmp_path)]) == 0
     assert '"G"' in capsys.readouterr().out
     assert (tmp_path / "crack.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2)])
+@pytest.mark.parametrize("torn", [False, True])
+def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
+    """Of plane strain, and of a crack whose faces slide along the front."""
+    h, lam, mu, place = 1 / 8, 1.3, 1.0, list(axes)
+    x = box((2.5, 2.5, 1.5), h)
+    model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=2 * h, dimension=3)
+    z = x[:, 0] + 1j * x[:, 1]
+    u = np.zeros_like(x)
+    if torn:
+        u[:, 2] = (np.sqrt(z - 0.5) * np.sqrt(z + 0.5)).imag / mu
+    else:
+        u[:, :2] = westergaard(x[:, :2], 0.5, 1.0, lam, mu)
+    expected = np.pi * 0.5 / (2 * mu if torn else model.E / (1 - model.nu**2))
+    turned, moved, tip = np.zeros_like(x), np.zeros_like(u), np.zeros(3)
+    turned[:, place], moved[:, place], tip[place[0]] = x, u, -0.5
+    body = lattice_body(turned, h, 2 * h)
+    J = domain_integral(model, body, moved, tip, (0.25, 0.5))
+    assert J == pytest.approx(expected, rel=0.02)
+
+
+def test_a_straight_front_in_space_spends_more_than_a_straight_cut():
+    model = solid(horizon=2.0, dimension=3).model
+    body = lattice_body(box((3.0, 3.0, 1.0), 1.0), 1.0, 2.0, endless=True)
+    layers = lattice_body(box((3.0, 3.0, 7.0), 1.0), 1.0, 2.0)
+    middle = np.flatnonzero(np.abs(layers.x[:, 2]) < 0.5)
+    np.testing.assert_array_equal(layers.neighbour[middle] >= 0, body.neighbour >= 0)
+    assert 1.2 < apparent_toughness(model, 1.0, cells=6, length=1) < 2.2
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.25, 0.5])

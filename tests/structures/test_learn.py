@@ -45,7 +45,9 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     law = wp.load(graphene / "model.json")
     assert law.units == ("angstrom", "GPa")
     assert law.stress[0, 0] > 40
-    assert law.certificate.proven > 0
+    assert law.certificate.proven > 1
+    assert figures["proven_GPa"] == pytest.approx(law.certificate.proven)
+    assert figures["statement"] == law.certificate.statement  # in the units of the file
     assert figures["holds_to"]["law"] < figures["holds_to"]["local"]
     assert "GPa" in (graphene / "report.txt").read_text()
     assert (graphene / "law.png").stat().st_size > 10_000
@@ -165,6 +167,14 @@ def test_a_solid_is_turned_to_axes_that_nodes_share():
     np.testing.assert_allclose(conventional, np.rint(conventional), atol=1e-3)
 
 
+def test_a_file_of_one_element_is_read_by_the_style_eam():
+    palladium = ase.build.bulk("Pd", cubic=True)
+    palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")
+    assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
+    with pytest.raises(wp.InputError, match="one element, got Cu, Pd"):
+        lammps_calculator("eam", ["Pd", "Cu"], "Pd_u3.eam")
+
+
 def test_what_lammps_refuses_is_said_in_its_words():
     wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
     with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
@@ -177,6 +187,7 @@ def test_what_lammps_refuses_is_said_in_its_words():
         ("nowhere:EMT", "No module"),
         ("ase.calculators.emt:None", "no ASE calculator|expected lammps"),
         ("lammps:tersoff", "--potential FILE"),
+        ("lammps:", "--potential FILE"),
         ("ase.calculators.emt:EMT(open('x'))", "malformed"),
     ],
 )

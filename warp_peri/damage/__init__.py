@@ -3,7 +3,7 @@
 from warp_peri.damage.cut_solid import contour_integral, westergaard
 from warp_peri.damage.energy_release import energy_release, tip_shift
 from warp_peri.damage.inclusions import Mixed
-from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, rectangle
+from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, penny, rectangle
 from warp_peri.damage.pressurised import opening_volume, sneddon_opening
 from warp_peri.damage.problems import Cracked, Injected
 from warp_peri.damage.slow_growth import apparent_toughness
@@ -25,6 +25,7 @@ __all__ = [
     "energy_release",
     "lattice_body",
     "opening_volume",
+    "penny",
     "positive_kernel",
     "rectangle",
     "sneddon_opening",

@@ -69,13 +69,17 @@ class LatticeBody:
         return numbers
 
 
-def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
+def lattice_body(
+    x: ArrayLike, spacing: float, horizon: float, *, endless: bool = False
+) -> LatticeBody:
     """The bonds of a body on a square or cubic lattice, straight or turned.
 
     Args:
         x: positions [length], shape [N, 2] or [N, 3], in any order.
         spacing: h [length].
         horizon: δ [length].
+        endless: x is one layer, straight, of a body that goes on along its last axis, all layers
+            alike; a bond then leads to the node of this layer below or above its end.
 
     Raises InputError for points off the lattice, given twice, or too many to be numbered.
     """
@@ -88,7 +92,8 @@ def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
     grid, axes = straight_steps(x, spacing)
     if len(x) * len(classes.steps) >= 2**31:
         raise InputError(f"x: {len(x)} nodes have more bonds than can be numbered (2³¹)")
-    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, classes.steps), axes)
+    steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps
+    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes)
 
 
 def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
@@ -110,6 +115,13 @@ def box(sides: Sequence[float], spacing: float) -> np.ndarray:
         raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
     axes = [(np.arange(n) - (n - 1) / 2) * spacing for n in count]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
+
+
+def penny(radius: float, corners: int = 48) -> np.ndarray:
+    """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
+    t = 2 * np.pi * np.arange(corners) / corners
+    reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
+    return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
 
 
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:

@@ -137,6 +137,10 @@ class DressedSolid:
         """D(k) = Σ G K G [stress/length²], at k of shape [..., d], shape [..., d, d]."""
         return self.crystal.symbol(k)
 
+    def stiffest_wave(self) -> float:
+        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
+        return self.crystal.stiffest_wave()
+
     def tensor(self) -> np.ndarray:
         """C_ijkl of long waves along the nodes' axes [stress]: the base's own."""
         return from_voigt(self.elastic)

@@ -84,6 +84,20 @@ def check_path(name: str, path: Path) -> None:
         )
 
 
+def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
+    """The command that reads a potential for the elements of types 1, 2, …
+
+    A file of the style eam holds one element, and its command names none.
+    """
+    if style == "eam":
+        if len(kinds) > 1:
+            raise InputError(
+                f"potential: a file of the style eam is for one element, got {', '.join(kinds)}"
+            )
+        kinds = ()
+    return " ".join([f'pair_coeff * * "{path}"', *kinds])
+
+
 def lammps_calculator(
     commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
 ) -> Any:
@@ -112,7 +126,7 @@ def lammps_calculator(
             check_path("potential", path)
         except (FileNotFoundError, ValueError) as error:
             raise InputError(f"potential: {error}") from None
-        lines.append(f'pair_coeff * * "{path}" {" ".join(kinds)}')
+        lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
     if len(lines) < 2:
         raise InputError(
             f'calculator: expected lammps:"pair_style …" with --potential FILE, or with its '
