@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from warp_peri.dressed.body import Body
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.samples import Samples
 
 SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
@@ -21,6 +21,8 @@ SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
 SINGLE = 0.1
 """With one load, which leaves none to judge by."""
 FOLDS = 4
+HIDDEN = 0.9
+"""Of the radius of smoothing: values closer than that are warned of."""
 CONDITION = 1e12
 """Of the normal equations of a density law."""
 EXPONENT = 0.5
@@ -37,8 +39,8 @@ class MapFit:
         spread: standard deviation of the same values, as if what the fit leaves were noise.
         smoothness: that was taken.
         resolution: side of the square (cube) that one independent value of a map stands for, in the
-            unit of length, a mean over the sheet: finer features are blurred. What smoothing of
-            the fields hides comes on top.
+            unit of length, a mean over the sheet, or the radius of the fields' smoothing where
+            that is larger: finer features are blurred.
         history: mean squared residual left out, by smoothness; the share of values that fell below
             zero and were set there.
     """
@@ -57,6 +59,7 @@ def fit_maps(
     parts: str = "each",
     coarse: int = 2,
     smoothness: float | None = None,
+    smoothing: float | None = None,
 ) -> MapFit:
     """The moduli of an uneven periodic sheet, G and the even solid held.
 
@@ -66,9 +69,13 @@ def fit_maps(
         parts: "each" has a map for each part, "one" the same for all.
         coarse: spacings between the values of a map, linear between.
         smoothness: α of (D13); None takes what predicts left-out loads best.
+        smoothing: radius that the fields were smoothed over, if they were.
+
+    A UserWarning says where values stand closer than the fields' smoothing lets anything be seen.
 
     Raises InputError for samples that are not periodic or have no loads, and for other parts.
     """
+    _warn_of_smoothing(coarse * samples.spacing, smoothing)
     body, kinds = _periodic(solid, samples), _kinds(solid, parts)
     basis, bend = _hats(body, coarse)
     names = solid.parts.names
@@ -94,7 +101,7 @@ def fit_maps(
         {name: values[place[a]] for a, name in enumerate(names)},
         {name: spread[place[a]] for a, name in enumerate(names)},
         float(alpha),
-        float((volume / seen) ** (1 / solid.dimension)),
+        max(float((volume / seen) ** (1 / solid.dimension)), smoothing or 0.0),
         {"left_out": {str(a): v for a, v in left.items()}, "below_zero": below},
     )
 
@@ -175,6 +182,21 @@ def fit_density(
         float(rho.min()),
         float(rho.max()),
     )
+
+
+def _warn_of_smoothing(apart: float, smoothing: float | None) -> None:
+    """Say what smoothing hides. InputError for a radius that is none."""
+    if smoothing is None:
+        return
+    if not is_positive(smoothing):
+        raise InputError(f"smoothing: expected a radius > 0, got {smoothing!r}")
+    if apart < HIDDEN * smoothing:
+        warnings.warn(
+            f"coarse: values of the map stand {apart:g} apart, the fields are smoothed over "
+            f"{smoothing:g}: what is narrower than that is blurred or not seen, however well the "
+            f"loads are met; give {int(np.ceil(HIDDEN * smoothing / apart))} times the spacing",
+            stacklevel=3,
+        )
 
 
 def _periodic(solid: DressedSolid, samples: Samples) -> Body:
