@@ -24,16 +24,18 @@ from warp_peri.stability.inertia import symmetric_factors
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 
 NAME = "Cu"
-CELLS = 30
-"""Each way, and nodes."""
+PERIOD = 10 * 10**0.5
+"""In cells: of a lattice turned by atan(1/3), and nearly so of one that is not."""
+NODES = 32
+"""Each way."""
 CUT = 5.51
 """The potential reaches no further [Å]."""
 NEAR = 0.7
 """Of the distance of neighbours: of two atoms closer than that one is left out."""
 REST, STEPS = 1e-5, 2000
 """Norm of the forces at rest [eV/Å], and steps of descent that are allowed."""
-ORIGIN = np.array([0.123, 0.077])
-"""Of every grain's lattice, in cells: no atom on the border of the period."""
+BORDER = 1e-6
+"""Of the period: atoms so near beyond its upper border belong to the other one."""
 SHORTEST = 4.0
 """Wavelength of loads, in spacings; and radii of local ones."""
 PATCHES = (5.0, 3.0, 2.0)
@@ -44,7 +46,7 @@ class Columns:
     """Grains under loads.
 
     Attributes:
-        sets: "waves" and "patch", displacement [Å] and load [TPa/Å] on nodes a cell apart.
+        sets: "waves" and "patch", displacement [Å] and load [TPa/Å] on nodes.
         grain: number of each node's own, [N].
         atoms: of them at rest, [A, 3] [Å].
         stress: of the period at rest, in its plane [TPa].
@@ -75,6 +77,8 @@ def columns(
     *,
     loads: int = 8,
     seed: int = 0,
+    period: float = PERIOD,
+    nodes: int = NODES,
 ) -> Columns:
     """Atoms' linear answers seen from nodes.
 
@@ -83,11 +87,14 @@ def columns(
         degrees: by which each grain is turned.
         loads: of either set.
         seed: of the loads.
+        period: in cells, either way.
+        nodes: either way.
     """
     rng = np.random.default_rng(seed)
     cell, _ = at_rest(NAME)
     a = float(cell.cell[0, 0])
-    side = CELLS * a
+    side = period * a
+    h = side / nodes
     atoms = _filled(cell, side, number, degrees)
     with session(NAME, atoms) as lammps:
         rest = lammps.relax(REST, STEPS)
@@ -100,25 +107,25 @@ def columns(
             wide[:, :2] = x
             return lammps.nearby_forces(wide)[:, :2]
 
-        box = np.array([side, side, a])
-        near = cKDTree(np.mod(np.mod(rest, box), box), boxsize=box)
+        edges = np.array([side, side, a])
+        near = cKDTree(np.mod(np.mod(rest, edges), edges), boxsize=edges)
         bonds = near.query_pairs(CUT, output_type="ndarray")
         H = ColouredHessian(bonds, len(rest))(forces, rest[:, :2])
     x = rest[:, :2] - side / 2
-    period = (side, side)
-    pushed = [waves(x, period, rng, SHORTEST * a) for _ in range(loads)]
-    pushed += [patch(x, period, r * a, rng) for r in np.resize(PATCHES, loads)]
+    box = (side, side)
+    pushed = [waves(x, box, rng, SHORTEST * h) for _ in range(loads)]
+    pushed += [patch(x, box, r * h, rng) for r in np.resize(PATCHES, loads)]
     pushed = [force - force.mean(axis=0) for force in pushed]
     factors = symmetric_factors(H[2:, 2:])
     moved = [np.append([0, 0], factors.solve(f.ravel()[2:])).reshape(-1, 2) for f in pushed]
-    line = (np.arange(CELLS) + 0.5) * a - side / 2
+    line = (np.arange(nodes) + 0.5) * h - side / 2
     at = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    smooth = smoothing(x + side / 2, at + side / 2, CONE * a, side)
+    smooth = smoothing(x + side / 2, at + side / 2, CONE * h, side)
     density = np.asarray(smooth.sum(axis=1)).reshape(-1, 1)
     u = np.array([(smooth @ v) / density for v in moved])
     u -= u.mean(axis=1, keepdims=True)
-    b = np.array([smooth @ f for f in pushed]) * (EV_IN_TPA / a**3)
-    points = Points.sheet((CELLS, CELLS), a)
+    b = np.array([smooth @ f for f in pushed]) * (EV_IN_TPA / (h**2 * a))
+    points = Points.sheet((nodes, nodes), h)
     sets = {
         "waves": Samples(points, u[:loads], b[:loads]),
         "patch": Samples(points, u[loads:], b[loads:]),
@@ -134,15 +141,15 @@ def _filled(
 ) -> ase.Atoms:
     """Each grain's own lattice where it is, without atoms that stand too near to another."""
     a = float(cell.cell[0, 0])
-    many = int(CELLS * 0.75) + 2
-    cells = np.stack(np.meshgrid(*[np.arange(-many, many + 1)] * 2), axis=-1).reshape(-1, 2)
+    many = int(0.75 * side / a) + 2
+    at = np.stack(np.meshgrid(*[np.arange(-many, many + 1)] * 2), axis=-1).reshape(-1, 2)
     found = []
     for grain, angle in enumerate(np.deg2rad(degrees)):
-        flat = (cells[:, None] + ORIGIN + cell.positions[:, :2] / a).reshape(-1, 2) * a
-        height = np.tile(cell.positions[:, 2], len(cells))
+        flat = (at[:, None] + cell.positions[:, :2] / a).reshape(-1, 2) * a
+        height = np.tile(cell.positions[:, 2], len(at))
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         flat = flat @ turn.T
-        own = (np.abs(flat / side) < 0.5).all(axis=1)
+        own = ((flat / side >= -0.5 - BORDER) & (flat / side < 0.5 - BORDER)).all(axis=1)
         own[own] = number(flat[own] / side) == grain
         found.append(np.column_stack([flat[own] + side / 2, height[own]]))
     x = np.concatenate(found)

@@ -1,7 +1,6 @@
 """Dressed bodies that end or are torn, against atoms: a hole and a crack in graphene, free balls.
 
-python examples/studies/dressed_bodies.py        a hole and a crack, errors in %
-python examples/studies/dressed_bodies.py Cu     a free ball of a crystal
+python examples/studies/dressed_bodies.py    the hole and the crack
 """
 
 from __future__ import annotations
@@ -18,10 +17,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 import numpy as np
 
 import warp_peri as wp
-from examples.crystals import in_ball
 from tools.cracked_fields import opened_sheet
-from tools.crystal_ball import Ball, ball
-from tools.crystals import RECIPES, force_constants, spacing_of
+from tools.crystal_ball import Ball
+from tools.crystals import force_constants
 from tools.graphene import THICKNESS, area_per_atom, bond_length
 from tools.graphene_phonons import force_constants as graphene
 from tools.holed_sheet import Plate, held_samples, loads_of
@@ -95,16 +93,10 @@ def hole(spacing: float = 5.0) -> dict[str, Any]:
     return found
 
 
-def laws_of_ball(name: str, seen: Ball) -> tuple[DressedSolid, DressedSolid]:
-    """Split laws of the crystal as the ball's surface squeezes it, and at rest."""
-    there = force_constants(name, seen.strain)
-    rest = force_constants(name)
-    spacing = spacing_of(np.diag(rest.cell), RECIPES[name])
-    symmetry = rest.group()
-    return (
-        from_phonons(there, seen.samples.spacing, symmetry=symmetry),
-        from_phonons(rest, spacing, symmetry=symmetry),
-    )
+def squeezed_law(name: str, seen: Ball) -> DressedSolid:
+    """A split law of the crystal as the surface of a ball squeezes it."""
+    symmetry = force_constants(name).group()  # its strain is that of a cubic crystal, too
+    return from_phonons(force_constants(name, seen.strain), seen.samples.spacing, symmetry=symmetry)
 
 
 def free_ball(law: DressedSolid, seen: Ball, per_node: float) -> dict[str, Any]:
@@ -139,20 +131,6 @@ def free_ball(law: DressedSolid, seen: Ball, per_node: float) -> dict[str, Any]:
         u = wp.solve(body, wp.Dirichlet(points, b, 0 * b)).u[:, at]
         found[name] = relative(still(u), still(seen.samples.u[:, inside]), everywhere)
     return found
-
-
-def squeezed(name: str) -> dict[str, Any]:
-    """E_u [%] of one crystal's free ball: its inside, displacement given around, by the law of the
-    crystal as it is there and by that at rest; and all of it, with its surface."""
-    atoms = force_constants(name)
-    seen = ball(name, atoms, spacing_of(np.diag(atoms.cell), RECIPES[name]))
-    there, rest = laws_of_ball(name, seen)
-    return {
-        "ball": in_ball(there.crystal, seen.samples)[1],
-        "ball_at_rest": in_ball(rest.crystal, seen.samples)[1],
-        "squeezed": (100 * seen.strain).tolist(),
-        "free_ball": free_ball(there, seen, len(atoms.positions)),
-    }
 
 
 def faces() -> dict[str, Any]:
@@ -214,6 +192,4 @@ def faces() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    names = sys.argv[1:]
-    told = {name: squeezed(name) for name in names} if names else {"hole": hole(), "faces": faces()}
-    print(json.dumps(told, indent=1))
+    print(json.dumps({"hole": hole(), "faces": faces()}, indent=1))

@@ -253,14 +253,25 @@ class Body:
     def _through(self, matrix: Callable[[np.ndarray], np.ndarray], u: ArrayLike) -> np.ndarray:
         return np.asarray(matrix(self._flat(u).T).T.reshape(np.shape(u)) @ self.axes.T)
 
+    def tensors(self, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """m_a M_a of each grain, [S, S], and its share of each site, [N]; one between grains is a
+        mean of theirs."""
+        base = self.model.parts
+        return [
+            (
+                np.append(self.grain == grain, False)[self._corner] @ base.middle,
+                law.parts.parts[number] * law.parts.moduli[number],
+            )
+            for grain, law in enumerate(self.laws)
+        ]
+
     def part(self, number: int, factor: np.ndarray) -> sp.csr_array:
         """K_a of one part with a factor at each site, [N]: symmetric, [d N, d N]."""
         base = self.model.parts
         inner = sp.csr_array((self.strains.shape[0],) * 2)
-        for grain, law in enumerate(self.laws):  # an element between grains is a mean of theirs
-            M = sp.csr_array(law.parts.parts[number] * law.parts.moduli[number])
-            share = np.append(self.grain == grain, False)[self._corner] @ base.middle
-            inner = inner + sp.kron(sp.diags_array(share * factor), M, format="csr")
+        for share, M in self.tensors(number):
+            weight = sp.diags_array(share * factor)
+            inner = inner + sp.kron(weight, sp.csr_array(M), format="csr")
         if self.gram is not None:  # M = 1 ⊗ P / 2^d becomes W ⊗ P
             place = np.arange(len(factor) + 1)
             W = sp.bsr_array((self.gram * len(self.gram[0]), place[:-1], place))

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.dressed.body import Body
+from warp_peri.dressed.body import Body, Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_positive
@@ -60,6 +60,7 @@ def fit_maps(
     coarse: int = 2,
     smoothness: float | None = None,
     smoothing: float | None = None,
+    grains: Grains | None = None,
 ) -> MapFit:
     """The moduli of an uneven periodic sheet, G and the even solid held.
 
@@ -70,13 +71,15 @@ def fit_maps(
         coarse: spacings between the values of a map, linear between.
         smoothness: α of (D13); None takes what predicts left-out loads best.
         smoothing: radius that the fields were smoothed over, if they were.
+        grains: laws and the number of each node's own, as of DressedSolid.on: the maps are factors
+            on theirs, as soft as boundaries are.
 
     A UserWarning says where values stand closer than the fields' smoothing lets anything be seen.
 
     Raises InputError for samples that are not periodic or have no loads, and for other parts.
     """
     _warn_of_smoothing(coarse * samples.spacing, smoothing)
-    body, kinds = _periodic(solid, samples), _kinds(solid, parts)
+    body, kinds = _periodic(solid, samples, grains), _kinds(solid, parts)
     basis, bend = _hats(body, coarse)
     names = solid.parts.names
     grams, sides, size, _ = _normal_equations(body, samples, basis, kinds, known=False)
@@ -199,10 +202,10 @@ def _warn_of_smoothing(apart: float, smoothing: float | None) -> None:
         )
 
 
-def _periodic(solid: DressedSolid, samples: Samples) -> Body:
+def _periodic(solid: DressedSolid, samples: Samples, grains: Grains | None = None) -> Body:
     if samples.points.box is None:
         raise InputError("samples: expected a periodic sheet for a map")
-    return Body(solid, samples.points)
+    return Body(solid, samples.points, grains=grains)
 
 
 def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
@@ -264,8 +267,10 @@ def _design(body: Body, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int
         for a in kind:
             G = body.dressings[min(a, len(body.dressings) - 1)]
             strain = (body.strains @ (G @ flat)).reshape(count, -1)
-            stress = (strain @ (base.moduli[a] * base.parts[a])).ravel()
-            total = total + G.T @ (body.strains.T @ (sp.diags_array(stress) @ shares))
+            stress = np.zeros_like(strain)
+            for share, M in body.tensors(a):
+                stress += share[:, None] * (strain @ M)
+            total = total + G.T @ (body.strains.T @ (sp.diags_array(stress.ravel()) @ shares))
         columns.append(total.toarray())
     return np.concatenate(columns, axis=1)
 
