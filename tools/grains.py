@@ -1,7 +1,8 @@
-"""Copper in columns along [001], each grain turned by an angle of its own; linear at 0 K.
+"""Copper in columns along [1̄10], each grain turned by an angle of its own; linear at 0 K.
 
 A column's atoms lie in two planes that mirror it, so that what is pushed along them stays in them:
-a sheet as thick as a cell, its plane strain that of the solid.
+a sheet two planes thick, its plane strain that of the solid. Turned by ±35.26° two grains are twins
+where they share a layer.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ from warp_peri.stability.inertia import symmetric_factors
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 
 NAME = "Cu"
-PERIOD = 10 * 10**0.5
-"""In cells: of a lattice turned by atan(1/3), and nearly so of one that is not."""
-NODES = 32
-"""Each way."""
+AXES = np.array([[0, 0, 2**0.5], [1, 1, 0], [1, -1, 0]]) / 2**0.5
+"""Of a grain that is not turned, in the crystal's: [001], [110] and that of the columns."""
+PERIODS = {False: (34, 36, 40), True: (17, 18, 20)}
+"""Steps along a twin boundary in a period, close-packed layers across half of it, a
+multiple of three for the period to close, and nodes either way; half as wide or not."""
 CUT = 5.51
 """The potential reaches no further [Å]."""
 NEAR = 0.7
@@ -59,15 +61,20 @@ class Columns:
 
 
 def plane_constants() -> ForceConstants:
-    """Of one crystal, for what is pushed along (001) and even along [001]."""
+    """Of one crystal, for what is pushed across its columns and even along them."""
     solid = force_constants(NAME)
-    flat = np.array([1.0, 1.0, 0.0])
+    own = solid.pairs[:, 0] == 0  # all atoms are alike
+    a = float(solid.cell[0, 0])
+    flat = AXES * np.array([[1.0], [1.0], [0.0]])
     return replace(
         solid,
-        positions=solid.positions * flat,
-        vectors=solid.vectors * flat,
-        values=solid.values * np.outer(flat, flat),
-        thickness=float(solid.cell[2, 2]),
+        cell=np.diag([a, a / 8**0.5, 2 * a]),
+        positions=np.zeros((1, 3)),
+        species=solid.species[:1],
+        pairs=0 * solid.pairs[own],
+        vectors=solid.vectors[own] @ flat.T,
+        values=flat @ solid.values[own] @ flat.T,
+        thickness=a / 2**0.5,
     )
 
 
@@ -77,8 +84,7 @@ def columns(
     *,
     loads: int = 8,
     seed: int = 0,
-    period: float = PERIOD,
-    nodes: int = NODES,
+    half: bool = False,
 ) -> Columns:
     """Atoms' linear answers seen from nodes.
 
@@ -87,18 +93,21 @@ def columns(
         degrees: by which each grain is turned.
         loads: of either set.
         seed: of the loads.
-        period: in cells, either way.
-        nodes: either way.
+        half: a period half as wide.
     """
     rng = np.random.default_rng(seed)
     cell, _ = at_rest(NAME)
     a = float(cell.cell[0, 0])
-    side = period * a
-    h = side / nodes
+    steps, layers, nodes = PERIODS[half]
+    side = np.array([steps * 1.5**0.5, 2 * layers / 3**0.5]) * a
+    thick = a / 2**0.5
+    h = float(np.prod(side) ** 0.5) / nodes  # sides are one to 2e-3: nodes are taken as square
     atoms = _filled(cell, side, number, degrees)
     with session(NAME, atoms) as lammps:
         rest = lammps.relax(REST, STEPS)
-        rest[:, 2] = a / 2 * np.rint(2 * rest[:, 2] / a)  # what rounding took off the mirrors
+        rest[:, 2] = (
+            thick / 2 * np.rint(2 * rest[:, 2] / thick)
+        )  # what rounding took off the mirrors
         lammps.forces(rest)
         stress = lammps.stress()[:2, :2]
         wide = rest.copy()
@@ -107,24 +116,25 @@ def columns(
             wide[:, :2] = x
             return lammps.nearby_forces(wide)[:, :2]
 
-        edges = np.array([side, side, a])
+        edges = np.array([*side, thick])
         near = cKDTree(np.mod(np.mod(rest, edges), edges), boxsize=edges)
         bonds = near.query_pairs(CUT, output_type="ndarray")
         H = ColouredHessian(bonds, len(rest))(forces, rest[:, :2])
     x = rest[:, :2] - side / 2
-    box = (side, side)
+    box = (float(side[0]), float(side[1]))
     pushed = [waves(x, box, rng, SHORTEST * h) for _ in range(loads)]
     pushed += [patch(x, box, r * h, rng) for r in np.resize(PATCHES, loads)]
     pushed = [force - force.mean(axis=0) for force in pushed]
     factors = symmetric_factors(H[2:, 2:])
     moved = [np.append([0, 0], factors.solve(f.ravel()[2:])).reshape(-1, 2) for f in pushed]
-    line = (np.arange(nodes) + 0.5) * h - side / 2
-    at = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    smooth = smoothing(x + side / 2, at + side / 2, CONE * h, side)
+    line = (np.arange(nodes) + 0.5) / nodes - 0.5
+    at = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2) * side
+    square = nodes * h / side
+    smooth = smoothing((x + side / 2) * square, (at + side / 2) * square, CONE * h, nodes * h)
     density = np.asarray(smooth.sum(axis=1)).reshape(-1, 1)
     u = np.array([(smooth @ v) / density for v in moved])
     u -= u.mean(axis=1, keepdims=True)
-    b = np.array([smooth @ f for f in pushed]) * (EV_IN_TPA / (h**2 * a))
+    b = np.array([smooth @ f for f in pushed]) * (EV_IN_TPA / (h**2 * thick))
     points = Points.sheet((nodes, nodes), h)
     sets = {
         "waves": Samples(points, u[:loads], b[:loads]),
@@ -135,28 +145,28 @@ def columns(
 
 def _filled(
     cell: ase.Atoms,
-    side: float,
+    side: np.ndarray,
     number: Callable[[np.ndarray], np.ndarray],
     degrees: Sequence[float],
 ) -> ase.Atoms:
     """Each grain's own lattice where it is, without atoms that stand too near to another."""
-    a = float(cell.cell[0, 0])
-    many = int(0.75 * side / a) + 2
-    at = np.stack(np.meshgrid(*[np.arange(-many, many + 1)] * 2), axis=-1).reshape(-1, 2)
+    a, most = float(cell.cell[0, 0]), int(0.75 * side.max() / cell.cell[0, 0]) + 2
+    line = np.arange(-most, most + 1)
+    cells = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = (cells[:, None] * a + cell.positions).reshape(-1, 3) @ AXES.T
+    thick = a / 2**0.5
+    x = x[(x[:, 2] > -BORDER * a) & (x[:, 2] < thick - BORDER * a)]
     found = []
     for grain, angle in enumerate(np.deg2rad(degrees)):
-        flat = (at[:, None] + cell.positions[:, :2] / a).reshape(-1, 2) * a
-        height = np.tile(cell.positions[:, 2], len(at))
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        flat = flat @ turn.T
+        c, s = np.cos(angle), np.sin(angle)
+        flat = x[:, :2] @ np.array([[c, s], [-s, c]])
         own = ((flat / side >= -0.5 - BORDER) & (flat / side < 0.5 - BORDER)).all(axis=1)
         own[own] = number(flat[own] / side) == grain
-        found.append(np.column_stack([flat[own] + side / 2, height[own]]))
+        found.append(np.column_stack([flat[own] + side / 2, x[own, 2]]))
     x = np.concatenate(found)
-    box = np.array([side, side, a])
-    near = cKDTree(np.mod(x, box), boxsize=box).query_pairs(
-        NEAR * a / 2**0.5, output_type="ndarray"
-    )
+    box = np.array([*side, thick])
+    tree = cKDTree(np.mod(np.mod(x, box), box), boxsize=box)
+    near = tree.query_pairs(NEAR * a / 2**0.5, output_type="ndarray")
     kept = np.ones(len(x), bool)
     for i, j in near:
         if kept[i] and kept[j]:
