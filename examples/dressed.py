@@ -223,6 +223,8 @@ def crystal(name: str, with_ball: bool) -> dict[str, Any]:
     there = law if seen is None else squeezed_law(name, seen)
     table = unseen.judge(law.symbol, law.crystal, there.crystal)
     rest = unseen.judge(without(law).symbol, without(law).crystal, without(there).crystal)
+    for one in (table["E_u"], table["E_res"], rest["E_u"]):
+        one["ball_at_rest"] = one.pop("ball at rest")
     whole = {} if seen is None else {"free_ball": free_ball(there, seen, len(atoms.positions))}
     return whole | {
         "E_u": table["E_u"],
