@@ -60,6 +60,7 @@ def test_grains_resist_no_turn_and_are_their_own_laws():
     )
     np.testing.assert_allclose(body(u)[far], own[far], atol=1e-12)
     for given, why in (
+        (number, "expected a pair"),
         ((laws, number[:5]), "expected 144 whole numbers"),
         ((laws[:2], number), "expected numbers of 2 laws, got 0 to 2"),
         (([law, solid(reach=1.0)], halves), "one base, spacing, units and neighbours"),
@@ -93,6 +94,12 @@ def test_iterations_find_what_a_factorisation_does(d):
         assert found.method == "cg"
         assert found.residual < 1e-9
         np.testing.assert_allclose(found.u, direct.u, atol=1e-6 * np.abs(direct.u).max())
+    free = law.on(everywhere, edges=lambda x: np.abs(x[:, 0] - middle[0]) > SPACING)
+    apart = np.sign(everywhere.x - middle) * [1.0, *[0.0] * (d - 1)]
+    apart = apart * (np.abs(everywhere.x - middle)[:, :1] > 3.5 * SPACING)
+    for solver in (Direct(), Krylov()):
+        with pytest.raises(InputError, match="falls apart"):
+            wp.solve(free, wp.Dirichlet(everywhere, apart, 0 * apart), solver=solver)
     loose = np.ones_like(b)
     with pytest.raises(InputError, match="no load on nodes that nothing belongs to"):
         wp.solve(body, wp.Dirichlet(points, loose, 0 * b))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,10 +12,12 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from warp_peri.dressed.bases import gauss_shapes
 from warp_peri.dressed.broken import key, pairs
+from warp_peri.dressed.grains import Grains, grains_of
+from warp_peri.dressed.outline import cut_elements
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
+from warp_peri.launch import DEVICE
 from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
 from warp_peri.points.lattice import lattice_steps, neighbour_table
@@ -30,18 +31,10 @@ from warp_peri.statics.solution import Solution
 if TYPE_CHECKING:
     from warp_peri.dressed.law import DressedSolid
 
-Grains = tuple[Sequence["DressedSolid"], ArrayLike]
-"""Laws, and the number of that which each node belongs to, [N]."""
 Edges = bool | Callable[[np.ndarray], np.ndarray]
 """Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""
-FINE = {2: 20, 3: 8}
-"""Positions along an axis of an element that are asked whether they lie inside."""
-LEAST = 0.02
-"""Share of an element below which it is left out."""
 MOST_DIRECT = 1500
 """Nodes in space beyond which conjugate gradients are taken for a factorisation."""
-SAME = 1e-6
-"""Relative, of spacings that are one."""
 BALANCED, MET = 1e-4, 1e-6
 """Relative, of the resultant of a free body's load, which is taken off, and of a residual."""
 
@@ -80,11 +73,14 @@ class Body:
             period = np.rint(np.asarray(self.points.box) / self.points.spacing)
             self.sides = tuple(period.astype(int).tolist())
         self._steps = np.concatenate([solid.steps, -solid.steps])
-        self.laws, self.grain = _grains(solid, grains, len(self.grid))
+        self.laws, self.grain = grains_of(solid, grains, len(self.grid))
         base = solid.parts
         self._corner = self._neighbours(base.corners)
         count = len(self.grid)
-        self.gram = self._inside(edges) if callable(edges) else None
+        if callable(edges) and solid.base != "elements":
+            raise InputError("edges: expected True for a base of bonds; outlines cut elements")
+        place = self.points.x, self.axes, solid.spacing
+        self.gram = cut_elements(*place, edges) if callable(edges) else None
         self.share = np.ones(count) if self.gram is None else self.gram.sum(axis=(1, 2))
         self.factors = self._factors(maps or {}) * (self.share > 0)
         torn = pairs(broken, count)
@@ -103,27 +99,6 @@ class Body:
         if self.points.outside is not None:
             found[np.append(self.points.outside, False)[found]] = -1
         return found
-
-    def _inside(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """∫ N_g N_g' over the part of each element inside the body, [N, 2^d, 2^d] (D23)."""
-        if self.model.base != "elements":
-            raise InputError("edges: expected True for a base of bonds; outlines cut elements")
-        d = len(self.axes)
-        line = (np.arange(FINE[d]) + 0.5) / FINE[d]
-        fine = np.array(list(itertools.product(line, repeat=d))) * self.model.spacing
-        shapes = gauss_shapes(np.array(list(itertools.product(line, repeat=d))))
-        square = np.einsum("ng,nf->ngf", shapes, shapes).reshape(len(shapes), -1) / len(shapes)
-        gram = np.zeros((len(self.points.x), 2**d, 2**d))
-        for part in np.array_split(np.arange(len(gram)), len(gram) // 1000 + 1):
-            at = self.points.x[part, None] + fine @ self.axes.T
-            said = np.asarray(inside(at.reshape(-1, d)), dtype=bool)
-            if said.shape != (at.size // d,):
-                raise InputError(f"edges: expected one bool a position, got {list(said.shape)}")
-            share = said.reshape(len(part), -1)
-            held = np.where(share.mean(axis=1, keepdims=True) < LEAST, 0.0, share)
-            gram[part] = (held @ square).reshape(len(part), 2**d, 2**d)
-            gram[part[share.all(axis=1)]] = np.eye(2**d) / 2**d
-        return gram
 
     def _factors(self, maps: Mapping[str, ArrayLike]) -> np.ndarray:
         base, count = self.model.parts, len(self.points.x)
@@ -364,6 +339,11 @@ class Body:
         if solver is None:
             iterated = self.points.x.shape[1] == 3 and int(inside.sum()) > MOST_DIRECT
         asked = solver if isinstance(solver, Krylov) else Krylov()
+        if asked.preconditioner not in (None, "cg") or asked.device != DEVICE:
+            raise InputError(
+                "solver: expected Krylov(tolerance=…) alone for a dressed body, whose "
+                f"preconditioner is its own diagonal, got {asked!r:.100}"
+            )
         fields, loads = self._fields(u), self._fields(b)
         turned, pulled = fields @ self.axes, loads @ self.axes
         alive = self.stiffness.any(axis=1)
@@ -409,7 +389,10 @@ class Body:
             f.reshape(len(f), -1).T for f in (loads, np.where(unknown[:, None], 0.0, held))
         )
         right = mask * (self._balanced(flat, rigid) - self._product(start))
-        found, record = definite(product, precondition, torch.from_numpy(right), tolerance)
+        try:
+            found, record = definite(product, precondition, torch.from_numpy(right), tolerance)
+        except InputError as error:  # L ⪰ 0: a direction without energy is a part that is loose
+            raise InputError(f"the body falls apart, or nearly: {error}") from None
         answer = (start + found.numpy()).T.reshape(shape)
         return answer, record.residual, record.iterations
 
@@ -474,33 +457,3 @@ class Body:
         """Fields along the nodes' axes, one a row, [S, d N]."""
         fields = self._fields(u)
         return np.asarray((fields @ self.axes).reshape(len(fields), -1))
-
-
-def _grains(
-    solid: DressedSolid, grains: Grains | None, count: int
-) -> tuple[list[DressedSolid], np.ndarray]:
-    """Laws and the number of each node's own, checked."""
-    if grains is None:
-        return [solid], np.zeros(count, int)
-    laws, given = list(grains[0]), checked("grains", grains[1], float)
-    number = given.astype(int)
-    if given.shape != (count,) or (number != given).any():
-        raise InputError(f"grains: expected {count} whole numbers, got shape {list(given.shape)}")
-    if not (len(laws) and number.min() >= 0 and number.max() < len(laws)):
-        raise InputError(
-            f"grains: expected numbers of {len(laws)} laws, got {number.min()} to {number.max()}"
-        )
-    for law in laws:
-        same = law.base == solid.base and abs(law.spacing / solid.spacing - 1) < SAME
-        if not (
-            same
-            and law.units == solid.units
-            and np.array_equal(law.steps, solid.steps)
-            and law.tensors.shape == solid.tensors.shape
-            and len(law.parts.moduli) == len(solid.parts.moduli)
-        ):
-            raise InputError(
-                "grains: expected laws of one base, spacing, units and neighbours, with as many "
-                "parts each, as from_phonons or transferred make them for other orientations"
-            )
-    return laws, number

@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.dressed.body import Body, Grains
+from warp_peri.dressed.body import Body
+from warp_peri.dressed.grains import Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_positive
