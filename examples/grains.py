@@ -31,6 +31,8 @@ TILT = float(np.degrees(np.arctan2(1, 2**0.5)))
 NOTHING = 1e-4
 """Of the period."""
 SEVERAL, SEED = 5, 4
+LEAST = 0.02
+"""Of a map: no node is left without stiffness."""
 TRAIN, LOADS = 4, 12
 """Loads that maps are learned from, and loads of each kind."""
 
@@ -88,11 +90,12 @@ def study(found: Columns, degrees: tuple[float, ...], atoms: ForceConstants) -> 
     told = fit_maps(
         laws[0], sets["train"], grains=grains, parts="one", smoothing=CONE * points.spacing
     )
+    maps = {name: np.maximum(values, LEAST) for name, values in told.maps.items()}
     bodies = {
         "one law": laws[0].on(points, maps=even),
         "elements": plain[0].on(points, grains=(plain, found.grain)),
         "dressed": laws[0].on(points, grains=grains),
-        "dressed, a map": laws[0].on(points, grains=grains, maps=told.maps),
+        "dressed, a map": laws[0].on(points, grains=grains, maps=maps),
     }
     return {
         "atoms": len(found.atoms),
