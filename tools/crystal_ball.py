@@ -39,10 +39,14 @@ class Ball:
         samples: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of
             the crystal as its surface has squeezed it.
         strain: of the inside at rest along the axes, shape [3].
+        atoms: at rest [Å], shape [A, 3].
+        forces: on them [eV/Å], shape [S, A, 3].
     """
 
     samples: Samples
     strain: np.ndarray
+    atoms: np.ndarray
+    forces: np.ndarray
 
 
 def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Ball:
@@ -81,7 +85,7 @@ def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5
     density = np.asarray(smooth.sum(axis=1))
     u = np.array([(smooth @ answer) / density for answer in answers])
     b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / h**3)
-    return Ball(Samples(points, u, b), strain)
+    return Ball(Samples(points, u, b), strain, rest, np.array(pushes))
 
 
 def cut(constants: ForceConstants, radius: float) -> tuple[ase.Atoms, tuple[int, ...]]:

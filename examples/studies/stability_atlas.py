@@ -83,6 +83,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "float32": atlas_solves.single_precision,
         "compression": atlas_hyperelastic.hourglass,
         "edges": lambda: atlas_dressed.cut_at_edges(data),
+        "small-holes": lambda: atlas_dressed.small_holes(data),
         "stretched": atlas_dressed.stretched_beyond,
         "uneven": atlas_uneven.uneven_as_even,
         "predictions": lambda: atlas_predictions.short_waves(data),

@@ -77,6 +77,11 @@ def test_a_map_is_found_again():
     assert np.array_equal(same.maps["bulk"], same.maps["shear"])
     left = [min(one.history["left_out"].values()) for one in (chosen, same)]
     assert left[0] < 0.2 * left[1]
+    with pytest.warns(UserWarning, match="2.6 apart, the fields are smoothed over 6.*give 3 times"):
+        seen = fit_maps(samples, law, smoothness=1e-9, smoothing=6.0)
+    assert fit.resolution < seen.resolution == 6.0
+    with pytest.raises(InputError, match="radius > 0"):
+        fit_maps(samples, law, smoothing=-1.0)
     with pytest.raises(InputError, match="expected a divisor of 16, 16 nodes"):
         fit_maps(samples, law, coarse=3)
     with pytest.raises(InputError, match="'each' or 'one'"):
