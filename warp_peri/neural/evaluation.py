@@ -47,8 +47,10 @@ def evaluate(
         rows["E_res_abs"].append(miss)
         rows["E_res"].append(miss / size if size else np.nan)
         if search is not None:
-            start = affine(samples, u) if samples.b is None else np.where(inside[:, None], 0.0, u)
-            found = search.solve(b, start, tolerance=tolerance)
+            if samples.b is None:
+                found = search.solve(b, affine(samples, u), tolerance=tolerance)
+            else:
+                found = search.from_rest(b, u, tolerance=tolerance)
             gap = np.linalg.norm((found.u - u)[inside])
             rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
             rows["converged"].append(float(found.converged))
