@@ -14,8 +14,8 @@ from warp_peri.neural.material import Operator
 from warp_peri.neural.training import affine
 from warp_peri.points.samples import Samples
 
-TOLERANCE = 1e-6
-"""Of the solves that an error is told of."""
+TOLERANCE = {torch.float64: 1e-6, torch.float32: 1e-5}
+"""Of the solves that an error is told of, by precision."""
 
 
 def evaluate(
@@ -23,7 +23,7 @@ def evaluate(
     samples: Samples,
     *,
     solve: bool = True,
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Errors on one set, means over samples and by sample ("samples"), relative ℓ2 norms.
@@ -39,6 +39,7 @@ def evaluate(
     inside = samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
     search = Equilibrium(placed) if solve else None
+    enough = TOLERANCE[placed.dtype] if tolerance is None else tolerance
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
     for u, b in tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False):
         with torch.no_grad():
@@ -48,9 +49,9 @@ def evaluate(
         rows["E_res"].append(miss / size if size else np.nan)
         if search is not None:
             if samples.b is None:
-                found = search.solve(b, affine(samples, u), tolerance=tolerance)
+                found = search.solve(b, affine(samples, u), tolerance=enough)
             else:
-                found = search.from_rest(b, u, tolerance=tolerance)
+                found = search.from_rest(b, u, tolerance=enough)
             gap = np.linalg.norm((found.u - u)[inside])
             rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
             rows["converged"].append(float(found.converged))
