@@ -10,10 +10,10 @@ import torch
 pytest.importorskip("skfem")
 
 from examples import neural_operator, neural_sets
-from examples.neural_sets import mirrored, within
+from examples.neural_sets import mirrored
 from examples.studies.neural_speed import plain
 from tests.support.problems import lattice
-from tools.make_hgo import square_points
+from tools.make_hgo import SQUARES, square_points
 from warp_peri.neural.file import load
 from warp_peri.neural.material import Operator
 from warp_peri.points.samples import Samples
@@ -31,12 +31,12 @@ def test_the_mirror_continues_a_straight_field_and_keeps_the_square():
         assert Operator(reach * points.spacing, (2, 2), (2, 2)).on(wide.points).bonds.acting
 
 
-@pytest.mark.parametrize(("reach", "count"), [(3, 81), (4, 25), (5, 1)])
-def test_equations_stand_where_surroundings_are_data(reach, count):
-    points = square_points()
-    samples = within(Samples(points, np.zeros((1, len(points.x), 2))), reach)
-    assert samples.interior.sum() == count
-    Operator(reach * points.spacing, (2, 2), (2, 2)).on(samples.points)
+@pytest.mark.parametrize(("square", "side"), [("square", 21), ("square_4", 25), ("square_5", 29)])
+def test_equations_stand_where_surroundings_are_data(square, side):
+    points = square_points(square)
+    assert len(points.x) == side**2
+    assert points.interior.sum() == 81
+    Operator(SQUARES[square] * points.spacing, (2, 2), (2, 2)).on(points)
 
 
 def test_the_plain_version_is_the_same_force():
