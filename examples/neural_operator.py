@@ -86,7 +86,7 @@ def experiment(name: str, reach: int) -> Experiment:
         )
     return Experiment(
         {**TISSUE, "horizon": neural_sets.REACH * SPACING, "strain": 2.0},
-        Training(epochs=30, batch=10),
+        Training(epochs=60, rate=2e-3, batch=5),
     )
 
 
@@ -145,7 +145,7 @@ def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solv
     found: dict[str, dict[str, Any]] = {}
     exact = material if material.anisotropic else material.double()
     for name, samples in tqdm(sets.items(), disable=given.json, leave=False):
-        errors = evaluate(exact, samples, solve=solve, progress=not given.json)
+        errors = evaluate(exact, samples, solve=solve, most=given.solved, progress=not given.json)
         for key in ("E_res", "E_res_abs", "E_u", "converged"):
             if key in errors:
                 found.setdefault(key, {})[name] = errors[key]
@@ -178,6 +178,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     draw(material, given.out / f"{name}.png")
     report["weights"] = material.numbers()
     report |= errors_of(material, sets, given, solve=not given.no_solve)
+    report["solved"] = given.solved
     report["printed"] = PRINTED.get(name.replace("_mirror", "").replace("_", " "), {})
     if given.rivals:
         report["rivals"] = rivals_of(given.experiment, sets, given.reach)
@@ -240,6 +241,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--no-solve", action="store_true", help="E_res alone")
+    parser.add_argument("--solved", type=int, help="E_u over so many samples of a set, not all")
     parser.add_argument("--rivals", action="store_true", help="fit the other materials too")
     parser.add_argument("--data", type=Path, default=ROOT / "data")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural")

@@ -66,7 +66,7 @@ def test_the_shipped_weights_of_graphene(graphene):
     """Held to what docs/neural.md says of them; the training set by every tenth of its solves."""
     material = load(neural_operator.WEIGHTS / "graphene.json")
     assert material.widths == {"influence": (256, 512), "state": (512, 512)}
-    given = argparse.Namespace(json=True)
+    given = argparse.Namespace(json=True, solved=None)
     sets = neural_sets.graphene(graphene)
     errors = neural_operator.errors_of(material, sets, given, solve=False)
     assert errors["E_res"]["train"] < 0.0285

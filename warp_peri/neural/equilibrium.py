@@ -56,13 +56,13 @@ class Equilibrium:
         rows = placed.bonds.rows
         self.unknown = (2 * rows[:, None] + [0, 1]).ravel()
         self.at_rest = placed.tangent(torch.zeros(self._shape, dtype=placed.dtype))
-        self.factors = self._factors(self.at_rest)
+        self.factors = self.factors_of(self.at_rest)
 
     @property
     def _shape(self) -> tuple[int, int]:
         return len(self.placed.points.x), 2
 
-    def _factors(self, tangent: Tangent) -> SuperLU:
+    def factors_of(self, tangent: Tangent) -> SuperLU:
         """LU of the tangent's rows and columns of the interior."""
         return splu(matrix(tangent)[:, self.unknown].tocsc())
 
@@ -170,7 +170,7 @@ class Equilibrium:
         asked = {"rtol": tolerance, "restart": MOST_PRODUCTS, "maxiter": 1}
         answer, failed = gmres(J, right.ravel(), M=M, **asked)
         if failed:
-            self.factors = self._factors(tangent)
+            self.factors = self.factors_of(tangent)
             answer = before(right.ravel())
         return np.asarray(answer).reshape(-1, 2)
 

@@ -10,8 +10,8 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.frames import affine
 from warp_peri.neural.material import Operator
-from warp_peri.neural.training import affine
 from warp_peri.points.samples import Samples
 
 TOLERANCE = {torch.float64: 1e-6, torch.float32: 1e-5}
@@ -23,6 +23,7 @@ def evaluate(
     samples: Samples,
     *,
     solve: bool = True,
+    most: int | None = None,
     tolerance: float | None = None,
     progress: bool = False,
 ) -> dict[str, Any]:
@@ -31,7 +32,7 @@ def evaluate(
     E_res_abs is ‖force − b‖ [stress/length], E_u the error of the displacement that is solved for
     from zero or, without loads, from the affine motion of the collar, "converged" the share of the
     samples whose equilibrium was found; an E_u is told of all, found or not. A sample without a
-    load has no E_res.
+    load has no E_res. With `most`, only the first so many samples are solved.
 
     Raises InputError for points without the collar.
     """
@@ -41,13 +42,14 @@ def evaluate(
     search = Equilibrium(placed) if solve else None
     enough = TOLERANCE[placed.dtype] if tolerance is None else tolerance
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
-    for u, b in tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False):
+    pairs = tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False)
+    for number, (u, b) in enumerate(pairs):
         with torch.no_grad():
             miss = float(np.linalg.norm(placed(u) - b[inside]))
         size = float(np.linalg.norm(b[inside]))
         rows["E_res_abs"].append(miss)
         rows["E_res"].append(miss / size if size else np.nan)
-        if search is not None:
+        if search is not None and (most is None or number < most):
             if samples.b is None:
                 found = search.solve(b, affine(samples, u), tolerance=enough)
             else:
