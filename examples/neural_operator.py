@@ -86,7 +86,7 @@ def experiment(name: str, reach: int) -> Experiment:
         )
     return Experiment(
         {**TISSUE, "horizon": neural_sets.REACH * SPACING, "strain": 2.0},
-        Training(epochs=60, rate=2e-3, batch=5),
+        Training(epochs=30, rate=2e-3, batch=5),
     )
 
 
