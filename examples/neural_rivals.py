@@ -59,7 +59,7 @@ def elements(name: str) -> Callable[[Sets], Errors]:
         numbers, _ = min((fit(window, make, np.array(x), few) for x in starts), key=lambda f: f[1])
         every = np.concatenate([samples.u for samples in sets.values()])
         frames = Samples(sets["train"].points, every)
-        numbers, _ = fit(window, make, numbers, frames, most_steps=2)
+        numbers, _ = fit(window, make, numbers, frames, most_steps=1)
         found = {
             part: window.errors(make(numbers), samples, samples.u) for part, samples in sets.items()
         }

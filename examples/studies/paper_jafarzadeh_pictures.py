@@ -21,12 +21,14 @@ BINS = 60
 
 def shown(figure: Figure, ax: Axes, x: Any, value: Any, label: str, limit: float | None) -> None:
     """Contours of a field on its nodes: with a limit around zero, else from zero on."""
-    points, field = np.asarray(x), np.asarray(value)
+    points, field = np.array(x, float), np.array(value, float)
     if limit is None:
         levels, colours = np.linspace(0, max(field.max(), 1e-12), 15), "magma_r"
     else:
         levels, colours = np.linspace(-limit, limit, 21), "RdBu_r"
-    drawn = ax.tricontourf(*points.T, field, levels=levels, cmap=colours, extend="both")
+    drawn: Any = ax.tricontourf(
+        points[:, 0], points[:, 1], field, levels=levels.tolist(), cmap=colours, extend="both"
+    )
     figure.colorbar(drawn, ax=ax, label=label, shrink=0.85)
     ax.set_aspect("equal")
 
