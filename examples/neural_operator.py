@@ -143,7 +143,7 @@ def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solv
     Where strains are large single precision tells them to 1e-5.
     """
     found: dict[str, dict[str, Any]] = {}
-    exact = material if material.anisotropic else material.double()
+    exact = material.float() if material.anisotropic else material.double()
     for name, samples in tqdm(sets.items(), disable=given.json, leave=False):
         errors = evaluate(exact, samples, solve=solve, most=given.solved, progress=not given.json)
         for key in ("E_res", "E_res_abs", "E_u", "converged"):

@@ -12,7 +12,7 @@ import warp_peri
 from examples.hgo_square import FREE
 from examples.leaflet import ROSE
 from examples.neural_sets import Sets
-from examples.studies.leaflet_rivals import RIVALS, Window, fit
+from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import fit_energy
 from warp_peri.tissue.fit_errors import hyperelastic_errors
@@ -69,6 +69,13 @@ def elements(name: str) -> Callable[[Sets], Errors]:
     return errors
 
 
+def interpolated(sets: Sets) -> Errors:
+    """No material: the collar's displacement continued by biharmonic interpolation."""
+    found = {part: interpolated_errors(samples, samples.u) for part, samples in sets.items()}
+    means = {part: errors["held out"] for part, errors in found.items()}
+    return {"E_u": means, "frames": {"test": found["test"]["frames"]}}
+
+
 def _few(samples: Samples) -> Samples:
     return Samples(samples.points, samples.u[::EVERY])
 
@@ -90,5 +97,6 @@ def rivals_of(experiment: str, sets: Sets, reach: int) -> dict[str, Any]:
         return {"linear solid": linear_solid(sets)}
     if experiment == "hgo":
         return {"dictionary": _errors(dictionary(sets["train"], reach), sets)}
-    fits = {"dictionary": frames_dictionary} | {name: elements(name) for name in ELEMENTS}
+    fits = {"no material": interpolated} | {name: elements(name) for name in ELEMENTS}
+    fits["dictionary"] = frames_dictionary
     return {name: errors(sets) for name, errors in fits.items()}

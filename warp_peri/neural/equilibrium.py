@@ -59,6 +59,10 @@ class Equilibrium:
         self.factors = self.factors_of(self.at_rest)
 
     @property
+    def _rounding(self) -> float:
+        return float(ROUNDING * torch.finfo(self.placed.dtype).eps)
+
+    @property
     def _shape(self) -> tuple[int, int]:
         return len(self.placed.points.x), 2
 
@@ -98,8 +102,7 @@ class Equilibrium:
                 break
             field, left, size = best
             steps += 1
-        rounding = ROUNDING * torch.finfo(self.placed.dtype).eps
-        return Found(field, size, steps, size <= max(tolerance, rounding))
+        return Found(field, size, steps, size <= max(tolerance, self._rounding))
 
     def from_rest(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
         """Where the force on the interior is b, on the branch that leaves the state of rest.
@@ -145,7 +148,8 @@ class Equilibrium:
         """
         placed = self.placed
         tangent = placed.tangent(u)
-        multiplier = self._solved(tangent, by_u.detach().double().numpy(), ADJOINT, "T")
+        enough = max(ADJOINT, self._rounding)  # a smaller residual would never be reached
+        multiplier = self._solved(tangent, by_u.detach().double().numpy(), enough, "T")
         weight = torch.as_tensor(multiplier, dtype=u.dtype)
         (-(placed(u.detach()) * weight).sum()).backward()
 
