@@ -61,7 +61,7 @@ class Matrix:
             x = c @ m - 1
             pulled = (x > 0) | (not self.tension_only)
             x = np.where(pulled, x, 0.0)
-            growth = np.exp(family.k2 * x**2)
+            growth = np.exp(np.minimum(family.k2 * x**2, 30.0))
             if family.k2 > 0:
                 W = W + family.k1 / (2 * family.k2) * (growth - 1)
             else:

@@ -80,7 +80,7 @@ class Window:
                     energy, nothing, self.fixed, given[self.fixed],
                     start=start.ravel() if steps == 1 else None, steps=steps, tolerance=1e-8,
                 )  # fmt: skip
-            except NotSolved:
+            except (NotSolved, RuntimeError):  # or a singular matrix
                 continue
             return field.reshape(-1, 2)[self.free]
         return None

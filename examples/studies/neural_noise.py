@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--epochs", type=int, default=80, help="of each network")
+    parser.add_argument("--epochs", type=int, default=40, help="of each network")
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--data", type=Path, default=ROOT / "data")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural_noise")
@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> int:
     torch.set_num_threads(1)
     sets = neural_sets.hgo(given.data / "hgo", REACH, mirror=False, jobs=given.jobs, progress=True)
     kept, rows = keeper(given.out), []
-    for level in LEVELS:
-        for name in ("dictionary", "network"):
+    for name in ("dictionary", "network"):
+        for level in LEVELS:
             work = partial(one, sets, name, level, given)
             errors: dict[str, Any] = kept(f"{name}_{level:g}", work)
             rows.append([f"{100 * level:g} %", name, *(f"{100 * e:.2f}" for e in errors.values())])
