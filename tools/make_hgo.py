@@ -103,7 +103,8 @@ def make_hgo(
         jobs: number of processes, −1 for one per core.
         progress: show a bar on stderr.
 
-    Raises InputError for an unknown element or square, a missing scikit-fem, or another job in the folder.
+    Raises InputError for an unknown element or square, a missing scikit-fem, or another job in the
+    folder.
     """
     if element not in ELEMENTS:
         raise InputError(f"element: expected linear or quadratic, got {element!r}")
