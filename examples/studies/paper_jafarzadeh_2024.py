@@ -64,6 +64,7 @@ def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str
     pictures.roses(figures / "jafarzadeh_roses.png", laws, roses)
     frames = neural_sets.leaflet(data / "leaflet", jobs=-1, progress=False)
     pictures.leaflet(figures / "jafarzadeh_leaflet.png", frames)
+    pictures.influence(figures / "jafarzadeh_tissue.png", load(WEIGHTS / "leaflet.json"))
     by_frame = errors_by_frame(reports["leaflet"])
     pictures.frames(figures / "jafarzadeh_frames.png", by_frame, frames["test"])
     sizes = np.quantile(gradients, SHARES)

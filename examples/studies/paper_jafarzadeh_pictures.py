@@ -114,7 +114,7 @@ def omega(ax: Axes, material: Any) -> None:
 
 
 def influence(path: Path, material: Any) -> None:
-    """Figure 5, right: graphene's ω as an image."""
+    """Figures 5 and 13, right: ω as an image."""
     figure = Figure(figsize=(4.6, 3.8), layout="constrained")
     omega(figure.subplots(), material)
     save_figure(figure, path)
@@ -179,5 +179,6 @@ def frames(path: Path, errors: Mapping[str, Sequence[float]], samples: Samples) 
     for place in np.flatnonzero(np.diff(protocols)):
         ax.axvline(place + 0.5, color="0.85", linewidth=0.8)
     ax.set(xlabel="held-out frame, protocols one after the other", ylabel="E_u [%]", yscale="log")
+    ax.xaxis.get_major_locator().set_params(integer=True)
     ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
     save_figure(figure, path)
