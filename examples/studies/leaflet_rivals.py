@@ -131,7 +131,7 @@ RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequen
     "HGO, two families": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
     "invariant-based": (
         invariants,
-        [[0.5, 0.5, 1.5, 1.0, -0.7], [0.05, 0.1, 1.5, 1.0, -0.7], [0.05, 0.1, 1.5, 1.0, 0.7]],
+        [[0.5, 0.5, 1.5, 1.0, -0.7], [0.5, 0.5, 1.5, 1.0, 0.7]],
     ),
     "structure-informed": (structure, [[-0.7, 0.4, 2.0, 1.0], [0.7, 0.4, 2.0, 1.0]]),
     "neo-Hookean, uneven": (uneven, [[0.0, 0.0, 0.0, 0.0]]),
