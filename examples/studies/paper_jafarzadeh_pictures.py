@@ -179,6 +179,6 @@ def frames(path: Path, errors: Mapping[str, Sequence[float]], samples: Samples) 
     for place in np.flatnonzero(np.diff(protocols)):
         ax.axvline(place + 0.5, color="0.85", linewidth=0.8)
     ax.set(xlabel="held-out frame, protocols one after the other", ylabel="E_u [%]", yscale="log")
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.set_xticks(range(0, len(order), 2))
     ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
     save_figure(figure, path)
