@@ -85,17 +85,19 @@ SHEET = {
     5: {"E_res": (0.0629, 0.0653, 0.0778), "E_u": (0.0027, 0.0036, 0.0028)},
 }
 """What docs/neural.md says of validation, test and disks, at each horizon."""
+SOLVED = {3: 25, 4: 25, 5: 10}
+"""Samples of a set that the page's E_u is over."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reach", SHEET)
 def test_the_shipped_weights_of_the_sheet(reach, tmp_path):
-    """Within 1.3 of the page's numbers; the first ten of a set are solved."""
+    """Within 1.3 of the page's numbers."""
     material = load(neural_operator.WEIGHTS / f"hgo_{reach}.json")
     assert material.widths == {"influence": (256, 512), "state": (512, 512)}
     sets = neural_sets.hgo(tmp_path / "hgo", reach, mirror=False, jobs=1, progress=False)
     del sets["train"]
-    given = argparse.Namespace(json=True, solved=10)
+    given = argparse.Namespace(json=True, solved=SOLVED[reach])
     errors = neural_operator.errors_of(material, sets, given, solve=True)
     for kind, told in SHEET[reach].items():
         for name, value in zip(sets, told, strict=True):
