@@ -22,11 +22,15 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 from examples.prose import fill
-from examples.studies import paper_slides, paper_you_2021
+from examples.studies import paper_jafarzadeh_2024, paper_slides, paper_you_2021
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_json, write_text
 
-SOURCES = {"you_2021": paper_you_2021, "slides": paper_slides}
+SOURCES = {
+    "you_2021": paper_you_2021,
+    "jafarzadeh_2024": paper_jafarzadeh_2024,
+    "slides": paper_slides,
+}
 """Each has `values(runs, kept, figures)`: what its template, beside it, leaves open."""
 
 
