@@ -2,7 +2,8 @@
 
 The plate is 100 × 40 mm, E 72 GPa, ρ 2440 kg/m³, G_c 135 J/m², pulled at 12 MPa; SI units. Also
 Kalthoff and Winkler's plate with two notches that a projectile hits between them (--kalthoff);
-cracks like some directions of the lattice, so --turn shows what is the lattice's part.
+cracks like some directions of the lattice, so --turn shows what is the lattice's part. Under
+mpiexec the plate is spread over ranks, with the same bits (docs/ranks.md).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from matplotlib.figure import Figure
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, rectangle
 from warp_peri.errors import exit_status
+from warp_peri.ranks import is_first, spread, whole
 
 DAMAGED = 0.35
 """φ from which a node counts as on a crack."""
@@ -39,10 +41,11 @@ def glass(h: float, ratio: float, stress: float, toughness: float = 135.0, hole:
     solid = BrittleSolid(model, 2440.0, toughness=toughness)
     x = rectangle(0.1, 0.04, h)
     x = x[np.hypot(x[:, 0] - 0.02, x[:, 1] - 0.008) >= hole]
+    points = spread(wp.Points(x, np.ones(len(x), bool), h))
+    x = points.x
     edge = np.abs(x[:, 1]) > 0.02 - h
     load = np.where(edge[:, None], np.sign(x) * (0.0, stress / h), 0.0)
     no_fail = np.abs(x[:, 1]) > 0.02 - ratio * h
-    points = wp.Points(x, np.ones(len(x), bool), h)
     crack = [(-0.051, 0.0), (0.0, 0.0)]
     return solid, Cracked(points, load, cracks=[crack]), {"no_fail": no_fail}
 
@@ -63,9 +66,10 @@ def steel(h: float, ratio: float, turn: float = 0.0, speed: float = 16.5):
     inside = (np.abs(x[:, 0]) < 0.05) & (np.abs(x[:, 1]) < 0.1)
     x, lattice = x[inside], lattice[inside]
     hit = (x[:, 0] < -0.05 + (1.5 if turn else 1.0) * h) & (np.abs(x[:, 1]) < 0.025)
-    grip = np.where(hit[:, None], speed * axes[0], 0.0)
+    points = spread(wp.Points(lattice, ~hit, h))
+    grip = np.where(points.interior[:, None], 0.0, speed * axes[0])
     notches = [np.array([(-0.053, y), (0.0, y)]) @ axes for y in (-0.025001, 0.025001)]
-    return solid, Cracked(wp.Points(lattice, ~hit, h), cracks=notches), {"grip": grip}, x
+    return solid, Cracked(points, cracks=notches), {"grip": grip}, x
 
 
 def crack_angles(x: np.ndarray, phi: np.ndarray, h: float) -> tuple[float | None, float | None]:
@@ -123,14 +127,16 @@ def main(argv: list[str] | None = None) -> int:
         solid, plate, options, x = steel(h, args.ratio, args.turn)
     else:
         solid, plate, options = glass(h, args.ratio, 12e6, hole=args.hole)
-        x = plate.points.x
+        x = whole(plate.points, plate.points.x)
     step = args.share * solid.longest_step(h)
     steps = round((args.time or (85e-6 if args.kalthoff else 45e-6)) / step)
     every = max(1, steps // 100)
     options |= {"step": step, "steps": every * (steps // every), "every": every}
     options |= {"series": args.out / "series" if args.series else None, "progress": args.progress}
-    run = wp.move(solid, plate, watch={"tip": lambda phi: tip(plate.points.x, phi)}, **options)
-    phi = run.details.damage
+    run = wp.move(solid, plate, watch={"tip": lambda phi: tip(x, phi)}, **options)
+    phi = whole(plate.points, run.details.damage)
+    if not is_first():
+        return 0
     numbers: dict[str, float | None] = {"nodes": len(x), "steps": options["steps"]}
     numbers["ledger"] = run.missing
     if args.kalthoff:

@@ -50,7 +50,7 @@ SHELLS = {
 }
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
-ON_LOADS = ("waves", "short", "ball", "void", "ball at rest")
+ON_LOADS = ("waves", "short", "ball", "void", "ball_at_rest")
 """Of the ball: by the law of the crystal as its surface squeezes it, and of the crystal at rest."""
 
 Symbol = Callable[[np.ndarray], np.ndarray]

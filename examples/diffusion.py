@@ -12,6 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Units of numbers that have none."""
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -36,13 +38,13 @@ def square(cells: int, reach: float, shift: float = 0.0, seed: int = 0) -> Point
     inside = (np.abs(steps) < cells).all(axis=1)
     if shift:
         steps = steps + np.random.default_rng(seed).uniform(-shift, shift, steps.shape)
-    return Points(h * steps, inside, 0.0 if shift else h)
+    return Points(h * steps, inside, 0.0 if shift else h, units=REDUCED)
 
 
 def error(points: Points, ratio: float, cells: int, kappa: Any, exact: np.ndarray, g: Any) -> float:
     """Relative l2 error of a steady solution with the source g [N]."""
     problem = wp.Dirichlet(points, np.broadcast_to(g, exact.shape), exact)
-    off = wp.solve(Conductor(ratio / cells), problem, kappa=kappa).u - exact
+    off = wp.solve(Conductor(ratio / cells, units=REDUCED), problem, kappa=kappa).u - exact
     rows = points.interior
     return float(np.linalg.norm(off[rows]) / np.linalg.norm(exact[rows]))
 
@@ -78,8 +80,8 @@ def coupled(cells: int) -> tuple[float, float]:
     laplacian = np.column_stack([-2 * u[:, 0] + 0.6 * (1 + x * x), -2 * u[:, 1]])
     rise = np.column_stack([np.full_like(x, 0.6), 0 * x])  # gradient of div u = 0.6 x
     load = -MU * laplacian - (LAM + MU) * rise - COUPLING * gradient
-    model = wp.Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
-    solid = CoupledSolid(model, Conductor(RATIO * h), COUPLING, STORAGE)
+    model = wp.Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units=REDUCED)
+    solid = CoupledSolid(model, Conductor(RATIO * h, units=REDUCED), COUPLING, STORAGE)
 
     def loads(time: float) -> np.ndarray:
         source = STORAGE * phi - COUPLING * 0.6 * x - 0.4 * time
@@ -119,7 +121,7 @@ def microstructure(cells: int, grains: int = 12, seed: int = 0) -> tuple[float, 
     points = square(cells, RATIO)
     exact = basis.probes(points.x.T) @ phi
     problem = wp.Dirichlet(points, None, exact)
-    solved = wp.solve(Conductor(RATIO / cells), problem, kappa=kappa).u
+    solved = wp.solve(Conductor(RATIO / cells, units=REDUCED), problem, kappa=kappa).u
     free = points.interior
     off = np.linalg.norm((solved - exact)[free]) / np.linalg.norm(exact[free])
     return float(off), (points.x, kappa(points.x), solved, free)

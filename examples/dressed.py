@@ -8,7 +8,6 @@ python examples/dressed.py --all     every crystal, and a free ball of each
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import sys
 import time
@@ -25,6 +24,7 @@ import numpy as np
 import warp_peri as wp
 from examples.crystals import Unseen
 from examples.nonlinear import add_files, strained_file
+from examples.studies.dressed_bodies import faces, free_ball, hole, squeezed_law, without
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
@@ -62,11 +62,6 @@ def row(solid: DressedSolid, data: wp.Dataset) -> dict[str, Any]:
         "moduli": solid.moduli(),
         "certificate": {"proven": proof.proven, "sampled": proof.sampled} if proof else None,
     }
-
-
-def without(solid: DressedSolid) -> DressedSolid:
-    """Its base alone, G = 1."""
-    return dataclasses.replace(solid, tensors=0 * solid.tensors)
 
 
 def sheets(data: wp.Dataset) -> tuple[dict[str, Any], dict[str, DressedSolid]]:
@@ -211,20 +206,27 @@ def crack_of_the_base(solid: DressedSolid) -> dict[str, float]:
 
 
 def crystal(name: str, with_ball: bool) -> dict[str, Any]:
-    """A split law of a crystal from phonons, on waves it never saw and in a ball of atoms [%]."""
+    """A split law of a crystal from phonons, on waves it never saw and in a ball of atoms [%]:
+    inside it by the law of the crystal as the ball's surface squeezes it ("ball"), and by that at
+    rest; and the whole ball, free."""
     atoms = crystals.force_constants(name)
     a = crystals.spacing_of(np.diag(atoms.cell), crystals.RECIPES[name])
+    seen = ball(name, atoms, a) if with_ball else None
     unseen = Unseen(
         wave_loads(atoms, a, longest=18.0, shortest=4.0, loads=10, seed=2),
         wave_loads(atoms, a, longest=4.0, shortest=2.7, loads=5, seed=3),
-        ball(name, atoms, a) if with_ball else None,
+        seen,
         None,
     )
     law = from_phonons(atoms, a, symmetry=atoms.group())
     proof = law.certificate
-    table = unseen.judge(law.symbol, law.crystal)
-    rest = unseen.judge(without(law).symbol, without(law).crystal)
-    return {
+    there = law if seen is None else squeezed_law(name, seen)
+    table = unseen.judge(law.symbol, law.crystal, there.crystal)
+    rest = unseen.judge(without(law).symbol, without(law).crystal, without(there).crystal)
+    for one in (table["E_u"], table["E_res"], rest["E_u"]):
+        one["ball_at_rest"] = one.pop("ball at rest")
+    whole = {} if seen is None else {"free_ball": free_ball(there, seen, len(atoms.positions))}
+    return whole | {
         "E_u": table["E_u"],
         "E_res": table["E_res"],
         "elements": rest["E_u"],
@@ -285,7 +287,8 @@ def main(arguments: list[str] | None = None) -> int:
         best = numbers["from fields"]["bonds 12"]
         numbers |= {key: best[key] for key in ("E_res", "E_u")}
         numbers["breaking"] = breaking(laws["bonds 12"])
-        numbers["free"] = free(laws["elements 8"])
+        numbers["breaking"]["beside atoms"] = faces()
+        numbers["free"] = {"disk": free(laws["elements 8"]), "hole": hole()}
         numbers["finite_strain"] = finite_strain(data, wp.load(strained_file(given)))
         names = ("Cu", "Al", "W", "Si") if given.all else ("Cu",)
         numbers["split"] = {name: crystal(name, given.all) for name in names}

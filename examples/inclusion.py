@@ -1,4 +1,4 @@
-"""A round inclusion of another material in a plane under equal strain: errors and orders.
+"""A round inclusion of another material under equal strain: errors and orders, in plane or space.
 
 Bonds add the compliances of μ along them, balls those of λ − μ; the exact field is on the collar.
 """
@@ -10,6 +10,8 @@ import json
 import sys
 from pathlib import Path
 
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Units of numbers that have none."""
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -17,11 +19,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from warp_peri.damage import Cracked, Mixed, rectangle
+from warp_peri.damage import Cracked, Mixed, box
 from warp_peri.damage.inclusions import MEANS
 from warp_peri.errors import exit_status
 
-RADIUS, RATIO = 0.5, 3.0
+RADIUS = 0.5
+RATIO = {2: 3.0, 3: 2.0}
+CELLS = {2: [8, 16, 32], 3: [4, 6]}
 CASES = {
     "stiff in soft": ((30.0, 10.0), (1.5, 1.0)),
     "soft in stiff": ((1.5, 1.0), (30.0, 10.0)),
@@ -32,23 +36,25 @@ CASES = {
 """(λ, μ) inside and outside."""
 
 
-def inclusion(cells: int, inside: tuple, outside: tuple, mean: str = "series", ball: bool = True):
+def inclusion(
+    cells: int, inside: tuple, outside: tuple, mean: str = "series", ball: bool = True, d: int = 2
+):
     """Relative l2 error of the displacement at spacing 1/cells, nodes, and displacement."""
-    h = 1 / cells
-    side = 2 * (1 + 2 * RATIO * h)
-    x = rectangle(side, side, h)
-    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h)
+    h, ratio = 1 / cells, RATIO[d]
+    x = box(d * (2 * (1 + 2 * ratio * h),), h)
+    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=REDUCED)
 
     def field(a: float, b: float):
-        return lambda place: np.where(np.hypot(place[..., 0], place[..., 1]) < RADIUS, a, b)
+        return lambda place: np.where(np.linalg.norm(place, axis=-1) < RADIUS, a, b)
 
     lam, mu = (field(*pair) for pair in zip(inside, outside))
-    bulk, shear = sum(inside), outside[1]
-    core = (sum(outside) + shear) / (bulk + shear)
-    radial = np.hypot(*x.T)
-    exact = x * field(core, 1.0)(x)[:, None]
-    exact += np.where(radial < RADIUS, 0, (core - 1) * RADIUS**2 / radial**2)[:, None] * x
-    u = wp.solve(Mixed(RATIO * h, lam, mu, mean, ball), Cracked(points, u=exact)).u
+    bulk_in, bulk_out = (d * pair[0] + 2 * pair[1] for pair in (inside, outside))
+    shear = 2 * (d - 1) * outside[1]
+    core = (bulk_out + shear) / (bulk_in + shear)
+    radial = np.linalg.norm(x, axis=1)
+    exact = x * np.where(radial < RADIUS, core, 1 + (core - 1) * (RADIUS / radial) ** d)[:, None]
+    material = Mixed(ratio * h, lam, mu, mean, ball, dimension=d, units=REDUCED)
+    u = wp.solve(material, Cracked(points, u=exact)).u
     free = points.interior
     off = np.linalg.norm((u - exact)[free]) / np.linalg.norm(exact[free])
     return float(off), x, u - exact
@@ -57,20 +63,26 @@ def inclusion(cells: int, inside: tuple, outside: tuple, mean: str = "series", b
 def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add_argument("--cells", type=int, nargs="+", help="per unit length")
+    parser.add_argument("--space", action="store_true", help="a ball in space, not a disk")
+    parser.add_argument("--case", choices=list(CASES), help="one of them, by default all")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "inclusion")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
+    d = 3 if args.space else 2
+    args.cells = args.cells or CELLS[d]
     if min(args.cells) < 4 or len(set(args.cells)) < 2:
         parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
     numbers: dict = {}
     figure = Figure(figsize=(5, 4), layout="constrained")
     ax = figure.subplots()
     for name, materials in CASES.items():
+        if args.case not in (None, name):
+            continue
         numbers[name] = {}
         ways = [("series, ball", "series", True), *((mean, mean, False) for mean in MEANS)]
         for label, mean, ball in ways:
-            errors = [inclusion(n, *materials, mean, ball)[0] for n in args.cells]
+            errors = [inclusion(n, *materials, mean, ball, d)[0] for n in args.cells]
             order = -np.polyfit(np.log(args.cells), np.log(errors), 1)[0]
             numbers[name][label] = {"errors": errors, "order": float(order)}
         ax.loglog(args.cells, numbers[name]["series, ball"]["errors"], "o-", label=name)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import warp_peri
-from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, make_hgo
+from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, SQUARES, make_hgo
 from tools.make_leaflet import make_leaflet
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -27,26 +27,21 @@ def graphene(file: Path) -> Sets:
 
 
 def hgo(folder: Path, reach: int, *, mirror: bool, jobs: int, progress: bool) -> Sets:
-    """Squares of 21 × 21 nodes and disks, for a horizon of so many spacings.
+    """Squares and disks, for a horizon of so many spacings.
 
-    Without the mirror rule equations stand at the nodes whose surroundings are data: 81, 25 and one
-    for 3, 4 and 5 spacings; disks shrink likewise. With it they stand at all inner nodes.
+    Without the mirror rule equations stand at the nodes whose surroundings are data: 81 in squares
+    of 21, 25 and 29 nodes a side for 3, 4 and 5 spacings; disks shrink. With it the squares have
+    21, and equations stand at all inner nodes.
     """
-    made = make_hgo(folder, jobs=jobs, progress=progress)
+    square = "square" if mirror else next(name for name, n in SQUARES.items() if n == reach)
+    made = make_hgo(folder, square=square, jobs=jobs, progress=progress)
     disks = made.pop("disks")
     kept = DISK_RADIUS + 2 * (HORIZON - reach) * SPACING
     inner: np.ndarray = np.hypot(*disks.x.T) <= kept + 1e-9
     sets = {}
     for name, samples in made.items():
-        sets[name] = mirrored(samples, reach) if mirror else within(samples, reach)
+        sets[name] = mirrored(samples, reach) if mirror else samples
     return {**sets, "disks": with_interior(disks, inner)}
-
-
-def within(samples: Samples, reach: int) -> Samples:
-    """A square whose interior keeps twice the reach from its edge."""
-    steps = np.rint(samples.x / SPACING).astype(int)
-    deep: np.ndarray = np.all((steps >= 2 * reach) & (steps < NODES - 2 * reach), axis=1)
-    return with_interior(samples, deep)
 
 
 def with_interior(samples: Samples, interior: np.ndarray) -> Samples:

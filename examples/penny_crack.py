@@ -8,7 +8,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
-from warp_peri.damage import BrittleSolid, Cracked, box, energy_release
+from warp_peri.damage import (
+    BrittleSolid,
+    Cracked,
+    Injected,
+    box,
+    contour_integral,
+    energy_release,
+    penny,
+)
 
 PICTURE = Path(__file__).parent.parent / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³
@@ -25,19 +33,22 @@ def block(side, radius, grip):
     return BrittleSolid(glass, DENSITY, toughness=TOUGHNESS), points, penny(radius)
 
 
-def penny(radius, corners=48):
-    """Corners of a polygon with the area of a circle."""
-    t = 2 * np.pi * np.arange(corners) / corners
-    reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
-    return reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1)
-
-
 def released(side=14, radius=3.0):
-    """G of a crack in a block whose faces are held, over 4 (1 − ν²) σ² a / (π E) of a large one."""
-    solid, points, _ = block(side, radius, lambda away: away.max(axis=1))
-    pulled = Cracked(points, u=points.x * [-NU / E, 1 / E, -NU / E])  # by a unit of stress
+    """G and J of a crack in a block with held faces, over 4 (1 − ν²) σ² a / (π E)."""
+    solid, points, crack = block(side, radius, lambda away: away.max(axis=1))
+    unit = points.x * [-NU / E, 1 / E, -NU / E]  # pulled by a unit of stress
+    pulled = Cracked(points, u=unit, cracks=[crack])
     G = energy_release(solid, pulled, [[penny(radius - 1)], [penny(radius + 1)]])
-    return G / (4 * (1 - NU**2) * radius / (np.pi * E))
+    J = contour_integral(wp.solve(solid, pulled), (radius, 0, 0), (1, 3))
+    return np.array([G, J]) / (4 * (1 - NU**2) * radius / (np.pi * E))
+
+
+def filled(side=14, radius=3.0):
+    """Volume of a crack that a fluid fills, over 16 (1 − ν²) p a³ / (3 E) of I. N. Sneddon."""
+    solid, points, _ = block(side, radius, lambda away: away.max(axis=1))
+    run = wp.move(solid, Injected(points, [radius]))
+    large = 16 * (1 - NU**2) * radius**3 / (3 * E)
+    return float(run["volume"][0] / run["pressure"][0] / large)
 
 
 def torn(side=24, radius=5.0, steps=400):
@@ -69,8 +80,10 @@ if __name__ == "__main__":
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     as_json = parser.parse_args().json
     points, motion, stress = torn()
+    G, J = released()
     numbers = {
-        "released, over the theory's": released(),
+        "G and J, over the theory's": [float(G), float(J)],
+        "volume under pressure, over Sneddon's": filled(),
         "largest stress, over Griffith's": float(stress.max()),
         "energy that is missing from the ledger": float(motion.missing),
         "largest damage": float(motion.details.damage.max()),

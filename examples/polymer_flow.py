@@ -66,7 +66,7 @@ def hookean_law(count: int, seed: int) -> RateLaw:
     K = mixed(22, 200, 0.4, hold=10, seed=seed)
     pairs = start_pairs(simulate(Dumbbells(22, count, seed=seed), K, 0.05), 2)
     chosen = pairs.choose(1000, np.random.default_rng(seed))
-    return learn_rate(chosen, kernel="additive", kinematics=True, outside="allow")
+    return learn_rate(chosen, outside="allow")
 
 
 def fene_law(count: int, seed: int) -> TwistedSpringLaw:
@@ -75,7 +75,7 @@ def fene_law(count: int, seed: int) -> TwistedSpringLaw:
     K = np.concatenate([shear(rates), elongation(np.array([0.25, 0.5, 1.0, 2.0]))])
     K = np.concatenate([held(K, 60), np.zeros((40, len(K), 4))])
     record = simulate(Dumbbells(len(K[0]), count, b=B, seed=seed), K, 0.1, steps=5)
-    return learn_twisted(record, B, points=200, outside="allow")
+    return learn_twisted(record, b=B, points=200, outside="allow")
 
 
 def channel(fluid: Any, flow: ChannelFlow) -> tuple[ChannelRecord, float]:

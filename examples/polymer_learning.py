@@ -48,7 +48,7 @@ FLOW = PlaneFlow(1.0, 1.0, CELLS, force=lambda t: 12.0)
 
 
 def learn(records: list[Ensembles]) -> TwistedSpringLaw:
-    return learn_twisted(records, B, points=150, outside="allow")
+    return learn_twisted(records, b=B, points=150, outside="allow")
 
 
 def run(fluid: Any) -> wp.Motion:

@@ -60,7 +60,7 @@ def family(given: argparse.Namespace) -> Members:
     if path.exists() and not given.refit:
         return wp.load(path)
     data = wp.load(given.data or make_data(-1, 10.0))
-    material = wp.fit(data["train"], Family(rich_law()), held_out=data["val"]).material
+    material = wp.fit(data["train"], Family(rich_law()), validation=data["val"]).material
     wp.save(path, material)
     return material
 

@@ -10,6 +10,8 @@ import json
 import sys
 from pathlib import Path
 
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Units of numbers that have none."""
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -26,11 +28,11 @@ HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
 def square(cells: int, lam: float):
     """The solid and its points, at spacing 1/cells."""
     h = 1 / cells
-    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h)
+    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units=REDUCED)
     side = 2 * (1 + 2 * RATIO * h)
     x = damage.rectangle(side, side, h)
     solid = damage.BrittleSolid(model, 1.0, toughness=TOUGHNESS)
-    return solid, wp.Points(x, (np.abs(x) <= 1).all(axis=1), h)
+    return solid, wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=REDUCED)
 
 
 def opening(cells: int, lam: float = 1.0):

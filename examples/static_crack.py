@@ -1,6 +1,7 @@
 """A crack at rest in a plane under tension: opening, energy release and J against the exact ones.
 
-Westergaard's field is given on the collar; the bonds across the crack are cut.
+Westergaard's field is given on the collar; the bonds across the crack are cut. With --edge cracks
+run in from the edge of a strip that dead loads pull at.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ import warp_peri as wp
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Units of numbers that have none."""
 HALF = 0.5
 """Half the crack's length; the square is 2 × 2."""
 
@@ -27,10 +30,10 @@ HALF = 0.5
 def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float], tuple]:
     """Relative errors at spacing 1/cells and horizon ratio/cells, and what the picture needs."""
     h = 1 / cells
-    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=REDUCED)
     side = 2 * (1 + 2 * int(np.ceil(ratio)) * h)
     x = damage.rectangle(side, side, h)
-    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h)
+    points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=REDUCED)
     exact = damage.westergaard(x, HALF, 1.0, lam, 1.0)
     crack = damage.Cracked(points, u=exact, cracks=[[(-HALF, 0), (HALF, 0)]])
     solution = wp.solve(model, crack)
@@ -51,6 +54,42 @@ def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float]
     return numbers, (x, u, exact, h)
 
 
+def edge_crack(
+    model: wp.Model, n: int, share: float, shift: float = 0.0, start: float = 0
+) -> float:
+    """G over the exact one of a crack, n spacings of 1 long, in the edge of a strip that is pulled.
+
+    `share` is the crack's of the strip's width; B. Gross and J. E. Srawley, 1965, within 0.5 %.
+    """
+    width = round(n / share)
+    height = 3 * width
+    x = damage.rectangle(width, height, 1.0)
+    back = np.flatnonzero(x[:, 0] == x[:, 0].max())
+    middle = back[np.argsort(np.abs(x[back, 1]))[:2]]
+    free = np.ones(x.shape, bool)
+    free[middle[0]], free[middle[1], 0] = False, False  # not loose, and nothing else
+    b = np.where(np.abs(x[:, 1:]) > height / 2 - 1, np.sign(x) * (0.0, 1.0), 0.0)
+    strip = damage.Cracked(wp.Points(x, np.ones(len(x), bool), 1.0, units=REDUCED), b, free=free)
+    cracks = [[[(start - width / 2, 0), (n + d - width / 2, 0)]] for d in (-1, 0, 1)]
+    shape = np.polyval([30.382, -21.71, 10.55, -0.231, 1.122], share)
+    G = damage.energy_release(model, strip, cracks, shift=shift)
+    return float(G * model.E / (np.pi * n * shape**2))
+
+
+def edge_cracks(lam: float) -> dict[str, dict[str, list[float]]]:
+    """Errors of G without and with the shift of the tip, by length over spacing and horizon."""
+    table: dict[str, dict[str, list[float]]] = {}
+    for ratio in (2.0, 3.0, 4.0):
+        model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, units=REDUCED)
+        shift = damage.tip_shift(model, 1.0)
+        row = table[f"horizon {ratio:g}h, shift {shift:.3f}h"] = {}
+        for n in (6, 13, 26):
+            for share in (0.25, 0.5):
+                both = [edge_crack(model, n, share, by) - 1 for by in (0.0, shift)]
+                row[f"a = {n}h, {share:g} of the strip"] = both
+    return table
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -58,16 +97,22 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--ratio", type=float, default=3.0, help="horizon over spacing")
     parser.add_argument("--lam", type=float, default=1.0, help="λ, with μ = 1")
     parser.add_argument("--growth", action="store_true", help="also what a growing crack spends")
+    parser.add_argument("--edge", action="store_true", help="G of cracks from an edge instead")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "static_crack")
     parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
+    if args.edge:
+        print(json.dumps(edge_cracks(args.lam), indent=None if args.json else 1))
+        return 0
     table = {}
     for cells in args.cells:
         table[f"L/{cells}"], (x, u, exact, h) = static_crack(cells, args.ratio, args.lam)
     if args.growth:
-        model = wp.Model(lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio)
+        model = wp.Model(
+            lam=args.lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=args.ratio, units=REDUCED
+        )
         table["growth"] = {"apparent_toughness": damage.apparent_toughness(model, 1.0)}
     print(json.dumps(table) if args.json else json.dumps(table, indent=1))
     figure = Figure(figsize=(9, 4), layout="constrained")

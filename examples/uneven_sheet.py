@@ -22,6 +22,7 @@ import numpy as np
 
 import warp_peri as wp
 from tools.graphene_phonons import force_constants
+from tools.make_graphene import SMOOTHING_RADIUS
 from tools.uneven_sheets import Sheet, moduli, uneven_sheet
 from warp_peri.dressed import DressedSolid, fit_density, fit_maps, from_phonons
 from warp_peri.errors import exit_status
@@ -71,8 +72,8 @@ def vacancies(loads: int) -> dict[str, Any]:
     )  # fmt: skip
     points = blob.sets["train"].points
     law = graphene("SiC_1989.tersoff", points.spacing)
-    found = fit_density(law, ramp.sets["train"], ramp.density)
-    own = fit_maps(law, blob.sets["train"], parts="one")
+    found = fit_density(ramp.sets["train"], law, ramp.density)
+    own = fit_maps(blob.sets["train"], law, parts="one", smoothing=SMOOTHING_RADIUS)
     even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
     maps = {"uniform": even, "density": found.maps(blob.density), "own map": own.maps}
     errors = {name: displacement_errors(law.on(points, maps=m), blob) for name, m in maps.items()}
@@ -106,7 +107,10 @@ def main(arguments: list[str] | None = None) -> int:
         even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
         numbers: dict[str, Any] = {"uniform": displacement_errors(law.on(points, maps=even), sheet)}
         middle = np.linalg.norm(points.x - points.x.mean(axis=0), axis=1) < INNER
-        fits = {name: fit_maps(law, sheet.sets["train"], parts=name) for name in ("each", "one")}
+        fits = {
+            name: fit_maps(sheet.sets["train"], law, parts=name, smoothing=SMOOTHING_RADIUS)
+            for name in ("each", "one")
+        }
         for name, fit in fits.items():
             body = law.on(points, maps=fit.maps)
             numbers["maps" if name == "each" else "one factor"] = {

@@ -6,6 +6,7 @@
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py crystals [--quick]
     python tools/benchmark.py dressed [--quick]
+    python tools/benchmark.py ranks [--quick]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
@@ -36,6 +37,7 @@ import warp as wp
 from tools import (
     benchmark_crystals,
     benchmark_dressed,
+    benchmark_ranks,
     launch_costs,
     numba_rival,
     numba_rows,
@@ -408,7 +410,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "choice"]
+    kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
     parser.add_argument("what", choices=kinds)
     parser.add_argument(
         "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
@@ -425,6 +427,8 @@ def main(arguments: list[str] | None = None) -> int:
         benchmark_crystals.crystals(quick=given.quick)
     elif given.what == "dressed":
         benchmark_dressed.dressed(quick=given.quick)
+    elif given.what == "ranks":
+        benchmark_ranks.ranks(quick=given.quick)
     elif given.what == "choice":
         solver_choice.solver_choice(quick=given.quick, model_file=given.model, out=given.out)
     elif given.what == "roofline":

@@ -18,6 +18,7 @@ import numpy as np
 from tools.crystals import force_constants
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.certificate import certify
+from warp_peri.micromodulus.family import half_ball
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import from_phonons, transferred
 from warp_peri.micromodulus.statics import solve
@@ -33,11 +34,11 @@ print(json.dumps(solved(Crystal.of_content(json.load(sys.stdin)), {side})))"""
 WITHOUT = np.array([np.eye(3), -np.eye(3)], dtype=int)
 
 
-def cube(law: Crystal, side: int) -> Points:
-    """A cube of unknown nodes and the collar that their bonds reach."""
+def cube(law: Crystal, side: int, d: int = 3) -> Points:
+    """A cube, or square, of unknown nodes and the collar that their bonds reach."""
     reach = int(np.abs(law.steps).max())
     line = np.arange(-reach, side + reach)
-    grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.stack(np.meshgrid(*d * [line], indexing="ij"), axis=-1).reshape(-1, d)
     inside = ((grid >= 0) & (grid < side)).all(axis=1)
     return Points(law.spacing * grid, np.asarray(inside), law.spacing)
 
@@ -72,6 +73,31 @@ def forces(law: Crystal, *, side: int, rounds: int) -> dict[str, float]:
     return found
 
 
+def crossing(*, rounds: int = 5) -> dict[str, list[tuple[int, float]]]:
+    """Time of a force by FFT over that by rows, by processor in turns, one thread: by bonds."""
+    found: dict[str, list[tuple[int, float]]] = {}
+    set_threads(1)
+    for d, side, reaches in ((2, 256, (3, 6, 8, 10, 14)), (3, 48, (2, 6**0.5, 3, 4, 5))):
+        found[f"{d} dimensions"] = rows = []
+        for reach in reaches:
+            steps = half_ball(reach, d)
+            law = Crystal(1.0, steps, np.eye(d) / (steps**2).sum(axis=1)[:, None, None] ** 2)
+            points = cube(law, side, d)
+            ways = [law.on(points, method=method) for method in ("fft", "rows")]
+            planes = ways[0].nodes.lay_out(
+                np.random.default_rng(0).normal(size=(1, *points.x.shape))
+            )
+            seconds: list[list[float]] = [[], []]
+            for _ in range(rounds):
+                for own, way in zip(seconds, ways):
+                    start = time.process_time()
+                    way.pull(planes)
+                    own.append(time.process_time() - start)
+            rows.append((law.bonds, min(seconds[0]) / min(seconds[1])))
+            print(f"{d} dimensions, {law.bonds} bonds: FFT over rows {rows[-1][1]:.2f}", flush=True)
+    return found
+
+
 def solved(law: Crystal, side: int) -> dict[str, Any]:
     """A cube under smooth and rough loads with its collar held; run in a process of its own."""
     points = cube(law, side)
@@ -99,6 +125,7 @@ def crystals(*, quick: bool) -> dict[str, Any]:
     found: dict[str, Any] = {"force": forces(law, side=32 if quick else 64, rounds=3)}
     for name, value in found["force"].items():
         print(f"force, {32 if quick else 64}³ nodes, 122 bonds, {name}: {value:.3f}", flush=True)
+    found["FFT over rows"] = crossing()
     content = json.dumps(law.content())
     for side in (32,) if quick else SIDES:
         program = PROGRAM.format(path=sys.path, side=side)

@@ -11,7 +11,7 @@ import numpy as np
 
 from tools.benchmark_crystals import least
 from tools.graphene_phonons import force_constants
-from warp_peri.dressed import DressedSolid, from_phonons
+from warp_peri.dressed import DressedSolid, FiniteSolid, from_phonons
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
@@ -64,6 +64,10 @@ def dressed(*, quick: bool) -> None:
         L = law.on(small).matrix()
         v = np.random.default_rng(0).normal(size=L.shape[1])
         table[name]["SciPy CSR"] = 1e9 * least(lambda: L @ v, rounds) / len(small.x)  # noqa: B023
+    turning = FiniteSolid(5.0, -0.197, 0.722, -0.120, 0.034, 0.047, -0.44, -7.32, 1.11)
+    small = Points.sheet((side // MATRIX,) * 2, turning.spacing)
+    body, u = turning.on(small), 0.01 * np.random.default_rng(0).normal(size=small.x.shape)
+    table["finite strain"] = {"elements": 1e9 * least(lambda: body(u), rounds) / len(small.x)}
     tensors = tensors_from_phonons(force_constants(), 5.0, TENSORS, symmetry="isotropic")
     operator = tensors.on(Points.sheet((side, side), tensors.spacing), method="rows")
     planes = np.random.default_rng(0).normal(size=(1, 2, *operator.nodes.wide))

@@ -22,7 +22,7 @@ from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
 """Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""
 TOLERANCE = 1e-6
-BONDED = {"Si": 0.5}
+BONDED = {"Si": 0.5, "Ge": 0.5}
 """Of the spacing: atoms closer than that are bonded, where few bonds can be left."""
 PUSH = 1e-5
 """Largest displacement of the differences that stand for a product with the Hessian [Å]."""
@@ -39,10 +39,14 @@ class Ball:
         samples: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of
             the crystal as its surface has squeezed it.
         strain: of the inside at rest along the axes, shape [3].
+        atoms: at rest [Å], shape [A, 3].
+        forces: on them [eV/Å], shape [S, A, 3].
     """
 
     samples: Samples
     strain: np.ndarray
+    atoms: np.ndarray
+    forces: np.ndarray
 
 
 def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5) -> Ball:
@@ -81,7 +85,7 @@ def ball(name: str, constants: ForceConstants, spacing: float, *, loads: int = 5
     density = np.asarray(smooth.sum(axis=1))
     u = np.array([(smooth @ answer) / density for answer in answers])
     b = np.array([smooth @ push for push in pushes]) * (EV_IN_TPA / h**3)
-    return Ball(Samples(points, u, b), strain)
+    return Ball(Samples(points, u, b), strain, rest, np.array(pushes))
 
 
 def cut(constants: ForceConstants, radius: float) -> tuple[ase.Atoms, tuple[int, ...]]:

@@ -103,6 +103,9 @@ RECIPES = {
     "W": _cubic("W", "bcc", 3.165, "eam/alloy", "W_zhou.eam.alloy", 41.0),
     "Fe": _cubic("Fe", "bcc", 2.855, "eam/fs", "Fe_mm.eam.fs", 25.0),
     "Si": _cubic("Si", "diamond", 5.431, "sw", "Si.sw", 21.0),
+    "Pd": _cubic("Pd", "fcc", 3.89, "eam", "Pd_u3.eam", 24.0),
+    "Ta": _cubic("Ta", "bcc", 3.30, "eam/alloy", "CuTa.eam.alloy", 28.0),
+    "Ge": _cubic("Ge", "diamond", 5.43, "tersoff", "Ge.tersoff", 21.0),
     "Mg": _close_packed("Mg", 3.18, 5.19, "Mg_mm.eam.fs"),
     "Zr": _close_packed("Zr", 3.23, 5.15, "Zr_mm.eam.fs"),
     "MgO": Recipe(

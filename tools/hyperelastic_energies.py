@@ -61,7 +61,7 @@ class Matrix:
             x = c @ m - 1
             pulled = (x > 0) | (not self.tension_only)
             x = np.where(pulled, x, 0.0)
-            growth = np.exp(family.k2 * x**2)
+            growth = np.exp(np.minimum(family.k2 * x**2, 30.0))
             if family.k2 > 0:
                 W = W + family.k1 / (2 * family.k2) * (growth - 1)
             else:
@@ -108,6 +108,40 @@ def plane_stress_hgo(mu: float, families: Sequence[Family] = ()) -> Matrix:
         return mu / 2 * (1 / D - 1), -mu / 2 / D**2, mu / D**3
 
     return Matrix(mu / 2, of_area, tuple(families))
+
+
+@dataclass(frozen=True)
+class Invariants:
+    """An incompressible sheet: μ/2 (I1 − 3) + k/(2a) (exp(a (I1 − 3)²) − 1), and fibres.
+
+    Attributes:
+        mu, k: of the matrix [stress].
+        a: exponent, > 0.
+        families: of fibres.
+    """
+
+    mu: float
+    k: float
+    a: float
+    families: Sequence[Family]
+
+    def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        W, g, H = plane_stress_hgo(self.mu, self.families)(c)
+        excess, slope, curve = (part * 2 for part in plane_stress_hgo(1.0)(c))  # I1 − 3
+        growth = np.exp(np.minimum(self.a * excess**2, 30.0))
+        first = self.k * excess * growth
+        second = self.k * growth * (1 + 2 * self.a * excess**2)
+        W = W + self.k / (2 * self.a) * (growth - 1)
+        g = g + first[..., None] * slope
+        H = H + first[..., None, None] * curve
+        return W, g, H + second[..., None, None] * slope[..., :, None] * slope[..., None, :]
+
+
+def ensemble(mean: float, spread: float, k1: float, k2: float, count: int = 12) -> list[Family]:
+    """Fibres of all directions, as many as a normal distribution of angles has [rad]."""
+    angles = mean + np.pi * (np.arange(count) / count - 0.5)
+    share = np.exp(-((angles - mean) ** 2) / (2 * spread**2 + 1e-6))
+    return [Family(a, k1 * w, k2) for a, w in zip(angles, share / share.sum())]
 
 
 @dataclass(frozen=True)

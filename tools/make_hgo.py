@@ -45,6 +45,8 @@ NODES = 21
 SPACING = 0.05
 HORIZON = 3
 """In spacings; interior nodes keep twice that from the nodes of the edge, which is the collar."""
+SQUARES = {"square": 3, "square_4": 4, "square_5": 5}
+"""Horizons of the squares in spacings; those with a wider collar have as many interior nodes."""
 DISK_RADIUS = 0.5
 MESHED_RADIUS = 0.95
 """Disks are cut from a larger one whose edge is held, so that they have a collar."""
@@ -81,6 +83,7 @@ def make_hgo(
     element: str = "linear",
     counts: tuple[int, int, int, int] = (200, 25, 25, 10),
     seed: int = 1000,
+    square: str = "square",
     jobs: int = -1,
     progress: bool = True,
 ) -> dict[str, Samples]:
@@ -95,26 +98,31 @@ def make_hgo(
         element: "linear", triangles on the nodes themselves, or "quadratic".
         counts: samples in train, val, test and disks.
         seed: of the first load; disks count from seed + 100 000.
+        square: one of SQUARES; a larger one is held and loaded farther out, its loads smaller by
+            its side, so that strains are alike.
         jobs: number of processes, −1 for one per core.
         progress: show a bar on stderr.
 
-    Raises InputError for an unknown element, a missing scikit-fem, or another job in the folder.
+    Raises InputError for an unknown element or square, a missing scikit-fem, or another job in the
+    folder.
     """
     if element not in ELEMENTS:
         raise InputError(f"element: expected linear or quadratic, got {element!r}")
+    if square not in SQUARES:
+        raise InputError(f"square: expected one of {', '.join(SQUARES)}, got {square!r}")
     finite_elements()
     material = Material() if material is None else material
     folder = Path(folder)
     with locked(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        square = solved(folder, material, element, "square", sum(counts[:3]), seed, jobs, progress)
+        made = solved(folder, material, element, square, sum(counts[:3]), seed, jobs, progress)
         disk = solved(folder, material, element, "disk", counts[3], seed + 100_000, jobs, progress)
     ends = np.cumsum(counts[:3])[:-1]
-    points = square_points()
+    points = square_points(square)
     sets = {
         name: Samples(points, u, b)
         for name, u, b in zip(
-            ("train", "val", "test"), np.split(square[0], ends), np.split(square[1], ends)
+            ("train", "val", "test"), np.split(made[0], ends), np.split(made[1], ends)
         )
         if len(u)
     }
@@ -123,10 +131,16 @@ def make_hgo(
     return sets
 
 
-def square_points() -> Points:
+def side_of(square: str) -> int:
+    """Nodes a side."""
+    return NODES + 4 * (SQUARES[square] - HORIZON)
+
+
+def square_points(square: str = "square") -> Points:
     """The nodes of the square, row by row along y."""
-    steps = np.argwhere(np.ones((NODES, NODES), bool))
-    inner: np.ndarray = np.all((steps >= 2 * HORIZON) & (steps < NODES - 2 * HORIZON), axis=1)
+    side, collar = side_of(square), 2 * SQUARES[square]
+    steps = np.argwhere(np.ones((side, side), bool))
+    inner: np.ndarray = np.all((steps >= collar) & (steps < side - collar), axis=1)
     return Points(SPACING * steps, inner, SPACING)
 
 
@@ -171,7 +185,7 @@ def solved(
                 break
         else:
             raise InputError(f"{label}: too few equilibria; the loads are too large")
-    nodes = len((square_points() if shape == "square" else disk_points()).x)
+    nodes = len((disk_points() if shape == "disk" else square_points(shape)).x)
     return np.reshape(u, (-1, nodes, 2)), np.reshape(b, (-1, nodes, 2))
 
 
@@ -200,9 +214,9 @@ def sample(
             pass  # damaged: solved again
     try:
         u, b = (
-            solve_square(material, element, seed)
-            if shape == "square"
-            else solve_disk(material, element, seed)
+            solve_disk(material, element, seed)
+            if shape == "disk"
+            else solve_square(material, element, shape, seed)
         )
     except NotSolved:
         u, b = np.empty((0, 2)), np.empty((0, 2))
@@ -211,14 +225,17 @@ def sample(
     return (u, b) if len(u) else None
 
 
-def solve_square(material: Material, element: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def solve_square(
+    material: Material, element: str, square: str, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Displacement and load on the nodes of the square."""
     rng = np.random.default_rng(seed)
-    b = RandomField(rng, rng.uniform(0.2, 1.0))
-    mesh = mesh_of("square", element)
+    side = SPACING * (side_of(square) - 1)
+    b = RandomField(rng, rng.uniform(0.2, 1.0) / side, waves=round(12 * side), side=side)
+    mesh = mesh_of(square, element)
     load = mesh.load(b, nodal=element == "linear")
     u = mesh.solve(material.energy, load, mesh.edge, np.zeros(len(mesh.edge)))
-    points = square_points()
+    points = square_points(square)
     return on_nodes(mesh, u, points.x), b(points.x)
 
 
@@ -241,8 +258,10 @@ def mesh_of(shape: str, element: str) -> Elements:
     key = shape, element
     if key not in _meshes:
         skfem: Any = finite_elements()
-        if shape == "square":
-            linear, quadratic = triangles(NODES - 1), quadrilaterals(NODES - 1)
+        if shape in SQUARES:
+            count = side_of(shape) - 1
+            linear = triangles(count, SPACING * count)
+            quadratic = quadrilaterals(count, SPACING * count)
             element_of = skfem.ElementQuad2()
         else:
             side = triangles(40, 2.0, -1.0)

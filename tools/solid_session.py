@@ -9,7 +9,7 @@ from typing import Any, Self
 import ase.data
 import numpy as np
 
-from warp_peri.structures.lammps import lammps_class, lammps_words, potential_file
+from warp_peri.structures.lammps import lammps_class, lammps_words, pair_coeff, potential_file
 
 MARGIN = 30.0
 """Room around a free body [Å]."""
@@ -63,10 +63,7 @@ class SolidSession:
             lines = list(potential)
             if len(lines) == 2:
                 style, file = lines
-                lines = [
-                    f"pair_style {style}",
-                    f'pair_coeff * * "{potential_file(file)}" {" ".join(kinds)}',
-                ]
+                lines = [f"pair_style {style}", pair_coeff(style, potential_file(file), kinds)]
             for line in (
                 *(f"set type {1 + kinds.index(k)} charge {q}" for k, q in (charges or {}).items()),
                 *lines,

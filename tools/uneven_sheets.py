@@ -83,8 +83,8 @@ def uneven_sheet(
     with LammpsSession(x, box=box, potential=potential, elements=names, kind=kind) as session:
         statics = Statics(x, box=box, session=session)
         x = statics.reference
-        forces = [_waves(x, box, rng) for _ in range(train + others)]
-        forces += [_patch(x, box, r, rng) for r in np.resize(PATCHES, others)]
+        forces = [waves(x, box, rng) for _ in range(train + others)]
+        forces += [patch(x, box, r, rng) for r in np.resize(PATCHES, others)]
         forces = [force - force.mean(axis=0) for force in forces]
         moved = [statics.linear_response(force) for force in forces]
     line = (np.arange(NODES) + 0.5) / NODES - 0.5
@@ -119,13 +119,19 @@ def _vacancies(
     return gone
 
 
-def _waves(x: np.ndarray, box: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+def waves(
+    x: np.ndarray,
+    box: tuple[float, float],
+    rng: np.random.Generator,
+    shortest: float = SHORTEST,
+) -> np.ndarray:
+    """Force on atoms of a load of WAVES waves of a period, none shorter than this [Å]."""
     force, found = np.zeros_like(x), 0
-    most = int(max(box) / SHORTEST)
+    most = int(max(box) / shortest)
     while found < WAVES:
         k = 2 * np.pi * rng.integers(-most, most + 1, 2) / box
         size = np.linalg.norm(k)
-        if not 0 < size <= 2 * np.pi / SHORTEST:
+        if not 0 < size <= 2 * np.pi / shortest:
             continue
         angle = rng.uniform(0, 2 * np.pi)
         wave = size * np.cos(x @ k + rng.uniform(0, 2 * np.pi))
@@ -134,7 +140,7 @@ def _waves(x: np.ndarray, box: tuple[float, float], rng: np.random.Generator) ->
     return force
 
 
-def _patch(
+def patch(
     x: np.ndarray, box: tuple[float, float], radius: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Two opposite bumps somewhere."""

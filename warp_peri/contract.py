@@ -98,6 +98,12 @@ def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
     return method
 
 
+def refuse_uncut(material: Any, problem: str) -> None:
+    """InputError for a law that does not bear cut bonds, in its own words (its `uncut`)."""
+    if why := getattr(getattr(material, "model", material), "uncut", ""):
+        raise InputError(f"solve: the bonds of a {problem} end at its edges, and {why}")
+
+
 def linear_part(given: Any, verb: str) -> Any:
     """The linear solid of a material or of its operator; InputError for what has none."""
     kinds = "a linear solid, or a material with a linear part"

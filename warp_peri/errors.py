@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+LAST_WORDS: list[Callable[[str, int], None]] = []
+"""What ends all processes of a run that has many, given a line to say and the exit status."""
 Called = TypeVar("Called", bound=Callable[..., Any])
 
 LONGEST = 2000
@@ -38,11 +40,16 @@ def exit_status(
         print(f"interrupted; {interrupted}", file=sys.stderr)
         return 130
     except InputError as error:
-        print(f"{begin}error: {error}", file=sys.stderr)
-        return 2
+        return _ended(f"{begin}error: {error}", 2)
     except (OSError, RuntimeError) as error:  # also of HDF5, which spreads them over lines
-        print(f"{begin}error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
+        return _ended(f"{begin}error: {' '.join(str(error).split())}", 1)
+
+
+def _ended(line: str, status: int) -> int:
+    for last in LAST_WORDS:
+        last(line, status)
+    print(line, file=sys.stderr)
+    return status
 
 
 def renamed(**now: str) -> Callable[[Called], Called]:

@@ -97,6 +97,14 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
             raise failure
 
 
+def ranks_started() -> int | None:
+    """Processes that mpiexec started this one among, by any launcher; None where none did."""
+    for name in ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE"):
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return None
+
+
 def known_device(device: str) -> str:
     """The device's name in Warp, as "cuda:0" for "cuda"; InputError for one that is not there."""
     try:

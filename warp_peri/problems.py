@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, placed, taken
+from warp_peri.contract import offered, placed, refuse_uncut, taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.points.mesh import Mesh
@@ -29,8 +30,8 @@ class Dirichlet:
 
     Attributes:
         points: a lattice or scattered points, or samples on them.
-        b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load, where
-            the law takes it. Only interior values count. Of diffusion the source, shape [N].
+        b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load. Only
+            interior values count. Of diffusion the source, shape [N].
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
     """
 
@@ -42,7 +43,8 @@ class Dirichlet:
         """The material at rest."""
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
-        return operator.rest(self.b, self.u, solver, **extra)  # type: ignore[no-any-return]
+        load = np.zeros(np.shape(self.u)) if self.b is None else self.b
+        return operator.rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """The material in motion, from the displacement u.
@@ -103,6 +105,7 @@ class Body:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
+        refuse_uncut(material, "Body")
         offered(material, "influence", "solve", "a linear material for a Body")
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)

@@ -35,6 +35,10 @@ def solve(
     if were:
         raise InputError(f"solve: what follows the material is now one value, {PROBLEMS}")
     solved = offered(problem, "solved", "solve", PROBLEMS)
+    if _on_ranks(problem):
+        from warp_peri.ranks import statics
+
+        return told(lambda: statics.solve(material, problem, solver, options))
     return told(lambda: solved(material, solver, options))
 
 
@@ -53,4 +57,13 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     Raises InputError for what does not fit, and for a step that is not proven stable.
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
+    if _on_ranks(problem):
+        from warp_peri.ranks import motion
+
+        return motion.move(material, problem, options)
     return moved(material, options)  # type: ignore[no-any-return]
+
+
+def _on_ranks(problem: Any) -> bool:
+    """Whether its points are a piece of some that many processes have."""
+    return hasattr(getattr(problem, "points", None), "comm")

@@ -7,7 +7,9 @@ import warp_peri as wp
 
 h = 1 / 32
 steps = np.argwhere(np.ones((77, 77))) - 38
-points = wp.Points(h * steps, interior=np.abs(steps).max(axis=1) <= 32, spacing=h)
+units = ("sigma", "epsilon/sigma^3")  # of no length in particular
+plate = np.abs(steps).max(axis=1) <= 32
+points = wp.Points(h * steps, plate, spacing=h, units=units)
 phi = points.x[:, 0]  # temperature on the collar: from −1 on the left to 1 on the right
 
 
@@ -16,7 +18,7 @@ def kappa(place):
     return np.where(np.hypot(place[..., 0], place[..., 1]) < 0.5, 10.0, 1.0)
 
 
-material = wp.diffusion.Conductor(horizon=3 * h)
+material = wp.diffusion.Conductor(horizon=3 * h, units=units)
 solution = wp.solve(material, wp.Dirichlet(points, np.zeros_like(phi), phi), kappa=kappa)
 
 print(material, solution, sep="\n")

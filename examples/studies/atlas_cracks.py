@@ -9,20 +9,25 @@ import numpy as np
 
 from examples.studies.atlas_entry import Entry, words
 from warp_peri import Model
-from warp_peri.damage.lattice_body import LatticeBody, lattice_body, rectangle
+from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, rectangle
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.solid import BrittleSolid, positive_kernel
 from warp_peri.damage.stability import check_breakable, negative_eigenvalues
+from warp_peri.points.families import bond_classes
 
 SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
+
+
+RATIOS = (2.0, 3.0, 4.0, 6.0)
+PLANES = {"{110}": (1, 1, 0), "{111}": (1, 1, 1), "{210}": (2, 1, 0)}
 
 
 def broken_at_random(body: LatticeBody, share: float, seed: int) -> np.ndarray:
     """Neighbours with a share of the bonds near the middle broken, both directions at once."""
     random, neighbour = np.random.default_rng(seed), body.neighbour.copy()
-    near = np.hypot(*body.x.T) < 8 * body.spacing
+    near = np.linalg.norm(body.x, axis=1) < 8 * body.spacing
     node, bond = np.nonzero((neighbour >= 0) & near[:, None])
     far = neighbour[node, bond]
     kept = (node < far) & near[far]
@@ -66,6 +71,67 @@ def broken_kernels(model: Model, spacing: float = 5.0, cells: int = 28) -> Entry
         figure=figure,
         values={"shares": SHARES, "negative": counts, "across": [plus, minus]},
     )
+
+
+def in_space(cells: int = 12) -> Entry:
+    """Kernels that are broken in space, and what straight cuts along other planes take."""
+    body = lattice_body(box((cells,) * 3, 1.0), 1.0, 2.0)
+    free = np.repeat((np.abs(body.x) < cells / 2 - 2).all(axis=1), 3)
+    positive = Model(0.3, 0.8, 1.0, np.ones(1), horizon=2.0, dimension=3)
+    waving = Model(0.3, 0.8, 1.0, np.array([1.0, -0.22]), horizon=2.0, dimension=3)
+    counts: dict[str, list[int]] = {}
+    for name, model in (("changes sign", waving), ("K = 1/r", positive)):
+        w = bond_weights(model, body.classes)
+        counts[name] = []
+        for share in SHARES:
+            matrix = cut_matrix(
+                body,
+                w,
+                broken_at_random(body, share, seed=0),
+                model.mu,
+                model.lam - model.mu,
+            )
+            counts[name].append(negative_eigenvalues(matrix[free][:, free]))
+    takes = {
+        label: [_cut_along(normal, ratio) / _cut_along((0, 1, 0), ratio) for ratio in RATIOS]
+        for label, normal in PLANES.items()
+    }
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 3.6), layout="constrained")
+    for name, values in counts.items():
+        left.plot(100 * np.array(SHARES), values, "o-", label=name)
+    left.set(xlabel="bonds broken in a block [%]", ylabel="negative eigenvalues")
+    for label, shares in takes.items():
+        right.plot(RATIOS, shares, "o-", label=label)
+    right.axhline(1, color="0.7")
+    right.set(xlabel="δ / h", ylabel="energy of a straight cut over that of {100}")
+    for ax in (left, right):
+        ax.legend(frameon=False)
+    coarse = [shares[0] for shares in takes.values()]
+    fine = [shares[-1] for shares in takes.values()]
+    at = int(np.flatnonzero(counts["changes sign"])[0])
+    first = SHARES[at]
+    return Entry(
+        title="Cracks in space",
+        number=f"with {100 * first:g} % of the bonds broken, {counts['changes sign'][at]} negative "
+        f"eigenvalues; {max(counts['K = 1/r'])} for a positive kernel at any share",
+        text="A kernel that changes sign is no more a solid in space than in the plane. Of a positive one "
+        "the direction matters a little: a critical stretch is that of a cut along a plane of nodes, "
+        f"{{100}}; straight cuts along other planes take {min(coarse):.2f} to {max(coarse):.2f} of its "
+        f"energy at δ = {RATIOS[0]:g}h, {min(fine):.2f} to {max(fine):.2f} at {RATIOS[-1]:g}h. What a "
+        "front spends that grows is another matter ([cracks](cracks.md#in-space)).",
+        seen=[words(lambda: check_breakable(waving, body.classes))],
+        figure=figure,
+        values={"shares": SHARES, "negative": counts, "ratios": RATIOS, "cuts": takes},
+    )
+
+
+def _cut_along(normal: tuple[int, ...], ratio: float) -> float:
+    """Energy over area and stretch² of a straight cut with λ = μ = 1, over the horizon (V5)."""
+    classes = bond_classes(1.0, ratio, dimension=3)
+    model = Model(1.0, 1.0, 1.0, np.ones(1), horizon=ratio, dimension=3)
+    rise = classes.xi @ np.array(normal) / np.linalg.norm(normal)
+    r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
+    return float(15 * (np.maximum(rise, 0) * bond_weights(model, classes) * r2).sum() / ratio)
 
 
 def misjudged_stretch(cells: int = 12, length: int = 2) -> Entry:

@@ -18,6 +18,9 @@ SIDES = (9, 13, 17, 25, 33)
 STYLES = {"learned bonds, cut": "C3o-", "elements, dressed": "C0o-", "bonds, dressed": "C1o-"}
 SIDE = 8
 """Unknown nodes a side of a strained sheet."""
+HOLES = (0.25, 0.5, 1, 2, 4, 8)
+HOLE_SIDE = 48
+"""Radii over the spacing, and spacings a side of the plate."""
 STRESS = 0.01
 """At the outermost nodes of a bent sheet [TPa]."""
 
@@ -103,6 +106,56 @@ def _rigid(x: np.ndarray) -> np.ndarray:
     turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
     shifts = [np.tile(e, len(x)) for e in np.eye(2)]
     return np.linalg.qr(np.stack([*shifts, turn.ravel()], axis=1))[0]
+
+
+def pulled_plate(x: np.ndarray, R: float, lam: float, mu: float) -> np.ndarray:
+    """u over the stress of an infinite plate with a round hole, pulled along the first axis."""
+    z = x[:, 0] + 1j * x[:, 1]
+    z = np.where(np.abs(z) < 0.2 * R, 0.2 * R, z)  # of no meaning inside the hole
+    slope = 0.25 * (1 - 2 * R**2 / z**2)
+    psi = -0.5 * (z + R**2 / z - R**4 / z**3)
+    k = (lam + 3 * mu) / (lam + mu)
+    u = (k * 0.25 * (z + 2 * R**2 / z) - z * slope.conj() - psi.conj()) / (2 * mu)
+    return np.stack([u.real, u.imag], axis=1)
+
+
+def small_holes(data: Dataset) -> Entry:
+    """Errors of what a hole adds against its size, cut elements integrated and left as stairs."""
+    law = warp_peri.fit(data["train"], warp_peri.Dressed("elements", 8)).material
+    h, middle = law.spacing, np.array([0.37, 0.21])  # of the hole: nowhere in particular
+    most = HOLE_SIDE // 2
+    line = h * np.arange(-most, most + 1)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    lam, mu = law.elastic[0, 1], law.elastic[2, 2]
+    curves: dict[str, list[float]] = {"fitted elements": [], "stairs": []}
+    for radius in HOLES:
+        R, at = radius * h, x - middle * h
+        outside = np.linalg.norm(at, axis=1) > R
+        points = Points(x, np.abs(x).max(axis=1) < (most - 2.5) * h, h)
+        exact, even = (pulled_plate(at, r, lam, mu) for r in (R, 0.0))
+        for name in curves:
+
+            def inside(y: np.ndarray, stairs: bool = name == "stairs", R: float = R) -> np.ndarray:
+                place = (np.floor(y / h) + 0.5) * h if stairs else y
+                return np.asarray(np.linalg.norm(place - middle * h, axis=1) > R)
+
+            body = law.on(points, edges=inside)
+            u = warp_peri.solve(body, warp_peri.Dirichlet(points, 0 * x, exact)).u
+            seen = outside & points.interior
+            wrong, added = (np.linalg.norm(v[seen]) for v in (u - exact, exact - even))
+            curves[name].append(float(100 * wrong / added))
+    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for (name, values), style in zip(curves.items(), ("C0o-", "C1o-")):
+        ax.loglog(HOLES, values, style, label=name)
+    ax.set(xlabel="radius of the hole over the spacing", ylabel="error of what it adds [%]")
+    ax.set_xticks(HOLES, labels=[f"{r:g}" for r in HOLES])
+    ax.minorticks_off()
+    ax.legend(frameon=False)
+    fitted, stairs = curves.values()
+    numbers = {"small": fitted[0], "two": fitted[HOLES.index(2)], "stairs": stairs[HOLES.index(2)],
+               "large": fitted[-1], "least": HOLES[0], "most": HOLES[-1]}  # fmt: skip
+    far = words(lambda: law.on(points, edges=lambda y: y[:, :1] > 0))
+    return Entry(*written("small-holes", **numbers), [far], figure, dict(curves))
 
 
 def stretched_beyond(law: FiniteSolid | None = None) -> Entry:

@@ -15,7 +15,14 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
-from tools.hyperelastic_energies import Energy, Family, Fung, plane_stress_hgo
+from tools.hyperelastic_energies import (
+    Energy,
+    Family,
+    Fung,
+    Invariants,
+    ensemble,
+    plane_stress_hgo,
+)
 from warp_peri.errors import InputError
 from warp_peri.points.samples import Samples
 
@@ -73,7 +80,7 @@ class Window:
                     energy, nothing, self.fixed, given[self.fixed],
                     start=start.ravel() if steps == 1 else None, steps=steps, tolerance=1e-8,
                 )  # fmt: skip
-            except NotSolved:
+            except (NotSolved, RuntimeError):  # or a singular matrix
                 continue
             return field.reshape(-1, 2)[self.free]
         return None
@@ -106,6 +113,14 @@ def two_families(x: np.ndarray) -> Energy:
     )
 
 
+def invariants(x: np.ndarray) -> Energy:
+    return Invariants(1.0, abs(x[0]), abs(x[1]) + 1e-3, [Family(x[4], abs(x[2]), abs(x[3]))])
+
+
+def structure(x: np.ndarray) -> Energy:
+    return plane_stress_hgo(1.0, ensemble(x[0], x[1], abs(x[2]), abs(x[3])))
+
+
 RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequence[float]]]] = {
     "neo-Hookean": (neo_hookean, [[]]),
     "Fung": (
@@ -114,6 +129,11 @@ RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequen
     ),
     "HGO, one family": (one_family, [[1.5, 1.0, -0.7], [1.5, 1.0, 0.7]]),
     "HGO, two families": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
+    "invariant-based": (
+        invariants,
+        [[0.5, 0.5, 1.5, 1.0, -0.7], [0.5, 0.5, 1.5, 1.0, 0.7]],
+    ),
+    "structure-informed": (structure, [[-0.7, 0.4, 2.0, 1.0], [0.7, 0.4, 2.0, 1.0]]),
     "neo-Hookean, uneven": (uneven, [[0.0, 0.0, 0.0, 0.0]]),
 }
 """Energies by their numbers, and where the fits begin; the best of a rival's starts counts."""

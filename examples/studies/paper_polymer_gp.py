@@ -217,7 +217,9 @@ def training(n: int) -> dict[str, Any]:
         "start pairing": start_pairs(record, 1).choose(n, random),
     }
     learners = {
-        "printed pairing": lambda: learn_rate(pairs["printed pairing"], kinematics=False, outside="allow"),
+        "printed pairing": lambda: learn_rate(
+            pairs["printed pairing"], kinematics=False, outside="allow"
+        ),
         "kinematics known": lambda: learn_rate(
             pairs["start pairing"], kinematics=True, outside="allow"
         ),

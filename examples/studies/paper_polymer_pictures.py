@@ -30,19 +30,21 @@ def draw_law(path: Path, law: Mapping[str, Any]) -> None:
     """Figure 4."""
     figure = Figure(figsize=(10.5, 3.4), layout="constrained")
     axes = figure.subplots(1, 3, sharey=True)
-    exact = np.array(law["exact"]) / 1e3
-    limit = np.abs(exact).max()
-    for ax, name in zip(axes, ("exact", *LAWS)):
-        rate = exact if name == "exact" else np.array(law[name]["rate"]) / 1e3
-        drawn = ax.contourf(
-            law["K"], law["s"], rate, levels=21, cmap="RdBu_r", vmin=-limit, vmax=limit
-        )
-        ax.set(title=name, xlabel="shear rate × relaxation time")
-        if name != "exact":
-            X = np.array(law[name]["X"])
-            ax.plot(X[:, 1], X[:, 0], "k.", markersize=2)
-    axes[0].set_ylabel("s_xy / n k T")
-    figure.colorbar(drawn, ax=axes, label="ds_xy/dt / 1000")
+    exact = np.array(law["exact"])
+    size = np.sqrt(np.mean(exact**2))
+    drawn = axes[0].contourf(law["K"], law["s"], exact / 1e3, levels=21, cmap="RdBu_r")
+    figure.colorbar(drawn, ax=axes[0], label="ds_xy/dt / 1000")
+    axes[0].set(title="exact", ylabel="s_xy / n k T")
+    levels = np.linspace(-5, 5, 21)
+    for ax, name in zip(axes[1:], LAWS):
+        off = 100 * (np.array(law[name]["rate"]) - exact) / size
+        drawn = ax.contourf(law["K"], law["s"], off, levels=levels, cmap="PuOr", extend="both")
+        X = np.array(law[name]["X"])
+        ax.plot(X[:, 1], X[:, 0], "k.", markersize=2)
+        ax.set(title=name, ylim=axes[0].get_ylim())
+    figure.colorbar(drawn, ax=axes[1:], label="error [% of the rms rate]")
+    for ax in axes:
+        ax.set(xlabel="shear rate × relaxation time")
     save_figure(figure, path)
 
 
@@ -71,13 +73,14 @@ def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         above.plot([], [], "C1", label="learned, kinematics known")
         above.plot([], [], "k:", label="exact law")
     above.legend(frameon=False, fontsize=8)
-    below.legend(frameon=False, fontsize=7, ncols=3)
+    lines = below.get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=4)
     save_figure(figure, path)
 
 
 def draw_training(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
     """Figures 6 and 9."""
-    figure = Figure(figsize=(10.5, 3.6), layout="constrained")
+    figure = Figure(figsize=(10.5, 4.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     for color, (n, fit) in enumerate(fits.items()):
         truth, rate = np.array(fit["truth"]), np.array(fit["printed pairing"]["rate"])
@@ -92,7 +95,8 @@ def draw_training(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
         ax.set(xlabel=f"exact ds_{name}/dt", ylabel=f"learned ds_{name}/dt, printed pairing")
     left.legend(frameon=False, fontsize=8)
     right.set(xlabel="t / t0", ylabel="largest error of u / U")
-    right.legend(frameon=False, fontsize=6)
+    lines = right.get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=3)
     save_figure(figure, path)
 
 

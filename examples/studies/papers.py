@@ -22,11 +22,21 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 from examples.prose import fill
-from examples.studies import paper_polymer_gp, paper_slides, paper_you_2021
+from examples.studies import (
+    paper_jafarzadeh_2024,
+    paper_polymer_gp,
+    paper_slides,
+    paper_you_2021,
+)
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
 
-SOURCES = {"you_2021": paper_you_2021, "polymer_gp": paper_polymer_gp, "slides": paper_slides}
+SOURCES = {
+    "you_2021": paper_you_2021,
+    "jafarzadeh_2024": paper_jafarzadeh_2024,
+    "polymer_gp": paper_polymer_gp,
+    "slides": paper_slides,
+}
 """Each has `values(runs, kept, figures)`: what its template, beside it, leaves open."""
 
 

@@ -89,8 +89,8 @@ def couette() -> dict[str, Any]:
             record = simulate(Dumbbells(9, 1000, seed=seed), rates, 0.01)
             laws = {
                 "printed pairing": printed_shear(record, seed),
-                "start pairing": learn_shear(record, 5, kinematics=False, outside="allow"),
-                "start pairing, kinematics known": learn_shear(record, 5, outside="allow"),
+                "start pairing": learn_shear(record, kinematics=False, outside="allow"),
+                "start pairing, kinematics known": learn_shear(record, outside="allow"),
             }
             for name, law in laws.items():
                 error = float(np.abs(run(Closure(law, De, 128)) - exact).max())
@@ -165,9 +165,9 @@ def recipes(counts: tuple[int, ...] = (10_000, 100_000)) -> dict[str, Any]:
             windows = window_pairs(record, 2).choose(1000, random)
             starts = start_pairs(record, 2).choose(1000, random)
             laws = {
-                "printed": learn_rate(windows, outside="allow"),
-                "start pairing": learn_rate(starts, outside="allow"),
-                "start pairing, kinematics": learn_rate(starts, kinematics=True, outside="allow"),
+                "printed": learn_rate(windows, kinematics=False, outside="allow"),
+                "start pairing": learn_rate(starts, kinematics=False, outside="allow"),
+                "start pairing, kinematics": learn_rate(starts, outside="allow"),
                 "start pairing, kinematics, mixed flows": hookean_law(count, seed),
             }
             for name, law in laws.items():
@@ -307,7 +307,7 @@ def bands(seeds: int = 12, count: int = 24) -> dict[str, Any]:
     for seed in range(seeds):
         rates = held(shear(np.linspace(-20, 20, 7)), 300)
         record = simulate(Dumbbells(7, 2000, seed=seed), rates, 0.01)
-        spread = band(learn_shear(record, 5, outside="allow", most=150), run, count, seed)
+        spread = band(learn_shear(record, outside="allow", most=150), run, count, seed)
         moved = spread.deviation > 1e-6
         held_by.append(spread.covers(exact))
         off = (exact - spread.value)[moved] / spread.deviation[moved]

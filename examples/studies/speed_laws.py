@@ -55,7 +55,7 @@ def learned(train: Samples, val: Samples) -> Iterator[tuple[str, str, Any, float
     for label, (kind, law, horizon) in laws().items():
         material, seconds = _timed_fit(train, law)
         yield label, kind, material, horizon, seconds
-    family, seconds = _timed_fit(train, Family(rich_law()), held_out=val)
+    family, seconds = _timed_fit(train, Family(rich_law()), validation=val)
     yield "predict", "predict", family, 25.0, seconds
 
 

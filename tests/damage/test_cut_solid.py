@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from examples.static_crack import main, static_crack
+from examples.static_crack import edge_crack, main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
 from warp_peri import InputError, Model, Points, move, solve
@@ -11,10 +11,12 @@ from warp_peri.damage import (
     Cracked,
     Mixed,
     apparent_toughness,
+    box,
     contour_integral,
     energy_release,
     lattice_body,
     rectangle,
+    tip_shift,
     westergaard,
 )
 from warp_peri.damage.cut_solid import CutSolid, domain_integral
@@ -104,6 +106,36 @@ def test_the_example_prints_and_draws(tmp_path, capsys):
     assert main(["--cells", "8", "--json", "--out", str(tmp_path)]) == 0
     assert '"G"' in capsys.readouterr().out
     assert (tmp_path / "crack.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2)])
+@pytest.mark.parametrize("torn", [False, True])
+def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
+    """Of plane strain, and of a crack whose faces slide along the front."""
+    h, lam, mu, place = 1 / 8, 1.3, 1.0, list(axes)
+    x = box((2.5, 2.5, 1.5), h)
+    model = Model(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=2 * h, dimension=3)
+    z = x[:, 0] + 1j * x[:, 1]
+    u = np.zeros_like(x)
+    if torn:
+        u[:, 2] = (np.sqrt(z - 0.5) * np.sqrt(z + 0.5)).imag / mu
+    else:
+        u[:, :2] = westergaard(x[:, :2], 0.5, 1.0, lam, mu)
+    expected = np.pi * 0.5 / (2 * mu if torn else model.E / (1 - model.nu**2))
+    turned, moved, tip = np.zeros_like(x), np.zeros_like(u), np.zeros(3)
+    turned[:, place], moved[:, place], tip[place[0]] = x, u, -0.5
+    body = lattice_body(turned, h, 2 * h)
+    J = domain_integral(model, body, moved, tip, (0.25, 0.5))
+    assert J == pytest.approx(expected, rel=0.02)
+
+
+def test_a_straight_front_in_space_spends_more_than_a_straight_cut():
+    model = solid(horizon=2.0, dimension=3).model
+    body = lattice_body(box((3.0, 3.0, 1.0), 1.0), 1.0, 2.0, endless=True)
+    layers = lattice_body(box((3.0, 3.0, 7.0), 1.0), 1.0, 2.0)
+    middle = np.flatnonzero(np.abs(layers.x[:, 2]) < 0.5)
+    np.testing.assert_array_equal(layers.neighbour[middle] >= 0, body.neighbour >= 0)
+    assert 1.2 < apparent_toughness(model, 1.0, cells=6, length=1) < 2.2
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.25, 0.5])
@@ -198,12 +230,33 @@ def test_a_dead_load_on_a_strip_releases_what_is_known_of_it():
     assert G == pytest.approx(known, rel=0.1)
 
 
-def test_nothing_released_is_zero_without_a_sign():
+def test_a_body_that_nothing_pulls_at_is_refused():
     model, body, held, _, cracks = dead_load(16, 16, 3.0)
-    G = released(model, body, held, None, None, cracks)
-    assert str(G) == "0.0"
+    with pytest.raises(InputError, match="nothing pulls at it"):
+        released(model, body, held, None, None, cracks)
     with pytest.raises(InputError, match=r"b: expected shape \[256, 2\]"):
         released(model, body, held, np.ones(256), None, cracks)
+
+
+def test_a_tip_acts_further_than_it_is_cut():
+    model = Model(1.0, 1.0, 1.0, np.ones(1), 3.0, units=("sigma", "epsilon/sigma^3"))
+    plain, shifted = (edge_crack(model, 10, 0.5, shift) for shift in (0.0, tip_shift(model, 1.0)))
+    assert plain > 1.1
+    assert abs(shifted - 1) < 0.6 * (plain - 1)  # softer edges are left
+    assert edge_crack(model, 10, 0.5, start=0.5) == pytest.approx(plain)  # from the first nodes on
+    model = Model(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=2.0)
+    smaller = tip_shift(model.in_units(("nm", "TPa")), 0.1)
+    assert smaller == pytest.approx(0.1 * tip_shift(model, 1.0))
+    x = rectangle(8, 8, 1.0)
+    problem = Cracked(Points(x, (np.abs(x) < 1).all(axis=1), 1.0), u=x)
+    with pytest.raises(InputError, match="three lengths or more"):
+        energy_release(model, problem, [[[(-9, 0), (d, 0)]] for d in (-1, 1)], shift=0.1)
+    one = [[(-9, 0), (0, 0)]]
+    lengths = [one, [[(-9, 0), (1, 0)]], [*one, [(2, 0), (3, 0)]], [*one, [(2, 0), (4, 0)]]]
+    with pytest.raises(InputError, match="the same number of polylines"):
+        energy_release(model, problem, lengths, shift=0.1)
+    with pytest.raises(InputError, match="in the plane"):
+        tip_shift(Model(1.0, 1.0, 1.0, np.ones(1), 2.0, dimension=3), 1.0)
 
 
 def test_the_release_of_an_inclined_crack_needs_several_lengths():
@@ -237,7 +290,7 @@ def test_contours_and_lengths_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="more than from the tip to the edge"):
         contour_integral(solution, (6.0, 0.0), (2.0, 6.0))
     with pytest.raises(InputError, match="two lengths or more"):
-        energy_release(model, problem, [[[(-4, 0), (4, 0)]]])
+        energy_release(model, Cracked(points, u=body.x), [[[(-4, 0), (4, 0)]]])
     short = CutSolid(model, body, (np.abs(body.x) > 5).any(axis=1))
     with pytest.raises(InputError, match=r"u: expected shape \[400, 2\]"):
         short.solve(None, u[:, 0])

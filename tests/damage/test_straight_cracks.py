@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError, Model, Points
+from warp_peri.damage.energy_release import energy_release
 from warp_peri.damage.lattice_body import rectangle
-from warp_peri.damage.problems import Cracked, energy_release
+from warp_peri.damage.problems import Cracked
 from warp_peri.damage.straight_cracks import CrackedRectangle
 
 LAM, MU = 1.0, 0.8

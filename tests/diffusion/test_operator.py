@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from examples.diffusion import coupled, jump, main, order, smooth, square
+from examples import diffusion
+from examples.diffusion import coupled, jump, main, order, smooth
 from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import kernel
@@ -15,6 +16,11 @@ from warp_peri.diffusion import Conductor, CoupledOperator, CoupledSolid, Diffus
 
 CELLS = [6, 9, 13]
 LAW = Conductor(horizon=3.2, alpha=1.3, D=np.array([1.0, 0.4, 0.7]))
+
+
+def square(cells, reach):
+    """The example's square, in the units that points have by default."""
+    return replace(diffusion.square(cells, reach), units=("angstrom", "TPa"))
 
 
 def steady(operator, phi, source=None):

@@ -36,7 +36,7 @@ def test_a_law_of_density_is_carried_to_another_sheet():
     def maps(rho):
         return {name: 1 + a * (1 - rho) + b * (1 - rho) ** 2 for name, (a, b) in truth.items()}
 
-    found = fit_density(law, sheet(law, maps(ramp), points), ramp, parts="each")
+    found = fit_density(sheet(law, maps(ramp), points), law, ramp, parts="each")
     # sites have means of d and d² of their nodes, in the maps and in the fit alike
     for name, numbers in truth.items():
         np.testing.assert_allclose(found.coefficients[name], numbers, rtol=1e-6)
@@ -46,13 +46,13 @@ def test_a_law_of_density_is_carried_to_another_sheet():
     with pytest.warns(UserWarning, match="learned from 0.920 to 1.000, got 0.800"):
         clipped = found.maps(1 - 0.2 * (1 - ramp) / 0.08)
     assert clipped["bulk"].min() == pytest.approx(1 - 5 * 0.08 + 9 * 0.08**2)
-    one = fit_density(law, sheet(law, maps(ramp), points), ramp)
+    one = fit_density(sheet(law, maps(ramp), points), law, ramp)
     assert -5 < one.coefficients["bulk"][0] < -2
     assert one.spread["bulk"][0] > found.spread["bulk"][0]
     with pytest.raises(InputError, match="expected one that varies enough"):
-        fit_density(law, sheet(law, maps(ramp), points), 1 - 0 * ramp)
+        fit_density(sheet(law, maps(ramp), points), law, 1 - 0 * ramp)
     with pytest.raises(InputError, match="density: expected 256 numbers"):
-        fit_density(law, sheet(law, maps(ramp), points), ramp[:9])
+        fit_density(sheet(law, maps(ramp), points), law, ramp[:9])
 
 
 def test_a_map_is_found_again():
@@ -65,21 +65,26 @@ def test_a_map_is_found_again():
     hat = np.prod(1 - np.abs(x - 8) / 8, axis=1)
     maps = {"bulk": 1 + 0.3 * hat, "shear": 1 - 0.5 * hat}
     samples = sheet(law, maps, points)
-    fit = fit_maps(law, samples, smoothness=1e-9)
+    fit = fit_maps(samples, law, smoothness=1e-9)
     for name, values in maps.items():
         np.testing.assert_allclose(fit.maps[name], values, atol=2e-3)
         assert (fit.spread[name] > 0).all()
-    chosen = fit_maps(law, samples)
+    chosen = fit_maps(samples, law)
     assert chosen.smoothness < 0.1
     assert SPACING < fit.resolution < chosen.resolution < 16 * SPACING
     assert np.abs(chosen.maps["shear"] - maps["shear"]).max() < 0.1
-    same = fit_maps(law, samples, parts="one")
+    same = fit_maps(samples, law, parts="one")
     assert np.array_equal(same.maps["bulk"], same.maps["shear"])
     left = [min(one.history["left_out"].values()) for one in (chosen, same)]
     assert left[0] < 0.2 * left[1]
+    with pytest.warns(UserWarning, match="2.6 apart, the fields are smoothed over 6.*give 3 times"):
+        seen = fit_maps(samples, law, smoothness=1e-9, smoothing=6.0)
+    assert fit.resolution < seen.resolution == 6.0
+    with pytest.raises(InputError, match="radius > 0"):
+        fit_maps(samples, law, smoothing=-1.0)
     with pytest.raises(InputError, match="expected a divisor of 16, 16 nodes"):
-        fit_maps(law, samples, coarse=3)
+        fit_maps(samples, law, coarse=3)
     with pytest.raises(InputError, match="'each' or 'one'"):
-        fit_maps(law, samples, parts="two")
+        fit_maps(samples, law, parts="two")
     with pytest.raises(InputError, match="expected loads"):
-        fit_maps(law, wp.Samples(points, samples.u, 0 * samples.b))
+        fit_maps(wp.Samples(points, samples.u, 0 * samples.b), law)

@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import pytest
 
-from examples.studies.atlas_cracks import broken_kernels, long_steps, misjudged_stretch
+from examples.studies.atlas_cracks import broken_kernels, in_space, long_steps, misjudged_stretch
 from tests.support.problems import kernel
 
 
@@ -13,6 +13,16 @@ def test_a_broken_learned_kernel_is_indefinite_and_a_positive_one_is_not():
     assert entry.values["negative"]["learned"][0] == 0
     assert entry.values["negative"]["learned"][-1] > 0
     assert "changes sign" in entry.seen[0]
+    plt.close(entry.figure)
+
+
+def test_kernels_that_change_sign_break_in_space_too():
+    entry = in_space(cells=10)
+    counts = entry.values["negative"]
+    assert max(counts["K = 1/r"]) == counts["changes sign"][0] == 0 < counts["changes sign"][-1]
+    assert "changes sign" in entry.seen[0]
+    for cuts in entry.values["cuts"].values():
+        assert cuts[-1] == pytest.approx(1.0, abs=0.02)
     plt.close(entry.figure)
 
 

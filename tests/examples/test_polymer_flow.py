@@ -2,9 +2,10 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from examples import polymer_flow
+from examples import polymer_flow, stress_histories
 
 
 @pytest.mark.slow
@@ -26,3 +27,12 @@ def test_the_default_reaches_its_figures(monkeypatch, tmp_path):
         assert row["N1"] < 0.5 * peterlin[name]["N1"]
     files = {path.name for path in (tmp_path / "runs" / "polymer_flow").iterdir()}
     assert {"channel.png", "law.json", "numbers.json", "table.md"} <= files
+
+
+@pytest.mark.slow
+def test_a_law_of_stress_histories_alone(tmp_path, capsys):
+    stress_histories.main(["--out", str(tmp_path), "--json"])
+    errors = json.loads(capsys.readouterr().out)["error %"]
+    assert max(errors["learned"]) < 12
+    assert np.mean(errors["learned"]) < 0.8 * np.mean(errors["FENE-P"])
+    assert (tmp_path / "stress.png").stat().st_size > 10_000

@@ -74,7 +74,7 @@ def test_the_band_holds_the_exact_velocity():
     for seed in range(4):
         rates = held(shear(np.linspace(-20, 20, 7)), 300)
         record = simulate(Dumbbells(7, 2000, seed=seed), rates, 0.01)
-        law = learn_shear(record, 5, outside="allow", most=150)
+        law = learn_shear(record, outside="allow", most=150)
         inside.append(band(law, run, 6, seed).covers(exact))
     assert np.mean(inside) > 0.7  # one mode of error a seed: much or nothing of a run is inside
 

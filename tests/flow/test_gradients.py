@@ -60,10 +60,11 @@ def test_torch_and_numpy_run_the_same_flow(law):
 def test_a_number_is_found_from_velocities():
     truth = RUN(Giesekus(0.35)).numpy()
     noisy = truth + 1e-3 * np.random.default_rng(0).standard_normal(truth.shape)
-    alpha, left = fit_velocities(lambda p: Giesekus(p[0]), [0.1], [(0.0, 1.0)], noisy, RUN)
+    law, asked = LAWS["Giesekus"][0], {"start": [0.1], "bounds": [(0.0, 1.0)], "run": RUN}
+    alpha, left = fit_velocities(noisy, law, **asked)
     assert alpha[0] == pytest.approx(0.35, abs=0.01)
     assert left < 2e-3
     with pytest.raises(InputError, match="finite"):
-        fit_velocities(lambda p: Giesekus(p[0]), [0.1], [(0.0, 1.0)], noisy * np.nan, RUN)
+        fit_velocities(noisy * np.nan, law, **asked)
     with pytest.raises(InputError, match="time step"):
         velocities(Giesekus(0.2), FLOW, 1.0, 1.0)

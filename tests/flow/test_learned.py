@@ -52,10 +52,10 @@ def spring():
 
 def test_mixed_flows_from_150_exact_samples(exact):
     train, test = exact
-    assert errors(learn_rate(train, kernel="product"), test).max() < 0.1
-    additive = errors(learn_rate(train, kernel="additive"), test)
+    assert errors(learn_rate(train, kernel="product", kinematics=False), test).max() < 0.1
+    additive = errors(learn_rate(train, kinematics=False), test)
     assert additive.min() > 5  # sums cannot hold the products of K and s
-    assert errors(learn_rate(train, kernel="additive", kinematics=True), test).max() < 0.1
+    assert errors(learn_rate(train), test).max() < 0.1
 
 
 def test_increments_belong_to_the_start_of_their_window(shears):
@@ -79,7 +79,7 @@ def test_start_up_between_plates_from_a_thousand_dumbbells():
     for seed in range(3):
         rates = held(shear(np.linspace(-150, 150, 9)), 500)
         record = simulate(Dumbbells(9, 1000, seed=seed), rates, 0.01)
-        law = learn_shear(record, 5, outside="allow", most=400)
+        law = learn_shear(record, outside="allow", most=400)
         errors.append(np.abs(run(law) - exact).max())
     assert np.median(errors) < 0.03
 
@@ -131,7 +131,7 @@ def test_tables_agree_and_do_not_extrapolate(spring, exact):
     ends = np.exp(table.process(table.process.X)).max()
     assert 0 < table.spring(far)[0, 0] < 200 * 3 * ends
     train, test = exact
-    additive = learn_rate(train, kernel="additive", kinematics=True, outside="allow")
+    additive = learn_rate(train, outside="allow")
     tabled = additive.tabulated()
     same = tabled.rate(test.K, test.s + IDENTITY) - additive.rate(test.K, test.s + IDENTITY)
     assert np.abs(same).max() < 1e-6
@@ -141,13 +141,17 @@ def test_tables_agree_and_do_not_extrapolate(spring, exact):
     beyond = tabled.learned(np.full((1, 7), 1e3))
     assert np.allclose(beyond, tabled.learned(np.full((1, 7), 1e6)))
     with pytest.raises(InputError, match="additive"):
-        learn_rate(train, kernel="product").tabulated()
+        learn_rate(train, kernel="product", kinematics=False).tabulated()
 
 
 def test_laws_go_through_their_files(spring, exact, shears, tmp_path):
     train, test = exact
     file = tmp_path / "law.json"
-    laws = [spring[0], learn_rate(train), learn_shear(shears, 5, most=60, outside="refuse")]
+    laws = [
+        spring[0],
+        learn_rate(train, kinematics=False),
+        learn_shear(shears, most=60, outside="refuse"),
+    ]
     for law in laws:
         save(file, replace(law, provenance={"dumbbells": 1}))
         again = load(file)
@@ -164,8 +168,20 @@ def test_laws_go_through_their_files(spring, exact, shears, tmp_path):
         save(file, MAXWELL)
 
 
+def test_records_are_as_good_as_their_pairs(shears):
+    law = learn_rate([shears, shears], window=2, most=60, rounds=1, progress=False)
+    pairs = start_pairs(shears, 2).joined(start_pairs(shears, 2)).evenly(60)
+    same = learn_rate(pairs, rounds=1, progress=False)
+    C = shears.C[::50, 0]
+    assert np.array_equal(law.rate(shears.K[::50, 0], C[:-1]), same.rate(shears.K[::50, 0], C[:-1]))
+    with pytest.raises(InputError, match="records: expected one or more"):
+        learn_rate([])
+    with pytest.raises(InputError, match="expected one of simple shear, got 2"):
+        learn_shear([shears, shears])
+
+
 def test_a_law_refuses_states_beyond_its_data(exact):
-    law = learn_rate(exact[0], kernel="product", outside="refuse")
+    law = learn_rate(exact[0], kernel="product", kinematics=False, outside="refuse")
     closure = Closure(law, 1.0, 4, check_every=1)
     closure.advance(shear(np.full(4, 0.05)), 0.1)
     with pytest.raises(InputError, match="outside the training data"):
@@ -183,7 +199,7 @@ def test_moments_that_are_not_positive_are_refused():
 def test_a_second_memory_turns_the_spring(tmp_path):
     K = np.concatenate([held(shear(np.array([1.0, 3.0, 6.0])), 40), np.zeros((20, 3, 4))])
     record = simulate(Dumbbells(3, 3000, b=50.0, seed=1), K, 0.1, steps=5)
-    law = learn_twisted(record, 50.0, points=100, turns=40, outside="allow")
+    law = learn_twisted(record, b=50.0, points=100, turns=40, outside="allow")
     K = held(shear(np.array([4.5])), 40)
     truth = simulate(Dumbbells(1, 12_000, b=50.0, seed=9), K, 0.1, steps=5)
 
@@ -209,16 +225,16 @@ def test_a_second_memory_turns_the_spring(tmp_path):
         with pytest.raises(InputError, match="do not fit together"):
             load(tmp_path / "bad.json")
     with pytest.raises(InputError, match="records: expected one or more"):
-        learn_twisted([], 50.0)
+        learn_twisted([], b=50.0)
     with pytest.raises(InputError, match="shear or mixed"):
-        learn_twisted(Ensembles(0.1, np.zeros((2, 1, 4)), still, still, 10), 50.0)
+        learn_twisted(Ensembles(0.1, np.zeros((2, 1, 4)), still, still, 10), b=50.0)
 
 
 def test_steady_shear_of_the_training_data_comes_back():
     K = np.concatenate([shear(np.array([2.0, 4.0, 8.0])), elongation(np.array([1.0, 2.0]))])
     K = np.concatenate([held(K, 40), np.zeros((30, 5, 4))])
     record = simulate(Dumbbells(5, 3000, b=50.0, seed=3), K, 0.1, steps=5)
-    law = learn_twisted(record, 50.0, points=80, turns=50, outside="allow")
+    law = learn_twisted(record, b=50.0, points=80, turns=50, outside="allow")
     s = law.stress(homogeneous(law, held(shear(np.array([8.0])), 60), 0.1)[-1])[0]
     K = held(shear(np.array([8.0])), 60)
     truth = simulate(Dumbbells(1, 12_000, b=50.0, seed=9), K, 0.1, steps=5).stress[30:].mean(0)[0]

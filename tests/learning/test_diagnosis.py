@@ -103,7 +103,8 @@ def test_a_uniform_orthotropic_sheet_is_anisotropic_and_not_heterogeneous():
     assert diagnosis.residual > 0.1
     assert diagnosis.shares["anisotropy"] > 0.8
     assert diagnosis.shares["heterogeneity"] < 0.1
-    assert "Try a micromodulus" in diagnosis.advice
+    assert "Try Micromodulus" in diagnosis.advice
+    assert "try next" in repr(diagnosis)
 
 
 def test_nothing_is_advised_where_little_is_left(samples):

@@ -35,6 +35,29 @@ def test_force_is_that_of_a_plain_loop(d, kind, method):
 
 
 @pytest.mark.parametrize("d", [2, 3])
+def test_motion_is_stable_below_the_longest_step_and_keeps_its_energy(d):
+    law, points = learned(d), body(d, "ball")
+    longest = warp_peri.proofs.critical_time_step(law, spacing=law.spacing, density=8e3)
+    waves = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(20000, d)) / law.spacing
+    largest = np.linalg.eigvalsh(law.symbol(waves)).max()
+    assert 0.999 * largest < law.stiffest_wave() < 1.05 * largest
+    problem = warp_peri.Dirichlet(
+        points, None, 1e-3 * np.random.default_rng(1).normal(size=points.x.shape)
+    )
+    moved = warp_peri.move(law, problem, density=8e3, step=longest, steps=300)
+    assert np.abs(moved.u).max() < 0.05
+    shorter = warp_peri.move(law, problem, density=8e3, step=longest / 2, steps=50)
+    assert shorter.drift < 1e-9
+    with pytest.raises(InputError, match="step: expected at most"):
+        warp_peri.move(law, problem, density=8e3, step=1.01 * longest, steps=1)
+    with pytest.raises(InputError, match="spacing: the law is for"):
+        warp_peri.proofs.critical_time_step(law, spacing=2 * law.spacing, density=8e3)
+    bare = replace(law, certificate=None)
+    with pytest.raises(InputError, match="expected one with a certificate"):
+        warp_peri.move(bare, problem, density=8e3, step=longest, steps=1)
+
+
+@pytest.mark.parametrize("d", [2, 3])
 def test_nodes_in_any_order_and_a_turned_lattice(d):
     law, points = learned(d), body(d, "ball")
     rng = np.random.default_rng(1)

@@ -1,5 +1,7 @@
 """Equilibria of the neural operator: two ways to them, and their derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -52,6 +54,29 @@ def test_a_load_is_balanced():
     b[rows] = placed(wanted)
     found = Equilibrium(placed).solve(b, u, tolerance=1e-12)
     np.testing.assert_allclose(found.u, wanted, atol=1e-9)
+
+
+def test_the_way_from_rest(monkeypatch):
+    """Uniform strain on the collar is found at once; where a search fails, in two parts."""
+    _, placed, _ = problem()
+    search, solve, calls = Equilibrium(placed), Equilibrium.solve, []
+    collar = ~placed.points.interior[:, None]
+    stretched = placed.points.x @ np.array([[0.5, 0.1], [0.0, -0.2]])
+    found = search.from_rest(0 * stretched, collar * stretched)
+    assert found.steps == 0
+    np.testing.assert_allclose(found.u, stretched, atol=1e-7)
+
+    def failing(self, b, u, **given):
+        calls.append(u)
+        found = solve(self, b, u, **given)
+        return replace(found, converged=found.converged and len(calls) > 1)
+
+    monkeypatch.setattr(Equilibrium, "solve", failing)
+    uneven = stretched + 0.02 * np.sin(placed.points.x)
+    again = search.from_rest(0 * stretched, uneven)
+    assert len(calls) == 3
+    assert again.converged
+    assert abs(placed(again.u)).max() < 1e-6 * abs(placed(collar * uneven)).max()
 
 
 def test_rounding_of_single_precision_is_an_equilibrium():

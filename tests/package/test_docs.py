@@ -97,6 +97,12 @@ def test_every_page_is_in_the_index_and_in_the_menu():
         assert f": {page.name}\n" in menu, page.name
 
 
+def test_studies_come_after_what_a_page_teaches():
+    for page in DOCS.glob("*.md"):
+        headings = re.findall(r"^## (.+)$", page.read_text(encoding="utf-8"), re.M)
+        assert "Studies" not in headings[:-1], page.name
+
+
 def test_every_page_opens_with_a_picture_under_its_title():
     for page in {*DOCS.glob("*.md")} - {DOCS / "gallery.md"}:
         title, picture, *_ = page.read_text(encoding="utf-8").split("\n\n")

@@ -20,7 +20,7 @@ FLOORS = (
     ("transfer",),
     ("statics", "dynamics"),
     ("damage", "tissue", "micromodulus"),
-    ("learning", "diffusion", "neural", "dressed", "prediction", "structures"),
+    ("learning", "diffusion", "neural", "dressed", "prediction", "structures", "ranks"),
     ("choice", "plots", "export", "flow", "problems"),
     ("solving", "storage"),
     ("atoms", "methods", "proofs", "shapes", "transfers"),

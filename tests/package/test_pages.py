@@ -124,8 +124,17 @@ def of_tissue(home):
     }
 
 
+def of_flow(home):
+    """Files of stress histories, as the page says them."""
+    from examples import stress_histories
+
+    stress_histories.histories(home / "histories")
+    return {}
+
+
 GIVEN = {
     "tissue": of_tissue,
+    "flow": of_flow,
     "bodies": of_bodies,
     "dressed": of_dressed,
     "export": of_export,
@@ -139,7 +148,10 @@ SHORTER = {
     ),
 }
 """What would take hours or richer data, and what runs in its place."""
-SLOW = ("tissue", "atoms", "bodies", "flow", "predict", "nonlinear", "neural", "noise", "dressed")
+SLOW = (
+    "tissue", "atoms", "bodies", "cracks", "flow", "predict", "nonlinear", "neural", "noise",
+    "dressed",
+)  # fmt: skip
 
 
 def undefined(blocks):

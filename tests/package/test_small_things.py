@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve
 from warp_peri import Bernstein, Dataset, InputError, Model, choose_model, evaluate
@@ -256,3 +257,11 @@ def test_a_model_that_is_not_in_angstrom_is_not_told_of_angstrom(samples):
             call()
         assert "Å" not in str(caught.value)
         assert "TPa" not in str(caught.value)
+
+
+def test_no_load_is_none():
+    points = lattice(4, HORIZON, 1.0)
+    model = replace(TRUE, certified_on=(1.0,))
+    u = 1e-3 * points.x
+    free, zero = (wp.solve(model, wp.Dirichlet(points, b, u)).u for b in (None, 0 * u))
+    assert np.array_equal(free, zero)

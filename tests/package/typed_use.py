@@ -71,7 +71,7 @@ def learn(folder: Path) -> Fit:
     loads = np.zeros_like(one.u[0]) if one.b is None else one.b[0]
     one_load = warp_peri.Dirichlet(one, loads, one.u[0])
     family = warp_peri.prediction.Family(warp_peri.LPS(HORIZON, warp_peri.Bernstein(1)))
-    members = warp_peri.fit(train, family, held_out=data["test"]).material
+    members = warp_peri.fit(train, family, validation=data["test"]).material
     answer = warp_peri.predict(members, one_load)
     assert not isinstance(answer, tuple)
     assert answer.error < 0.1 < dressed.material.spacing

@@ -8,7 +8,7 @@ from examples import inclusion as inclusions
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
 from warp_peri import InputError, Model, Points, move, save, solve
-from warp_peri.damage import Cracked, Injected, Mixed, opening_volume, rectangle
+from warp_peri.damage import Cracked, Injected, Mixed, box, opening_volume, rectangle
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.inclusions import ball_excess, bond_modulus
 from warp_peri.damage.lattice_body import cracked, lattice_body
@@ -53,6 +53,40 @@ def test_one_material_is_the_plain_operator():
         bond_modulus(body, np.ones(64), "geometric")
     with pytest.raises(InputError, match="mu: expected values > 0"):
         bond_modulus(body, -np.ones(64))
+
+
+def test_several_materials_in_space_and_one_there():
+    x, one = box((7.0,) * 3, 1.0), lambda place: np.ones(place.shape[:-1])
+    points = Points(x, np.abs(x).max(axis=1) < 2, 1.0)
+    problem = Cracked(points, u=x @ [[0, 0.01, 0], [0, 0, 0], [0, 0.02, 0.01]])
+    mixed = Mixed(2.0, lambda place: 3 * one(place), one, dimension=3)
+    plain = Model(lam=3.0, mu=1.0, alpha=1.0, D=[1.0], horizon=2.0, dimension=3)
+    np.testing.assert_allclose(solve(mixed, problem).u, solve(plain, problem).u, atol=1e-13)
+    with pytest.raises(InputError, match="dimension"):
+        solve(Mixed(2.0, one, one), problem)
+
+
+@pytest.mark.slow
+def test_a_ball_in_space_converges():
+    errors = [inclusions.inclusion(n, *inclusions.CASES["stiff in soft"], d=3)[0] for n in (4, 6)]
+    assert errors[1] < 0.006
+    assert np.log(errors[0] / errors[1]) / np.log(1.5) > 0.95
+
+
+def test_a_fluid_drives_a_penny():
+    x = box((8.0,) * 3, 1.0)
+    points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
+    brittle = solid(horizon=2.0, dimension=3, toughness=0.01)
+    run = move(brittle, Injected(points, [2.0], leak=0.1))
+    np.testing.assert_allclose(run["pumped"], run["volume"] + 0.2 * 12)  # nodes within 2
+    assert opening_volume(run.details) * run["pressure"][0] == pytest.approx(run["volume"][0])
+
+
+@pytest.mark.slow
+def test_a_fluid_opens_a_penny_as_sneddons():
+    from examples.penny_crack import filled
+
+    assert filled() == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("between", [-2.0, 0.0, np.nan, np.inf])

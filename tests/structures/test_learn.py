@@ -1,6 +1,7 @@
 """Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
 
 import json
+from dataclasses import replace
 
 import ase.build
 import ase.io
@@ -10,9 +11,11 @@ from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 
 import warp_peri as wp
+from tools.crystals import LEWIS_CATLOW
 from warp_peri.cli.main import main
 from warp_peri.micromodulus.elastic import voigt
 from warp_peri.structures.lammps import LammpsError, lammps_calculator
+from warp_peri.structures.phonons import born_charges
 from warp_peri.structures.rest import at_rest
 
 TERSOFF = "SiC_1989.tersoff"
@@ -42,7 +45,9 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     law = wp.load(graphene / "model.json")
     assert law.units == ("angstrom", "GPa")
     assert law.stress[0, 0] > 40
-    assert law.certificate.proven > 0
+    assert law.certificate.proven > 1
+    assert figures["proven_GPa"] == pytest.approx(law.certificate.proven)
+    assert figures["statement"] == law.certificate.statement  # in the units of the file
     assert figures["holds_to"]["law"] < figures["holds_to"]["local"]
     assert "GPa" in (graphene / "report.txt").read_text()
     assert (graphene / "law.png").stat().st_size > 10_000
@@ -53,6 +58,67 @@ def test_any_calculator_of_ase_does():
     assert off(found) < 0.005
     assert found.material.units == ("m", "Pa")
     assert found.material.moduli()["C11"] == pytest.approx(53.3e9, rel=0.01)
+
+
+class Ions(EMT):
+    """A metal that says it has charges."""
+
+    implemented_properties = (*EMT.implemented_properties, "born_effective_charges")
+    charge = 1.0
+
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, ["energy"], changes)
+        self.results["born_effective_charges"] = self.charge * np.tile(
+            np.eye(3), (len(atoms), 1, 1)
+        )
+        self.results["dielectric_tensor"] = np.eye(3)
+
+
+def test_born_charges_of_a_calculator_are_asked_for():
+    solid = at_rest(ase.build.bulk("Cu", a=3.59), EMT())
+    calculator = Ions()
+    with pytest.raises(wp.InputError, match="born_effective_charges without dielectric_tensor"):
+        born_charges(solid, calculator)
+    calculator.implemented_properties = [*Ions.implemented_properties, "dielectric_tensor"]
+    assert born_charges(solid, calculator).born.shape == (1, 3, 3)
+    sheet = replace(solid, thickness=3.0)
+    with pytest.raises(wp.InputError, match="Born charges of a sheet"):
+        born_charges(sheet, calculator)
+    calculator.charge = 0.0
+    calculator.reset()
+    assert born_charges(sheet, calculator) is None
+    assert born_charges(solid, EMT()) is None
+
+
+@pytest.mark.slow
+def test_a_calculator_with_charges_has_the_field_of_its_ions():
+    """Magnesium oxide of rigid ions (G. V. Lewis and C. R. A. Catlow, 1985), ± 2 e."""
+    wp.atoms.find_mpi()
+    from ase.calculators.lammpslib import LAMMPSlib
+
+    class RigidIons(LAMMPSlib):
+        implemented_properties = (
+            *LAMMPSlib.implemented_properties, "born_effective_charges", "dielectric_tensor"
+        )  # fmt: skip
+
+        def calculate(self, atoms, properties, changes):
+            super().calculate(atoms, ["energy", "forces", "stress"], changes)
+            charges = np.where(atoms.numbers == 12, 2.0, -2.0)
+            self.results["born_effective_charges"] = charges[:, None, None] * np.eye(3)
+            self.results["dielectric_tensor"] = np.eye(3)
+
+    calculator = RigidIons(
+        lmpcmds=list(LEWIS_CATLOW),
+        atom_types={"Mg": 1, "O": 2},
+        lammps_header=["units metal", "atom_style charge", "atom_modify map array sort 0 0"],
+        amendments=["set type 1 charge 2.0", "set type 2 charge -2.0"],
+        keep_alive=True,
+        log_file=None,
+    )
+    found = wp.atoms.from_atoms(ase.build.bulk("MgO", "rocksalt", a=4.2), calculator)
+    C = 1e3 * voigt(found.tensor)
+    assert (C[0, 0], C[0, 1]) == pytest.approx((392.963, 164.309), rel=5e-3)  # strains of a period
+    assert "Born charges" in found.said["force constants"]
 
 
 def test_loads_give_the_law_that_phonons_give():
@@ -101,6 +167,14 @@ def test_a_solid_is_turned_to_axes_that_nodes_share():
     np.testing.assert_allclose(conventional, np.rint(conventional), atol=1e-3)
 
 
+def test_a_file_of_one_element_is_read_by_the_style_eam():
+    palladium = ase.build.bulk("Pd", cubic=True)
+    palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")
+    assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
+    with pytest.raises(wp.InputError, match="one element, got Cu, Pd"):
+        lammps_calculator("eam", ["Pd", "Cu"], "Pd_u3.eam")
+
+
 def test_what_lammps_refuses_is_said_in_its_words():
     wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
     with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
@@ -113,6 +187,7 @@ def test_what_lammps_refuses_is_said_in_its_words():
         ("nowhere:EMT", "No module"),
         ("ase.calculators.emt:None", "no ASE calculator|expected lammps"),
         ("lammps:tersoff", "--potential FILE"),
+        ("lammps:", "--potential FILE"),
         ("ase.calculators.emt:EMT(open('x'))", "malformed"),
     ],
 )

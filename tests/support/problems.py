@@ -66,8 +66,8 @@ def periodic(shape, spacing=1.0):
 
 
 def noise(points, samples=None, seed=0):
-    """Random displacements, the harshest field there is; shape [N, 2] without `samples`."""
-    shape = (len(points.x), 2) if samples is None else (samples, len(points.x), 2)
+    """Random displacements, the harshest field there is; shape [N, d] without `samples`."""
+    shape = points.x.shape if samples is None else (samples, *points.x.shape)
     return np.random.default_rng(seed).normal(size=shape)
 
 

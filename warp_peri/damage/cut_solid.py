@@ -163,23 +163,22 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
             )
 
 
-def contour_integral(
-    solution: Solution, tip: tuple[float, float], radii: tuple[float, float]
-) -> float:
+def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
-    From which of the four sides the crack comes is where the displacement jumps most. Gradients are
-    differences on a full rectangle of nodes, one-sided across the crack; the weight falls from 1 to
-    0 between two squares about the tip.
+    From which side the crack comes is where the displacement jumps most. Gradients are differences
+    on a full box of nodes, one-sided across the crack; the weight falls from 1 to 0 between two
+    squares about the tip. In space these are cubes about a point of the front, which runs straight
+    along an axis within the larger one, and J is the mean over what is in it.
 
     Args:
-        solution: of a Cracked on a rectangle of nodes, of one material, with the crack midway
-            between two of their rows or columns.
-        tip: where the crack ends.
+        solution: of a Cracked on a rectangle or box of nodes, of one material, with the crack
+            midway between two of their rows, columns or layers.
+        tip: where the crack ends, shape [d].
         radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
 
-    Raises InputError for a body that is no rectangle, several materials, and squares that do not
-    differ by a spacing or do not fit into the body.
+    Raises InputError for a body that is no box, several materials, and squares that do not differ
+    by a spacing or do not fit into the body.
     """
     if not getattr(solution.operator, "one", False):
         raise InputError("solution: expected that of a Cracked, of one material")
@@ -190,67 +189,77 @@ def domain_integral(
     model: Model,
     body: LatticeBody,
     u: np.ndarray,
-    tip: tuple[float, float],
+    tip: Sequence[float],
     radii: tuple[float, float],
 ) -> float:
-    """As contour_integral, of a displacement of all nodes [N, 2]."""
-    h = body.spacing
+    """As contour_integral, of a displacement of all nodes [N, d]."""
+    h, d = body.spacing, body.dimension
     if not (np.isfinite(radii).all() and 0 <= round(radii[0] / h) < round(radii[1] / h)):
         raise InputError(
             f"radii: expected 0 ≤ smaller < larger by a spacing of {h:g} or more, got "
             f"{radii[0]:g}, {radii[1]:g}"
         )
     r1, r2 = (round(radius / h) * h for radius in radii)
-    if body.dimension != 2:
-        raise InputError("solution: expected that of a sheet for J, got three dimensions")
+    if np.shape(tip) != (d,):
+        raise InputError(f"tip: expected a point of shape [{d}], got {list(np.shape(tip))}")
     if np.shape(u) != body.x.shape:
         raise InputError(f"u: expected shape {list(body.x.shape)}, got {list(np.shape(u))}")
     place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
     sides = place.max(axis=0) + 1
     if np.prod(sides) != len(body.x):
-        raise InputError("body: expected a full rectangle of nodes for J")
-    order = np.argsort(place @ (sides[1], 1))
-    field = u[order].reshape(*sides, 2)
-    x, y = (body.x[order, a].reshape(sides) - tip[a] for a in (0, 1))
-    room = min(-x[0, 0], x[-1, 0], -y[0, 0], y[0, -1])
-    if room < r2 - 1e-9 * h:
+        raise InputError("body: expected a full box of nodes for J")
+    order = np.lexsort(place.T[::-1])
+    x = body.x[order].reshape(*sides, d) - np.asarray(tip, dtype=float)
+    low, high = (end.min() for end in (-x.reshape(-1, d).min(axis=0), x.reshape(-1, d).max(axis=0)))
+    if (room := min(low, high)) < r2 - 1e-9 * h:
         raise InputError(f"radii: {r2:g} is more than from the tip to the edge, {room:g}")
-    field, x, y = _from_the_left(field, x, y, r2)
-    gradient = crack_gradient(field, h, x[:, 0] < 0, int(np.count_nonzero(y[0] < 0)))
+    field, x = _from_the_left(u[order].reshape(*sides, d), x, r2)
+    gradient = crack_gradient(field, h, _line(x, 0) < 0, int(np.count_nonzero(_line(x, 1) < 0)))
     strain = (gradient + gradient.swapaxes(-1, -2)) / 2
     stress = 2 * model.mu * strain
     trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
-    stress = stress + model.lam * trace * np.eye(2)
+    stress = stress + model.lam * trace * np.eye(d)
     density = (stress * strain).sum(axis=(-1, -2)) / 2
-    sideways = np.abs(x) >= np.abs(y)
-    slope = [
-        np.where(side, np.sign(axis) * _fall(np.abs(axis), h, r1, r2), 0.0)
-        for side, axis in ((sideways, x), (~sideways, y))
+    away = np.abs(x)
+    across, along = away[..., :2].max(axis=-1), away[..., 2:].max(axis=-1, initial=0.0)
+    sideways = np.arange(d) == away[..., :2].argmax(axis=-1)[..., None]
+    within = np.clip((r2 - along) / (r2 - r1), 0.0, 1.0)  # along the front, in space
+    slope = np.where(sideways, within[..., None] * _fall(away, h, r1, r2), 0.0)
+    slope[..., 2:] = (np.clip((r2 - across) / (r2 - r1), 0.0, 1.0) * _fall(along, h, r1, r2))[
+        ..., None
     ]
+    slope *= np.sign(x)
     pull = np.einsum("...ij,...i->...j", stress, gradient[..., 0])
-    integrand = (density - pull[..., 0]) * slope[0] - pull[..., 1] * slope[1]
-    return float(-integrand.sum() * h * h)
+    integrand = density * slope[..., 0] - (pull * slope).sum(axis=-1)
+    front = within[0, 0].sum() * h ** (d - 2)
+    return float(-integrand.sum() * h**d / front)
 
 
-def _from_the_left(
-    field: np.ndarray, x: np.ndarray, y: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacement and places about a tip, mirrored so that the crack comes from the left.
+def _from_the_left(field: np.ndarray, x: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and places about a tip, [n₁, …, d], turned so that the crack comes along −x₁.
 
-    The jump across a half-line is what neighbours on both sides do not explain.
+    Its faces then look along x₂. The jump across half a plane is what neighbours on both sides do
+    not explain.
     """
-    turned = field.swapaxes(0, 1)[..., ::-1], y.T, x.T
-    jumps, views = [], []
-    for values, ahead, up in ((field, x, y), turned):
-        steps, row = np.diff(values, axis=1), int(np.count_nonzero(up[0] < 0))
+    d, views, jumps = x.shape[-1], [], []
+    for axes in itertools.permutations(range(d)):
+        turned, places = (np.transpose(a, (*axes, d))[..., list(axes)] for a in (field, x))
+        steps, row = np.diff(turned, axis=1), int(np.count_nonzero(_line(places, 1) < 0))
         around = steps[:, max(row - 2, 0)] + steps[:, min(row, steps.shape[1] - 1)]
-        jump = np.square(steps[:, row - 1] - around / 2).sum(axis=1)
-        along = ahead[:, 0]
-        near = np.abs(along) <= reach
-        jumps += [jump[near & (along < 0)].sum(), jump[near & (along > 0)].sum()]
-        mirror = values[::-1] * (-1.0, 1.0), -ahead[::-1], up[::-1]
-        views += [(values, ahead, up), mirror]
+        jump = np.square(steps[:, row - 1] - around / 2).sum(axis=-1)
+        at = places[:, row - 1]
+        near = (np.abs(np.delete(at, 1, axis=-1)) <= reach).all(axis=-1)
+        for sign in (1, -1):
+            jumps.append(jump[near & (sign * at[..., 0] < 0)].sum())
+            flip = np.where(np.arange(d) == 0, sign, 1.0)
+            views.append((turned[::sign] * flip, places[::sign] * flip))
     return views[int(np.argmax(jumps))]
+
+
+def _line(x: np.ndarray, axis: int) -> np.ndarray:
+    """Coordinates along one axis of a box of places, [n₁, …, d]."""
+    coordinates: np.ndarray = np.moveaxis(x[..., axis], axis, -1)[(0,) * (x.shape[-1] - 1)]
+    return coordinates
 
 
 def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
@@ -264,12 +273,13 @@ def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
 
 
 def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) -> np.ndarray:
-    """∂u_i/∂x_j by differences, shape [n₁, n₂, 2, 2], one-sided across rows row − 1 and row."""
-    by_x, by_y = (np.gradient(field, h, axis=axis, edge_order=2) for axis in (0, 1))
+    """∂u_i/∂x_j by differences, shape [n₁, n₂, …, d, d], one-sided across rows row − 1 and row."""
+    d = field.shape[-1]
+    slopes = [np.gradient(field, h, axis=axis, edge_order=2) for axis in range(d)]
     halves = (field[:, :row], field[:, row:])
     apart = np.concatenate([np.gradient(half, h, axis=1, edge_order=2) for half in halves], axis=1)
-    by_y = np.where(behind[:, None, None], apart, by_y)
-    return np.stack([by_x, by_y], axis=-1)
+    slopes[1] = np.where(behind.reshape(-1, *(d * (1,))), apart, slopes[1])
+    return np.stack(slopes, axis=-1)
 
 
 def westergaard(x: np.ndarray, half: float, stress: float, lam: float, mu: float) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,12 +26,13 @@ class Mixed:
 
     Attributes:
         horizon: δ [length].
-        lam, mu: λ and μ [stress] as functions of positions [..., 2], shape [...].
+        lam, mu: λ and μ [stress] as functions of positions [..., d], shape [...].
         mean: of μ along a bond: "series" adds compliances, "harmonic" and "arithmetic" take the two
             ends.
         balls: λ − μ of a node adds the compliances of its ball; False takes the node's own.
         alpha, D: of the influence function, as a Model's.
         units: names of the units of length and stress.
+        dimension: d, 2 or 3.
 
     Raises InputError for another mean, a horizon or an influence function as of Model. No file is
     made of it: fields are functions.
@@ -45,7 +46,7 @@ class Mixed:
     alpha: float = 1.0
     D: ArrayLike = (1.0,)
     units: Units = USUAL
-    dimension: ClassVar[int] = 2
+    dimension: int = 2
 
     def __post_init__(self) -> None:
         if self.mean not in MEANS:
@@ -55,7 +56,15 @@ class Mixed:
     @property
     def linear(self) -> Model:
         """The influence function, with moduli of one."""
-        return Model(1.0, 1.0, self.alpha, np.asarray(self.D), self.horizon, units=self.units)
+        return Model(
+            1.0,
+            1.0,
+            self.alpha,
+            np.asarray(self.D),
+            self.horizon,
+            units=self.units,
+            dimension=self.dimension,
+        )
 
     def moduli(self, body: LatticeBody, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """μ of each bond, shape [N, B], and λ − μ of each node, shape [N]."""
@@ -79,7 +88,7 @@ def bond_modulus(
 
     Args:
         body: the body.
-        mu: a function of positions [..., 2]; or, other than for "series", by node, shape [N].
+        mu: a function of positions [..., d]; or, other than for "series", by node, shape [N].
         mean: "series" reads the function along the bond and adds compliances; "harmonic" and
             "arithmetic" take the two ends.
 

@@ -69,13 +69,17 @@ class LatticeBody:
         return numbers
 
 
-def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
+def lattice_body(
+    x: ArrayLike, spacing: float, horizon: float, *, endless: bool = False
+) -> LatticeBody:
     """The bonds of a body on a square or cubic lattice, straight or turned.
 
     Args:
         x: positions [length], shape [N, 2] or [N, 3], in any order.
         spacing: h [length].
         horizon: δ [length].
+        endless: x is one layer, straight, of a body that goes on along its last axis, all layers
+            alike; a bond then leads to the node of this layer below or above its end.
 
     Raises InputError for points off the lattice, given twice, or too many to be numbered.
     """
@@ -88,7 +92,8 @@ def lattice_body(x: ArrayLike, spacing: float, horizon: float) -> LatticeBody:
     grid, axes = straight_steps(x, spacing)
     if len(x) * len(classes.steps) >= 2**31:
         raise InputError(f"x: {len(x)} nodes have more bonds than can be numbered (2³¹)")
-    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, classes.steps), axes)
+    steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps
+    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes)
 
 
 def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
@@ -112,14 +117,21 @@ def box(sides: Sequence[float], spacing: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
 
 
+def penny(radius: float, corners: int = 48) -> np.ndarray:
+    """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
+    t = 2 * np.pi * np.arange(corners) / corners
+    reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
+    return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
+
+
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
-    A bond that meets an end of the polyline is not cut, one that meets a corner is; a polyline that
-    comes back to its start has corners only. Where a
-    segment runs through nodes, these nodes stand on its left: the segment is moved by a hair, with
-    a warning. In space a crack is a flat convex polygon, whose edges cut nothing; nodes on it stand
-    where the corners are seen to go round against the clock.
+    A bond that meets an end of the polyline is not cut, one that meets a corner is, or an end
+    beyond which the body has no nodes: a mouth. A polyline that comes back to its start has corners
+    only. Where a segment runs through nodes, these nodes stand on its left: the segment is moved by
+    a hair, with a warning. In space a crack is a flat convex polygon, whose edges cut nothing;
+    nodes on it stand where the corners are seen to go round against the clock.
 
     Args:
         body: the body.
@@ -146,7 +158,10 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
         last = len(corners) - 2
         open_ended = not np.array_equal(corners[0], corners[-1])
         for number, (start, end) in enumerate(pairwise(corners)):
-            tips = (open_ended and number == 0, open_ended and number == last)
+            tips = (
+                open_ended and number == 0 and _goes_on(body, start, start - end),
+                open_ended and number == last and _goes_on(body, end, end - start),
+            )
             _cut_segment(body, start, end, tips, cut)
     node, bond = np.nonzero(cut)  # rounding at a tip must not leave half a bond
     cut[body.neighbour[node, bond], body.opposite[bond]] = True
@@ -218,6 +233,12 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
     area = np.cross(away, np.roll(away, -1, axis=0)).sum(axis=0) / 2
     size = float(np.linalg.norm(area))
     return size, area / (size or 1.0)
+
+
+def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
+    """Whether the body has nodes further along than the end of a crack; else it is a mouth."""
+    away = body.x[_near(body, tip[None])] - tip
+    return bool((away @ along > ON_LINE * body.spacing * np.hypot(*along)).any())
 
 
 def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:

@@ -92,8 +92,20 @@ class Section:
         left = height > -HAIR / 2 * body.body.spacing  # nodes on the line stand on its left
         self._node, self._bond, self._owner = node[left], bond[left], body
 
+    def of(self, nodes: np.ndarray) -> Section:
+        """The same of bonds that begin at these nodes only; itself."""
+        kept = np.isin(self._node, nodes)
+        self._node, self._bond = self._node[kept], self._bond[kept]
+        return self
+
     def force(self, state: BreakingState) -> np.ndarray:
         """Force per thickness on the nodes to the left of the line, over the polygon; shape [d]."""
+        body = self._owner.body
+        total: np.ndarray = body.spacing**body.dimension * self.carried(state).sum(axis=0)
+        return total
+
+    def carried(self, state: BreakingState) -> np.ndarray:
+        """Force density of each bond across the line, shape [E, d]."""
         owner, node, bond = self._owner, self._node, self._bond
         body, model, w = owner.body, owner.operator.model, owner.operator.weights[self._bond]
         far = owner.neighbour(state)[node, bond]
@@ -104,8 +116,8 @@ class Section:
         if model.lam != model.mu:
             theta = owner.operator.theta.numpy()
             pull = pull + d * (model.lam - model.mu) * w * (theta[node] + theta[far])
-        total: np.ndarray = body.spacing**d * ((pull * kept)[:, None] * xi).sum(axis=0)
-        return total
+        carried: np.ndarray = (pull * kept)[:, None] * xi
+        return carried
 
 
 class CrackRun:
@@ -167,10 +179,8 @@ class CrackRun:
         differs, and for fewer steps than the checkpoint or the state has behind it.
         """
         if not self._began or state.steps == 0:
-            parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
-            sums = (state.work.numpy(), state.dissipated)
             self._first, self._ramp = (state.time, state.steps), []
-            self._began = _digest(*parts, *sums, *self._first)
+            self._began = self._start_mark(state)
         state = self._resumed(state, steps)
         if state.steps > steps:
             raise InputError(
@@ -204,29 +214,34 @@ class CrackRun:
             fields = {"displacement": u, "velocity": v, "damage": self.body.damage(state)}
             self.series.write(state.steps, state.time, fields)
 
+    def _start_mark(self, state: BreakingState) -> str:
+        parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
+        return _digest(*parts, state.work.numpy(), state.dissipated, *self._first)
+
+    def _mark(self, array: np.ndarray) -> str:
+        return _digest(array)
+
+    def _record_marks(self) -> tuple[Any, ...]:
+        lines = [section.ends for section in self.sections.values()]
+        names = list(self.sections), [*self.regions, *self.watch]
+        return (self.every, *names, *lines, *self.regions.values())
+
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
         body, solid, model = self.body, self.body.solid, self.body.solid.model
         numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
-        lines = [section.ends for section in self.sections.values()]
         return {
             "start": self._began,
-            "nodes": _digest(body.body.x),
+            "nodes": self._mark(body.body.x),
             "solid": _digest(
                 *numbers, body.operator.limits, solid.by_energy, solid.tension_only, model.units
             ),
-            "no_fail": _digest(body.no_fail),
-            "load": _digest(body.load.numpy()),
-            "held": _digest(body.held.numpy()),
-            "grip": _digest(body.grip.numpy()),
+            "no_fail": self._mark(body.no_fail),
+            "load": self._mark(body.load.numpy()),
+            "held": self._mark(body.held.numpy()),
+            "grip": self._mark(body.grip.numpy()),
             "step": _digest(self.dt),
-            "records": _digest(
-                self.every,
-                list(self.sections),
-                [*self.regions, *self.watch],
-                *lines,
-                *self.regions.values(),
-            ),
+            "records": _digest(*self._record_marks()),
         }
 
     def _applied(self, steps: int) -> tuple[np.ndarray, np.ndarray]:

@@ -106,6 +106,7 @@ class BreakingBody:
     Attributes:
         longest_step: Δt proven stable under any breaking (theory.md, C9).
         stretch: critical stretch; None where bonds break by energy.
+        exchange: fills the displacement of nodes that another process moves; None where none does.
 
     Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
     """
@@ -145,6 +146,7 @@ class BreakingBody:
             for name, field in (("load", load), ("held", held), ("grip", grip))
         )
         self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
+        self.exchange: Callable[[wp.array[Any]], None] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         count, d = self.body.x.shape
@@ -270,6 +272,8 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (dt, density, share, later, state.force, body.load, body.held, body.grip),
         (state.v, state.work, state.u),
     )
+    if body.exchange is not None:
+        body.exchange(state.u)
     before = state.energy
     lost = operator.sweep(state.u, state.links, state.force, before, breaking=True)
     launch_slices(

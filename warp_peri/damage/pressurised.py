@@ -45,25 +45,39 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     return load
 
 
-def opening_volume(solution: Solution, normal: Sequence[float] = (0.0, 1.0)) -> float:
+def opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
     """Room between the faces of cracks with one normal [length^d], from the bonds across them.
 
     Each broken bond of one spacing along the normal is a column of the opening; cracks along a
-    row of nodes. The solution is that of a Cracked.
+    row of nodes. The solution is that of a Cracked; the normal is the second axis unless given.
 
     Raises InputError unless the normal is along an axis.
     """
-    body, neighbour, u = solution.operator.body, solution.operator.neighbour, solution.u
-    d = body.dimension
-    if len(normal) != d or sorted(np.abs(normal)) != [0] * (d - 1) + [1]:
-        raise InputError(f"normal: expected one along an axis, as (0, 1), got {normal}")
-    across = np.abs(body.xi - body.spacing * np.array(normal)).max(axis=1)
+    node, far, along = _columns(solution, normal)
+    body, u = solution.operator.body, solution.u
+    return float(body.spacing ** (body.dimension - 1) * ((u[far] - u[node]) @ along).sum())
+
+
+def crack_area(solution: Solution, normal: Sequence[float] | None = None) -> float:
+    """Length, in space area, of these cracks: a spacing or a square of it for each column."""
+    body = solution.operator.body
+    return float(len(_columns(solution, normal)[0]) * body.spacing ** (body.dimension - 1))
+
+
+def _columns(
+    solution: Solution, normal: Sequence[float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes below and above a crack, joined by a bond that it broke, and the normal."""
+    body, neighbour, d = solution.operator.body, solution.operator.neighbour, solution.u.shape[1]
+    along = np.eye(d)[1] if normal is None else np.asarray(normal, dtype=float)
+    if along.shape != (d,) or sorted(np.abs(along)) != [0] * (d - 1) + [1]:
+        raise InputError(f"normal: expected one along an axis, as {(0, 1, 0)[:d]}, got {normal}")
+    across = np.abs(body.xi - body.spacing * along).max(axis=1)
     step = int(np.argmin(across))
     if across[step] > 1e-6 * body.spacing:
         raise InputError("body: expected a lattice along the axes, got a turned one")
     node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
-    far = body.neighbour[node, step]
-    return float(body.spacing ** (d - 1) * ((u[far] - u[node]) @ normal).sum())
+    return node, body.neighbour[node, step], along
 
 
 def sneddon_opening(

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, taken
+from warp_peri.contract import offered, refuse_uncut, taken
 from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.lattice_body import LatticeBody, lattice_body, size_and_normal
+from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
-from warp_peri.damage.pressurised import crack_load, opening_volume
+from warp_peri.damage.pressurised import crack_area, crack_load, opening_volume
 from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion
@@ -70,6 +70,7 @@ class Cracked:
 
     def body(self, material: Any, verb: str) -> LatticeBody:
         """Nodes and bonds; InputError for what has no linear part, and for other points."""
+        refuse_uncut(material, "Cracked")
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
         check_same(linear.units, self.points.units)
         linear.check_dimension(self.points)
@@ -142,15 +143,15 @@ class Cracked:
 
 @dataclass(frozen=True, eq=False)
 class Injected:
-    """A crack |x| < a on y = 0 that a fluid drives through a body, slowly (C14).
+    """A crack |x| < a on y = 0, in space a penny, that a fluid drives through a body, slowly (C14).
 
     At each half length the pressure is that of G = G_c; G of unit pressure is p² half the change of
-    the opening's volume with the crack's length.
+    the opening's volume with the crack's length or area, that of the bonds cut.
 
     Attributes:
-        points: a lattice, held off the interior.
-        halves: half lengths in rising order, multiples of the spacing, one or more.
-        leak: volume lost per length of new face [length], ≥ 0.
+        points: a lattice along the axes, held off the interior.
+        halves: half lengths, or radii, in rising order, more than a spacing, one or more.
+        leak: volume lost per length or area of new face [length], ≥ 0.
         compressibility: of the fluid [1 / stress], ≥ 0.
 
     Raises InputError for half lengths that do not rise, and a fluid below 0.
@@ -177,56 +178,27 @@ class Injected:
         """Stage by stage, of a BrittleSolid with a toughness.
 
         The time is the half length; the histories are half, pressure at which the crack is about to
-        grow [stress], volume of the fluid in it [length²], and pumped, leaks included.
+        grow [stress], volume of the fluid in it [length^d], and pumped, leaks included.
         """
         taken(options, "move")
         toughness = getattr(material, "toughness", None)
         if toughness is None:
             raise InputError("move: expected a BrittleSolid with a toughness for an Injected")
-        h, rows = self.points.spacing, []
+        h, normal, rows = self.points.spacing, np.eye(self.points.dimension)[1], []
         for half in self.halves:
-            found = [self._at(material, half + d) for d in (0.0, h, -h)]
-            here, longer, shorter = (opening_volume(one) for one in found)
-            released = (longer - shorter) / (2 * h) / 4  # per tip, at unit pressure: ½ dV/d(2a)
+            found = [self._at(material, half + d, normal) for d in (0.0, h, -h)]
+            here, longer, shorter = (opening_volume(one, normal) for one in found)
+            area, more, less = (crack_area(one, normal) for one in found)
+            released = (longer - shorter) / (more - less) / 2  # at unit pressure
             pressure = float(np.sqrt(toughness / released))
             volume = pressure * here
-            pumped = volume * (1 + self.compressibility * pressure) + self.leak * 4 * half
+            pumped = volume * (1 + self.compressibility * pressure) + self.leak * 2 * area
             rows.append((half, pressure, volume, pumped))
         history = dict(zip(("half", "pressure", "volume", "pumped"), np.array(rows).T))
         return Motion(history["half"], pressure * found[0].u, None, history, found[0])
 
-    def _at(self, material: Any, half: float) -> Solution:
+    def _at(self, material: Any, half: float, normal: np.ndarray) -> Solution:
         """At rest under unit pressure."""
-        crack, unit = [(-half, 0.0), (half, 0.0)], [[0.0, 0.0], [0.0, 1.0]]
-        return Cracked(self.points, cracks=[crack], pressure=unit).solved(material, None, {})
-
-
-def energy_release(material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]]) -> float:
-    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
-
-    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
-    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
-
-    Args:
-        material: as of `solve`.
-        problem: its cracks are not looked at; loads stay as the crack grows, their potential
-            counts.
-        cracks: for each length its polylines, two or more; what longer ones add is the new area.
-
-    Returns what is released per length added, in space per area, by least squares
-    [stress · length]; with two tips, of each.
-
-    Raises InputError for fewer than two lengths, and as Cracked.solved.
-    """
-    energies, lengths = [], []
-    for polylines in cracks:
-        solution = replace(problem, cracks=polylines).solved(material, None, {})
-        cell = problem.points.spacing**problem.points.dimension
-        work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
-        energies.append(solution.operator.energy(solution.u) - work)
-        sizes = (size_and_normal(np.asarray(line, dtype=float))[0] for line in polylines)
-        lengths.append(sum(sizes))
-    if len(set(lengths)) < 2:
-        raise InputError(f"cracks: expected two lengths or more, got {lengths}")
-    off = np.array(lengths) - np.mean(lengths)
-    return float(off @ np.array(energies) / -(off @ off)) + 0.0  # no −0
+        crack = [(-half, 0.0), (half, 0.0)] if len(normal) == 2 else penny(half)
+        problem = Cracked(self.points, cracks=[crack], pressure=np.outer(normal, normal))
+        return problem.solved(material, None, {})

@@ -159,6 +159,10 @@ class SoftSolid:
         """Names of the units of length and stress."""
         return self.model.units
 
+    def in_units(self, units: Units) -> SoftSolid:
+        """The same solid in other units: stretches have none."""
+        return SoftSolid(self.model.in_units(units), self.law)
+
     def content(self) -> dict[str, Any]:
         """What the file of the solid holds."""
         law = {k: None if np.isinf(v) else v for k, v in vars(self.law).items()}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.models.lps import Model, model_content, model_from
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import Units
+from warp_peri.points.unit_names import Units, factors
 
 FORMAT, VERSION = "warp_peri.brittle_solid", 2
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
@@ -36,7 +36,7 @@ class BrittleSolid:
         toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
         critical_stretch: s₀ itself, instead of G_c.
         critical_energy: energy density of a bond over its quadrature weight at which it breaks
-            [stress / length²], instead of both (C8).
+            [stress / length^d], instead of both (C8).
         tension_only: bonds in compression do not break.
 
     Raises InputError unless exactly one of the three criteria is given and all numbers are > 0.
@@ -88,6 +88,21 @@ class BrittleSolid:
     def by_energy(self) -> bool:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None
+
+    def in_units(self, units: Units) -> BrittleSolid:
+        """The same solid in other units; that of time stays, so that ρ is a stress over length²."""
+        length, stress = factors(self.units, units)
+
+        def times(value: float | None, factor: float) -> float | None:
+            return None if value is None else value * factor
+
+        return replace(
+            self,
+            model=self.model.in_units(units),
+            density=self.density * stress / length**2,
+            toughness=times(self.toughness, stress * length),
+            critical_energy=times(self.critical_energy, stress / length**self.dimension),
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solid as JSON, whole or not at all: the model with its units and records."""

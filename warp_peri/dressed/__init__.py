@@ -1,6 +1,6 @@
 """Solids of a positive base between two short convolutions: accurate, uneven, with edges (D)."""
 
-from warp_peri.dressed.body import grown, torn
+from warp_peri.dressed.broken import grown, torn
 from warp_peri.dressed.finite import FiniteSolid
 from warp_peri.dressed.finite_learning import FiniteFit, FiniteStrain
 from warp_peri.dressed.law import DressedSolid

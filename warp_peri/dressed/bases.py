@@ -101,6 +101,14 @@ def _elements(tensor: np.ndarray) -> Base:
     )
 
 
+def gauss_shapes(at: np.ndarray) -> np.ndarray:
+    """N_g: what a strain of an element is at positions in it, [n, d] from 0 to 1, of those at its
+    Gauss points: exact, for strains are multilinear. [n, 2^d]."""
+    d = at.shape[1]
+    points = np.array(list(itertools.product((-(3**0.5), 3**0.5), repeat=d)))
+    return np.asarray(np.prod(1 + points * (2 * at[:, None] - 1), axis=2) / 2**d)
+
+
 def _eigenstrains(tensor: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], tuple[str, ...]]:
     """C = Σ_a m_a P_a with projections P_a, in the order 11, 22, …, √2·12, and their names."""
     d = tensor.shape[0]

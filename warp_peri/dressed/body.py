@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
+from warp_peri.dressed.broken import key, pairs
+from warp_peri.dressed.grains import Grains, grains_of
+from warp_peri.dressed.outline import cut_elements
 from warp_peri.dressed.sweeps import ByLayers
-from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.launch import DEVICE
 from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.statics.conjugate_gradients import definite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.settings import Direct, Solver, refuse_solver
+from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 if TYPE_CHECKING:
@@ -30,10 +33,8 @@ if TYPE_CHECKING:
 
 Edges = bool | Callable[[np.ndarray], np.ndarray]
 """Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""
-FINE = {2: 20, 3: 8}
-"""Positions along an axis of an element that are asked whether they lie inside."""
-LEAST = 0.02
-"""Share of an element below which it is left out."""
+MOST_DIRECT = 1500
+"""Nodes in space beyond which conjugate gradients are taken for a factorisation."""
 BALANCED, MET = 1e-4, 1e-6
 """Relative, of the resultant of a free body's load, which is taken off, and of a residual."""
 
@@ -48,7 +49,7 @@ class Body:
         solid: the law.
         points: nodes on a lattice of its spacing, or periodic; those that are not interior are
             held.
-        edges, maps, broken: as of DressedSolid.on.
+        edges, maps, broken, grains: as of DressedSolid.on.
 
     Attributes:
         factors: modulus of each part over that of the even solid at each site, [A, N].
@@ -63,6 +64,7 @@ class Body:
         edges: Edges = True,
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
+        grains: Grains | None = None,
     ) -> None:
         self.points, self.model = solid.crystal.fitting(points), solid
         self.grid, self.axes = lattice_steps(self.points)
@@ -71,17 +73,24 @@ class Body:
             period = np.rint(np.asarray(self.points.box) / self.points.spacing)
             self.sides = tuple(period.astype(int).tolist())
         self._steps = np.concatenate([solid.steps, -solid.steps])
+        self.laws, self.grain = grains_of(solid, grains, len(self.grid))
         base = solid.parts
         self._corner = self._neighbours(base.corners)
         count = len(self.grid)
-        self.share = self._inside(edges) if callable(edges) else np.ones(count)
-        self.factors = self._factors(maps or {}) * self.share
-        torn = _pairs(broken, count)
+        if callable(edges) and solid.base != "elements":
+            raise InputError("edges: expected True for a base of bonds; outlines cut elements")
+        place = self.points.x, self.axes, solid.spacing
+        self.gram = cut_elements(*place, edges) if callable(edges) else None
+        self.share = np.ones(count) if self.gram is None else self.gram.sum(axis=(1, 2))
+        self.factors = self._factors(maps or {}) * (self.share > 0)
+        torn = pairs(broken, count)
         self._there, self._linked = self._sites(torn)
         if not edges:
             self._refuse_edges()
         alive = bool((self.factors > 0).any(axis=0).all())
-        self._even = alive and not edges and not len(torn)  # whole rows of G at every unknown
+        self._even = (
+            alive and len(self.laws) == 1 and not edges and not len(torn)
+        )  # whole rows of G at every unknown
 
     def _neighbours(self, steps: np.ndarray) -> np.ndarray:
         """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
@@ -90,22 +99,6 @@ class Body:
         if self.points.outside is not None:
             found[np.append(self.points.outside, False)[found]] = -1
         return found
-
-    def _inside(self, inside: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Share of each element that lies inside the body, [N]."""
-        if self.model.base != "elements":
-            raise InputError("edges: expected True for a base of bonds; outlines cut elements")
-        d = len(self.axes)
-        line = (np.arange(FINE[d]) + 0.5) / FINE[d]
-        fine = np.array(list(itertools.product(line, repeat=d))) * self.model.spacing
-        share = np.zeros(len(self.points.x))
-        for part in np.array_split(np.arange(len(share)), len(share) // 1000 + 1):
-            at = self.points.x[part, None] + fine @ self.axes.T
-            said = np.asarray(inside(at.reshape(-1, d)), dtype=bool)
-            if said.shape != (at.size // d,):
-                raise InputError(f"edges: expected one bool a position, got {list(said.shape)}")
-            share[part] = said.reshape(len(part), -1).mean(axis=1)
-        return np.where(share < LEAST, 0.0, share)
 
     def _factors(self, maps: Mapping[str, ArrayLike]) -> np.ndarray:
         base, count = self.model.parts, len(self.points.x)
@@ -140,9 +133,10 @@ class Body:
             for q in range(p):
                 both = touched[:, p] & touched[:, q]
                 if len(torn) and both.any():
-                    cut = np.isin(_key(corner[:, p], corner[:, q], count), torn)
-                    there &= ~(cut[:, None] & both)
-        alive = there & (self.factors > 0).any(axis=0)[:, None]
+                    cut = np.isin(key(corner[:, p], corner[:, q], count), torn)
+                    there &= ~np.logical_and.outer(cut, both)
+        stiff = np.asarray((self.factors > 0).any(axis=0))
+        alive = there & stiff[:, None]
         linked: dict[tuple[int, ...], np.ndarray] = {}
         for p in range(touched.shape[1]):
             for q in range(touched.shape[1]):
@@ -192,19 +186,20 @@ class Body:
         return sp.csr_array(sp.coo_array((value, (row, column)), shape=shape))
 
     def _dressing(self, tensors: np.ndarray) -> sp.csr_array:
-        """G: a row is the identity where a neighbour is not there; torn pairs ±ξ are left out."""
+        """G of tensors of each grain [g, H, d, d]: a row is of its node's own grain, and the
+        identity where a neighbour is not there; torn pairs ±ξ are left out."""
         count, d = self.points.x.shape
         neighbour = self._neighbours(self._steps)
         full = np.array((neighbour >= 0).all(axis=1), bool)
         full[self._corner[self.share < 1].ravel()] = False  # which an outline cuts
-        half = len(tensors)
+        half = len(self.model.steps)
         whole = np.array([full & self._whole(step) for step in self._steps])
         whole = np.tile(whole[:half] & whole[half:], (2, 1))
         bond, node = np.nonzero(whole)
         i, j = np.indices((d, d))
         row, own = (d * node[:, None, None] + axis for axis in (i, j))
         column = d * neighbour[node, bond][:, None, None] + j
-        value = np.tile(tensors, (2, 1, 1))[bond]
+        value = np.tile(tensors, (1, 2, 1, 1))[self.grain[node], bond]
         shift = sp.coo_array(
             (
                 np.concatenate([value.ravel(), -value.ravel()]),
@@ -233,18 +228,35 @@ class Body:
     def _through(self, matrix: Callable[[np.ndarray], np.ndarray], u: ArrayLike) -> np.ndarray:
         return np.asarray(matrix(self._flat(u).T).T.reshape(np.shape(u)) @ self.axes.T)
 
+    def tensors(self, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """m_a M_a of each grain, [S, S], and its share of each site, [N]; one between grains is a
+        mean of theirs."""
+        base = self.model.parts
+        return [
+            (
+                np.append(self.grain == grain, False)[self._corner] @ base.middle,
+                law.parts.parts[number] * law.parts.moduli[number],
+            )
+            for grain, law in enumerate(self.laws)
+        ]
+
     def part(self, number: int, factor: np.ndarray) -> sp.csr_array:
         """K_a of one part with a factor at each site, [N]: symmetric, [d N, d N]."""
         base = self.model.parts
-        M = sp.csr_array(base.parts[number] * base.moduli[number])
-        weight = sp.diags_array(np.repeat(factor, len(base.strains)))
-        inner = sp.kron(sp.eye_array(len(factor)), M, format="csr") @ weight
+        inner = sp.csr_array((self.strains.shape[0],) * 2)
+        for share, M in self.tensors(number):
+            weight = sp.diags_array(share * factor)
+            inner = inner + sp.kron(weight, sp.csr_array(M), format="csr")
+        if self.gram is not None:  # M = 1 ⊗ P / 2^d becomes W ⊗ P
+            place = np.arange(len(factor) + 1)
+            W = sp.bsr_array((self.gram * len(self.gram[0]), place[:-1], place))
+            inner = inner @ sp.kron(W, sp.eye_array(len(base.strains) // len(self.gram[0])))
         return sp.csr_array(self.strains.T @ (inner @ self.strains))
 
     @cached_property
     def dressings(self) -> list[sp.csr_array]:
         """G, or one for each part, [d N, d N]."""
-        return [self._dressing(g) for g in self.model.tensors]
+        return [self._dressing(g) for g in np.stack([law.tensors for law in self.laws], axis=1)]
 
     @cached_property
     def _sweep(self) -> tuple[Nodes, ByLayers] | None:
@@ -262,12 +274,26 @@ class Body:
         return nodes, sweep
 
     @cached_property
+    def layers(self) -> list[sp.csr_array]:
+        """K of each G, [d N, d N]."""
+        each = [self.part(a, factor) for a, factor in enumerate(self.factors)]
+        return each if len(self.dressings) > 1 else [sp.csr_array(sum(each[1:], each[0]))]
+
+    @cached_property
+    def stiffness(self) -> np.ndarray:
+        """Diagonal of K, zero where nothing belongs to a node, [N, d]."""
+        each = np.sum([K.diagonal() for K in self.layers], axis=0)
+        return np.asarray(each.reshape(self.points.x.shape))
+
+    def _product(self, flat: np.ndarray) -> np.ndarray:
+        """L of columns, [d N, S]."""
+        each = [G.T @ (K @ (G @ flat)) for G, K in zip(self.dressings, self.layers)]
+        return np.asarray(np.sum(each, axis=0))
+
+    @cached_property
     def L(self) -> sp.csr_array:
         """[d N, d N], symmetric, [stress/length²]; vectors are along the nodes' axes."""
-        each = [self.part(a, factor) for a, factor in enumerate(self.factors)]
-        if len(self.dressings) == 1:
-            each = [sum(each[1:], each[0])]
-        dressed = [G.T @ (K @ G) for G, K in zip(self.dressings, each)]
+        dressed = [G.T @ (K @ G) for G, K in zip(self.dressings, self.layers)]
         L = sum(dressed[1:], dressed[0])
         return sp.csr_array((L + L.T) / 2)
 
@@ -308,32 +334,82 @@ class Body:
         Raises InputError for another solver, for loads that do not balance, and for a body that
         falls apart.
         """
-        refuse_solver(solver, (Direct,), "a dressed body")
+        refuse_solver(solver, (Direct, Krylov), "a dressed body")
+        inside, iterated = self.points.interior, isinstance(solver, Krylov)
+        if solver is None:
+            iterated = self.points.x.shape[1] == 3 and int(inside.sum()) > MOST_DIRECT
+        asked = solver if isinstance(solver, Krylov) else Krylov()
+        if asked.preconditioner not in (None, "cg") or asked.device != DEVICE:
+            raise InputError(
+                "solver: expected Krylov(tolerance=…) alone for a dressed body, whose "
+                f"preconditioner is its own diagonal, got {asked!r:.100}"
+            )
         fields, loads = self._fields(u), self._fields(b)
         turned, pulled = fields @ self.axes, loads @ self.axes
-        if self.points.interior.all():
+        alive = self.stiffness.any(axis=1)
+        dead = np.abs(pulled[:, inside & ~alive]).max(initial=0.0)
+        if dead > BALANCED * np.abs(pulled).max():
+            raise InputError("b: expected no load on nodes that nothing belongs to")
+        took: tuple[int, ...] = ()
+        if iterated:
+            answer, left, steps = self._iterated(pulled, turned, alive & inside, asked.tolerance)
+            took = (steps,) * len(pulled)
+        elif inside.all():
             answer, left = self._free(pulled)
         else:
-            unknown = np.repeat(self.points.interior, turned.shape[-1])
-            problem = MatrixProblem(sp.csr_array(self.L[unknown]), self.points.interior)
+            unknown = np.repeat(alive & inside, turned.shape[-1])
+            problem = MatrixProblem(sp.csr_array(self.L[unknown]), alive & inside)
             answer = problem.solve(pulled, turned)
             left = problem.left
         answer = (answer @ self.axes.T).reshape(np.shape(u))
-        answer = np.where(self.points.interior[:, None], answer, u)
+        answer = np.where(inside[:, None], answer, u)
         why = "one answer; L = Gᵗ K G ⪰ 0 whatever is uneven, missing or broken"
-        return Solution(answer, self.points, self, self.load(b), "lu", (), why, measured=left)
+        method = "cg" if iterated else "lu"
+        return Solution(answer, self.points, self, self.load(b), method, took, why, measured=left)
 
-    def _free(self, loads: np.ndarray) -> tuple[np.ndarray, float]:
-        """u [S, N, d] of a body that nothing holds, and the relative residual."""
-        rigid = self._rigid()
-        right = loads.reshape(len(loads), -1).T
+    def _iterated(
+        self, loads: np.ndarray, held: np.ndarray, unknown: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, float, int]:
+        """u [S, N, d] by conjugate gradients of G, K and G in turn, residual and iterations."""
+        shape, mask = held.shape, np.repeat(unknown, held.shape[-1])[:, None]
+        rigid = self._rigid() if self.points.interior.all() else np.zeros((mask.size, 0))
+        diagonal = self.stiffness.reshape(-1, 1)
+        inverse = mask / np.where(diagonal > 0, diagonal, 1.0)
+
+        def alone(r: np.ndarray) -> np.ndarray:
+            return np.asarray(r - rigid @ (rigid.T @ r))
+
+        def product(v: torch.Tensor) -> torch.Tensor:
+            return torch.from_numpy(alone(mask * self._product(alone(v.numpy()))))
+
+        def precondition(r: torch.Tensor) -> torch.Tensor:
+            return torch.from_numpy(alone(inverse * alone(r.numpy())))
+
+        flat, start = (
+            f.reshape(len(f), -1).T for f in (loads, np.where(unknown[:, None], 0.0, held))
+        )
+        right = mask * (self._balanced(flat, rigid) - self._product(start))
+        try:
+            found, record = definite(product, precondition, torch.from_numpy(right), tolerance)
+        except InputError as error:  # L ⪰ 0: a direction without energy is a part that is loose
+            raise InputError(f"the body falls apart, or nearly: {error}") from None
+        answer = (start + found.numpy()).T.reshape(shape)
+        return answer, record.residual, record.iterations
+
+    def _balanced(self, right: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+        """Loads [d N, S] without their resultant, which must be small."""
         along = rigid.T @ right
         if np.linalg.norm(along) > BALANCED * np.linalg.norm(right):
             raise InputError(
                 "b: expected loads that balance, for no node is held; their resultant is "
                 f"{np.linalg.norm(along) / np.linalg.norm(right):.1e} of them"
             )
-        right = right - rigid @ along
+        return np.asarray(right - rigid @ along)
+
+    def _free(self, loads: np.ndarray) -> tuple[np.ndarray, float]:
+        """u [S, N, d] of a body that nothing holds, and the relative residual."""
+        rigid = self._rigid()
+        right = self._balanced(loads.reshape(len(loads), -1).T, rigid)
         stiffness = self.L.diagonal()
         scale = float(stiffness.max())
         # rigid motions are held by rows of their own, and so is what belongs to nothing
@@ -365,7 +441,7 @@ class Body:
                     turn = np.zeros((count, d))
                     turn[:, a], turn[:, c] = x[:, c], -x[:, a]
                     found.append(turn.ravel())
-        return np.linalg.qr(np.array(found).T * (self.L.diagonal() > 0)[:, None])[0]
+        return np.linalg.qr(np.array(found).T * (self.stiffness.ravel() > 0)[:, None])[0]
 
     def _fields(self, u: ArrayLike) -> np.ndarray:
         """Fields [S, N, d] of finite numbers."""
@@ -381,54 +457,3 @@ class Body:
         """Fields along the nodes' axes, one a row, [S, d N]."""
         fields = self._fields(u)
         return np.asarray((fields @ self.axes).reshape(len(fields), -1))
-
-
-def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
-    """Pairs of neighbouring nodes of a plane lattice that cracks part, [n, 2], for `broken`.
-
-    Args:
-        points: without a box.
-        cracks: polylines [length], shape [P, 2] each.
-    """
-    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
-    return _parted(body, cracked(body, cracks))
-
-
-def grown(points: Points, growth: Motion) -> np.ndarray:
-    """Pairs of neighbouring nodes whose bond was cut or broke when cracks grew in the base, [n, 2].
-
-    Args:
-        points: of the body.
-        growth: of its `plain` solid, move(law.plain, Cracked(points, …), events=…) (D12, C7).
-
-    Raises InputError for another motion.
-    """
-    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
-    if np.shape(growth.details) != body.neighbour.shape:
-        raise InputError("growth: expected slow growth, move(…, events=…), on these points")
-    return _parted(body, np.asarray(growth.details))
-
-
-def _parted(body: LatticeBody, neighbour: np.ndarray) -> np.ndarray:
-    cut = (neighbour < 0) & (body.neighbour >= 0)
-    node, bond = np.nonzero(cut & (body.r < 1.5 * body.spacing))
-    other = body.neighbour[node, bond]
-    return np.stack([node, other], axis=1)[node < other]
-
-
-def _pairs(broken: ArrayLike | None, count: int) -> np.ndarray:
-    """Pairs of nodes as one number each, whichever stands first."""
-    if broken is None:
-        return np.zeros(0, int)
-    given = checked("broken", broken, float)
-    whole = given.astype(int)
-    if given.ndim != 2 or given.shape[1] != 2 or (whole != given).any():
-        raise InputError(f"broken: expected pairs of nodes [n, 2], got {list(given.shape)}")
-    if len(given) and not (whole.min() >= 0 and whole.max() < count):
-        raise InputError(f"broken: expected numbers of nodes below {count}")
-    return np.unique(_key(whole[:, 0], whole[:, 1], count))
-
-
-def _key(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
-    """One number a pair, the same for both orders."""
-    return np.asarray(np.minimum(first, second) * count + np.maximum(first, second))

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.dressed.finite import STEPS, FiniteSolid, curvature, density, strains, stress
+from warp_peri.dressed.finite_sweeps import ByElements
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.axis import axis_of
@@ -36,6 +37,9 @@ class Slopes:
         points: lattice nodes with a collar, or periodic.
 
     Attributes:
+        near: four neighbours of each node along the axes and four across, −1 for none, [N, 8].
+        corner: nodes of the elements, [E, 4].
+        slope: ∂₁ and ∂₂ of their shape functions at four Gauss points, [8, 4].
         plain: slopes of the nodes' values, [8 E, N]: of each element and Gauss point ∂₁ and ∂₂.
         shells: what G and F add, by neighbours along the axes and across: of a field u
             Σ (u(x + ξ) − u(x)), [N, N] each.
@@ -63,7 +67,9 @@ class Slopes:
                 "points: some interior nodes have cut bonds; give a collar of three spacings each "
                 f"way, {3 * points.spacing:g}, or a period"
             )
-        self.plain = _slopes(corner, count, points.spacing, axes)
+        self.near = near[:, [0, 1, 4, 5, 2, 3, 6, 7]]  # along the axes, then across
+        self.corner, self.slope = corner, _slope(points.spacing, axes)
+        self.plain = _slopes(corner, count, self.slope)
         self.shells = [_shell(near[:, pair], count) for pair in ([0, 1, 4, 5], [2, 3, 6, 7])]
         whole = np.full(corner.shape, 0.25).ravel()
         numbers = np.repeat(np.arange(len(corner)), 4)
@@ -108,10 +114,10 @@ class FiniteBody:
             (self.slopes.of(solid.along, solid.across), solid.second(), none),
             (self.slopes.of(solid.share, 0.0), np.zeros((3, 3)), solid.third(axis)),
         )
-        first, second = self.slopes.shells
-        one = sp.eye_array(len(self.points.x), format="csr")
-        G, F = one + solid.along * first + solid.across * second, one + solid.share * first
-        self._spreads = [sp.csr_array(G), sp.csr_array(F)]
+        filters = ((solid.along, solid.across), (solid.share, 0.0))
+        each = tuple((*pair, C, T) for pair, (_, C, T) in zip(filters, self.parts))
+        of = self.slopes
+        self._sweep = ByElements(of.near, of.corner, of.slope, WEIGHT, each)
         unknown = np.flatnonzero(self.points.interior)
         self.columns = [sp.csr_array(D.tocsc()[:, unknown]) for D, _, _ in self.parts]
 
@@ -120,12 +126,7 @@ class FiniteBody:
         return self._force(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
 
     def _force(self, fields: np.ndarray) -> np.ndarray:
-        each, plain = [], self.slopes.plain
-        for spread, (_, C, T) in zip(self._spreads, self.parts):  # shorter than with D itself
-            moved = np.stack([spread @ one for one in fields])
-            pulled = gathered(plain, stress(gradients(plain, moved), C, T))
-            each.append(np.stack([spread.T @ one for one in pulled]))
-        return np.asarray(each[0] + each[1])[:, self.points.interior]
+        return np.asarray(self._sweep(fields)[:, self.points.interior])
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on the interior nodes, which the operator equals in equilibrium."""
@@ -288,17 +289,22 @@ class FiniteBody:
         return values.reshape(-1, *self.points.x.shape)
 
 
-def _slopes(corner: np.ndarray, count: int, spacing: float, axes: np.ndarray) -> sp.csr_array:
-    """∂₁ and ∂₂ of bilinear elements at four Gauss points, [8 E, N]."""
+def _slope(spacing: float, axes: np.ndarray) -> np.ndarray:
+    """∂₁ and ∂₂ of an element's shape functions at four Gauss points, [8, 4]."""
     side, values = 2 * CORNERS - 1, []
     for y in itertools.product((0.5 - 12**-0.5, 0.5 + 12**-0.5), repeat=2):
         along = np.where(CORNERS == 1, y, 1 - np.array(y))
         values.append(axes @ np.array([side[:, 0] * along[:, 1], side[:, 1] * along[:, 0]]))
-    value = np.array(values).reshape(8, 4) / spacing
+    return np.array(values).reshape(8, 4) / spacing
+
+
+def _slopes(corner: np.ndarray, count: int, slope: np.ndarray) -> sp.csr_array:
+    """Of bilinear elements at four Gauss points, [8 E, N]."""
     size = len(corner)
     row = np.repeat(np.arange(8 * size), 4)
     column = np.repeat(corner, 8, axis=0).ravel()
-    return sp.csr_array((np.tile(value, (size, 1)).ravel(), (row, column)), shape=(8 * size, count))
+    value = np.tile(slope, (size, 1)).ravel()
+    return sp.csr_array((value, (row, column)), shape=(8 * size, count))
 
 
 def _shell(near: np.ndarray, count: int) -> sp.csr_array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -137,6 +137,10 @@ class DressedSolid:
         """D(k) = Σ G K G [stress/length²], at k of shape [..., d], shape [..., d, d]."""
         return self.crystal.symbol(k)
 
+    def stiffest_wave(self) -> float:
+        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
+        return self.crystal.stiffest_wave()
+
     def tensor(self) -> np.ndarray:
         """C_ijkl of long waves along the nodes' axes [stress]: the base's own."""
         return from_voigt(self.elastic)
@@ -182,6 +186,7 @@ class DressedSolid:
         edges: bool | Callable[[np.ndarray], np.ndarray] = False,
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
+        grains: tuple[Sequence[DressedSolid], ArrayLike] | None = None,
         dtype: Any = np.float64,
     ) -> Any:
         """The operator on nodes of the law's own spacing, its steps along their axes.
@@ -190,10 +195,13 @@ class DressedSolid:
             points: lattice nodes with a collar as wide as the horizon, or periodic.
             edges: nodes end where the body does: strains and rows of G that would reach beyond it
                 are left out (theory.md, D9). A function of positions [n, d] says which of them lie
-                inside; elements count as far as they do. Without it cut bonds are refused.
+                inside; elements are integrated over what does (D23). Without it cut bonds are
+                refused.
             maps: modulus of each part over that of the even solid, by the part's name ("bulk",
                 "shear", …), at the nodes, shape [N], ≥ 0.
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
+            grains: laws, and the number of that which each node belongs to, [N]; as for turned
+                grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (D24).
             dtype: float64 or float32, of even solids.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
@@ -203,8 +211,8 @@ class DressedSolid:
         from warp_peri.dressed.sweeps import ByLayers
         from warp_peri.micromodulus.operator import Operator
 
-        if edges or maps or broken is not None:
-            return Body(self, points, edges=edges, maps=maps or {}, broken=broken)
+        if edges or maps or broken is not None or grains is not None:
+            return Body(self, points, edges=edges, maps=maps, broken=broken, grains=grains)
         law = self.crystal
 
         def layers(nodes: Nodes, dtype: Any) -> ByLayers:

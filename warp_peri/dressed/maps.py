@@ -11,9 +11,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.dressed.body import Body
+from warp_peri.dressed.grains import Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.samples import Samples
 
 SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
@@ -21,6 +22,8 @@ SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
 SINGLE = 0.1
 """With one load, which leaves none to judge by."""
 FOLDS = 4
+HIDDEN = 0.9
+"""Of the radius of smoothing: values closer than that are warned of."""
 CONDITION = 1e12
 """Of the normal equations of a density law."""
 EXPONENT = 0.5
@@ -37,8 +40,8 @@ class MapFit:
         spread: standard deviation of the same values, as if what the fit leaves were noise.
         smoothness: that was taken.
         resolution: side of the square (cube) that one independent value of a map stands for, in the
-            unit of length, a mean over the sheet: finer features are blurred. What smoothing of
-            the fields hides comes on top.
+            unit of length, a mean over the sheet, or the radius of the fields' smoothing where
+            that is larger: finer features are blurred.
         history: mean squared residual left out, by smoothness; the share of values that fell below
             zero and were set there.
     """
@@ -51,25 +54,33 @@ class MapFit:
 
 
 def fit_maps(
-    solid: DressedSolid,
     samples: Samples,
+    solid: DressedSolid,
     *,
     parts: str = "each",
     coarse: int = 2,
     smoothness: float | None = None,
+    smoothing: float | None = None,
+    grains: Grains | None = None,
 ) -> MapFit:
     """The moduli of an uneven periodic sheet, G and the even solid held.
 
     Args:
-        solid: learned on the even sheet, of elements.
         samples: displacement and load on a period of whole multiples of `coarse` spacings.
+        solid: learned on the even sheet, of elements.
         parts: "each" has a map for each part, "one" the same for all.
         coarse: spacings between the values of a map, linear between.
         smoothness: α of (D13); None takes what predicts left-out loads best.
+        smoothing: radius that the fields were smoothed over, if they were.
+        grains: laws and the number of each node's own, as of DressedSolid.on: the maps are factors
+            on theirs, as soft as boundaries are.
+
+    A UserWarning says where values stand closer than the fields' smoothing lets anything be seen.
 
     Raises InputError for samples that are not periodic or have no loads, and for other parts.
     """
-    body, kinds = _periodic(solid, samples), _kinds(solid, parts)
+    _warn_of_smoothing(coarse * samples.spacing, smoothing)
+    body, kinds = _periodic(solid, samples, grains), _kinds(solid, parts)
     basis, bend = _hats(body, coarse)
     names = solid.parts.names
     grams, sides, size, _ = _normal_equations(body, samples, basis, kinds, known=False)
@@ -94,7 +105,7 @@ def fit_maps(
         {name: values[place[a]] for a, name in enumerate(names)},
         {name: spread[place[a]] for a, name in enumerate(names)},
         float(alpha),
-        float((volume / seen) ** (1 / solid.dimension)),
+        max(float((volume / seen) ** (1 / solid.dimension)), smoothing or 0.0),
         {"left_out": {str(a): v for a, v in left.items()}, "below_zero": below},
     )
 
@@ -136,8 +147,8 @@ class DensityLaw:
 
 
 def fit_density(
-    solid: DressedSolid,
     samples: Samples,
+    solid: DressedSolid,
     density: ArrayLike,
     *,
     parts: str = "one",
@@ -146,8 +157,8 @@ def fit_density(
     """How moduli follow a density, learned on one uneven periodic sheet, for any other.
 
     Args:
-        solid: learned on the even sheet, of elements.
         samples: displacement and load on a period.
+        solid: learned on the even sheet, of elements.
         density: over that of the even sheet, at the nodes, [N].
         parts: "one" has the same law for all moduli, "each" one for each part.
         degree: of the polynomial.
@@ -177,10 +188,25 @@ def fit_density(
     )
 
 
-def _periodic(solid: DressedSolid, samples: Samples) -> Body:
+def _warn_of_smoothing(apart: float, smoothing: float | None) -> None:
+    """Say what smoothing hides. InputError for a radius that is none."""
+    if smoothing is None:
+        return
+    if not is_positive(smoothing):
+        raise InputError(f"smoothing: expected a radius > 0, got {smoothing!r}")
+    if apart < HIDDEN * smoothing:
+        warnings.warn(
+            f"coarse: values of the map stand {apart:g} apart, the fields are smoothed over "
+            f"{smoothing:g}: what is narrower than that is blurred or not seen, however well the "
+            f"loads are met; give {int(np.ceil(HIDDEN * smoothing / apart))} times the spacing",
+            stacklevel=3,
+        )
+
+
+def _periodic(solid: DressedSolid, samples: Samples, grains: Grains | None = None) -> Body:
     if samples.points.box is None:
         raise InputError("samples: expected a periodic sheet for a map")
-    return Body(solid, samples.points)
+    return Body(solid, samples.points, grains=grains)
 
 
 def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
@@ -242,8 +268,10 @@ def _design(body: Body, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int
         for a in kind:
             G = body.dressings[min(a, len(body.dressings) - 1)]
             strain = (body.strains @ (G @ flat)).reshape(count, -1)
-            stress = (strain @ (base.moduli[a] * base.parts[a])).ravel()
-            total = total + G.T @ (body.strains.T @ (sp.diags_array(stress) @ shares))
+            stress = np.zeros_like(strain)
+            for share, M in body.tensors(a):
+                stress += share[:, None] * (strain @ M)
+            total = total + G.T @ (body.strains.T @ (sp.diags_array(stress.ravel()) @ shares))
         columns.append(total.toarray())
     return np.concatenate(columns, axis=1)
 

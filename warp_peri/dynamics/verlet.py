@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.contract import offered
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
@@ -24,19 +25,22 @@ from warp_peri.transfer.operator import LPSOperator
 
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
+SAME = 1e-9
+"""Relative, of spacings."""
 
 
 def critical_time_step(
-    model: Model, *, spacing: float, density: float, allow_uncertified: bool = False
+    model: Any, *, spacing: float, density: float, allow_uncertified: bool = False
 ) -> float:
     """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (50–51, V6).
 
     2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.1 % too
-    large. It holds on any set of nodes with displacement given out to 2δ, and on periodic boxes.
+    large, of a crystal some percent (T21). It holds on any set of nodes with displacement given
+    out to 2δ, and on periodic boxes.
 
     Args:
         model: certified on some lattice, transferred to others: where D(k) is not positive
-            definite, waves grow at any step.
+            definite, waves grow at any step. A crystal's law is for its own spacing.
         spacing: of the lattice [Å].
         density: mass per volume [kg/m³].
         allow_uncertified: the model's own numbers, with a warning.
@@ -45,11 +49,26 @@ def critical_time_step(
     density not > 0.
     """
     _positive("density", density)
+    if hasattr(model, "stiffest_wave"):
+        heavy = inertia(density, model.units)
+        return float(2 * np.sqrt(heavy / _of_tensors(model, spacing, allow_uncertified)))
+    offered(model, "is_certified_on", "critical_time_step", "a linear solid or a crystal")
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     near = model.nominal_spacing(spacing)
     classes = bond_classes(near, model.horizon, dimension=model.dimension)
     stiffest = largest_bound(classes, *stiffnesses(model, classes))
     return float(2 * np.sqrt(inertia(density, model.units) / stiffest))
+
+
+def _of_tensors(law: Any, spacing: float, allow_uncertified: bool) -> float:
+    """The stiffest wave of a law of tensors, which is for one spacing and needs its proof."""
+    if not abs(spacing / law.spacing - 1) <= SAME:
+        raise InputError(f"spacing: the law is for {law.spacing:g}, got {spacing:g}")
+    if not allow_uncertified and (law.certificate is None or not law.certificate.holds):
+        raise InputError(
+            "law: expected one with a certificate, as certified() makes; waves may grow"
+        )
+    return float(law.stiffest_wave())
 
 
 @dataclass(frozen=True)
@@ -198,7 +217,7 @@ def _checked(points: PointsLike, fields: dict[str, ArrayLike]) -> dict[str, np.n
 
 
 def _check_step(
-    model: Model, spacing: float, density: float, step: float, *, allow_uncertified: bool
+    model: Any, spacing: float, density: float, step: float, *, allow_uncertified: bool
 ) -> None:
     """Raise InputError for a step that is longer than the critical one."""
     with warnings.catch_warnings():

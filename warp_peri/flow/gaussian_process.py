@@ -7,6 +7,7 @@ by two. A few hundred points and tens of inputs are what it is for.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import scipy.linalg as sl
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
+from tqdm import tqdm
 
 from warp_peri.errors import InputError
 
@@ -271,6 +273,7 @@ def condensed(
     noise: np.ndarray | None = None,
     floor: float = 0.0,
     rounds: int = 2,
+    progress: bool | None = None,
     **options: Any,
 ) -> GaussianProcess:
     """A process of few points that stand for all data: greedy choices, each the mean around it.
@@ -283,12 +286,13 @@ def condensed(
         floor: least variance taken for a mean.
         rounds: choices, each with the lengths of the fit before it; the first fit has points taken
             evenly.
+        progress: a bar of the fits; None shows one on a terminal.
         options: of fit_process.
     """
     even = np.unique(np.linspace(0, len(y) - 1, min(points, SUBSET, len(y))).astype(int))
     process = fit_process(X[even], y[even], noise=None if noise is None else noise[even], **options)
     weight = None if noise is None else 1 / noise
-    for _ in range(rounds):
+    for _ in bar(rounds, progress):
         chosen = greedy(process.standard(X), points)
         if len(chosen) < 2:
             break
@@ -296,6 +300,15 @@ def condensed(
         known = None if noise is None else np.maximum(1 / sure, floor)
         process = fit_process(means[:, :-1], means[:, -1], noise=known, **options)
     return process
+
+
+def bar(rounds: int, progress: bool | None) -> Iterable[int]:
+    """The rounds of a fit with a bar; None shows one on a terminal only."""
+    hidden = None if progress is None else not progress
+    steps: Iterable[int] = tqdm(
+        range(rounds), desc="fits of a process", disable=hidden, leave=False
+    )
+    return steps
 
 
 def _matrix(noise: np.ndarray) -> np.ndarray:

@@ -100,21 +100,21 @@ def velocities(law: Any, flow: PlaneFlow, until: float, dt: float, every: int = 
 
 
 def fit_velocities(
+    observed: np.ndarray,
     law: Callable[[torch.Tensor], Any],
+    *,
     start: Sequence[float],
     bounds: Sequence[tuple[float, float]],
-    observed: np.ndarray,
     run: Callable[[Any], torch.Tensor],
-    *,
     iterations: int = 50,
 ) -> tuple[np.ndarray, float]:
     """The numbers of a law that make a flow's velocities nearest to those observed.
 
     Args:
+        observed: velocities, of the shape that run gives.
         law: makes a law of its numbers, a float64 tensor.
         start: numbers to start from.
         bounds: of each number.
-        observed: velocities, of the shape that run gives.
         run: the flow of a law, `velocities` with all else given.
         iterations: of L-BFGS-B.
 

@@ -43,10 +43,16 @@ class Pairs:
         """n of them at random. Raises InputError when there are fewer."""
         if n > len(self):
             raise InputError(f"pairs: expected at most {len(self)}, got {n}")
-        chosen = random.choice(len(self), n, replace=False)
-        return Pairs(
-            self.K[chosen], self.s[chosen], self.rate[chosen], self.noise[chosen], self.window
+        return self._some(random.choice(len(self), n, replace=False))
+
+    def evenly(self, most: int) -> Pairs:
+        """At most so many, evenly from the first to the last."""
+        return self._some(
+            np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
         )
+
+    def _some(self, keep: np.ndarray) -> Pairs:
+        return Pairs(self.K[keep], self.s[keep], self.rate[keep], self.noise[keep], self.window)
 
     def joined(self, other: Pairs) -> Pairs:
         """These and the others. Raises InputError for pairs of another window."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,14 @@ class Ensembles:
     def stress(self) -> np.ndarray:
         """s = S − I [n k T], shape [T + 1, m, 4]."""
         return np.asarray(self.S - IDENTITY)
+
+
+def listed(records: Ensembles | Sequence[Ensembles]) -> list[Ensembles]:
+    """One record or several as a list. Raises InputError for none."""
+    several = [records] if isinstance(records, Ensembles) else list(records)
+    if not several:
+        raise InputError("records: expected one or more, got none")
+    return several
 
 
 def held(K: np.ndarray, intervals: int) -> np.ndarray:

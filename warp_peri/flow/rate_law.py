@@ -7,8 +7,9 @@ to any stress, K s + s Kᵗ + K + Kᵗ, is taken as known and the rest is learne
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,11 @@ from scipy.interpolate import CubicSpline
 
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
-from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
+from warp_peri.flow.gaussian_process import GaussianProcess, bar, fit_process
 from warp_peri.flow.law_content import law_content
-from warp_peri.flow.pairs import Pairs
+from warp_peri.flow.pairs import Pairs, start_pairs
 from warp_peri.flow.planar import IDENTITY, carried
+from warp_peri.flow.protocols import Ensembles, listed
 from warp_peri.flow.rate_march import RateMarch
 
 PLACES = (0, 1, 2)
@@ -150,29 +152,41 @@ class TabulatedRateLaw(RateLaw):
 
 
 def learn_rate(
-    pairs: Pairs,
+    records: Ensembles | Sequence[Ensembles] | Pairs,
     *,
+    window: int = 2,
     kernel: str = "additive",
-    kinematics: bool = False,
+    kinematics: bool = True,
     outside: str = "warn",
+    most: int = 1000,
     rounds: int = 3,
+    progress: bool | None = None,
 ) -> RateLaw:
-    """Learn the rate of the stress.
+    """Learn the rate of the stress, from histories of gradient and stress alone.
 
     Args:
-        pairs: the data. Noise that is known is used; that of `window_pairs` is learned.
+        records: whose K and S are looked at, as of `read_trajectory`; or pairs made of them. Noise
+            that is known is used; that of `window_pairs` is learned.
+        window: intervals of one increment, each from a start of its own; pairs have theirs.
         kernel: of the processes; products of K and s need "second" or "product", or kinematics.
         kinematics: whether what the flow does to any stress is taken as known.
         outside: what happens far from the data, "warn", "refuse" or "allow".
+        most: increments used at most, evenly chosen.
         rounds: fits; from the second on, increments over a window belong to its middle, where the
             law found before puts it: the noise of the data does not enter there.
+        progress: a bar of the fits; None shows one on a terminal.
 
-    Raises InputError as fit_process does.
+    Raises InputError for no records, and as start_pairs and fit_process do.
     """
+    if isinstance(records, Pairs):
+        pairs = records
+    else:
+        pairs = reduce(Pairs.joined, [start_pairs(record, window) for record in listed(records)])
+    pairs = pairs.evenly(most)
     law, s = None, pairs.s
     exact = not np.nan_to_num(pairs.noise, nan=1.0).any()
     known = None if exact or np.isnan(pairs.noise).any() else pairs.noise
-    for _ in range(rounds if pairs.window > 0 else 1):
+    for _ in bar(rounds if pairs.window > 0 else 1, progress):
         if law is not None:
             s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
         target = pairs.rate - (carried(pairs.K, s + IDENTITY) if kinematics else 0)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
-from warp_peri.flow.gaussian_process import GaussianProcess, fit_process
+from warp_peri.flow.gaussian_process import GaussianProcess, bar, fit_process
 from warp_peri.flow.law_content import law_content
 from warp_peri.flow.pairs import start_pairs
 from warp_peri.flow.planar import IDENTITY
-from warp_peri.flow.protocols import Ensembles
+from warp_peri.flow.protocols import Ensembles, listed
 
 
 @dataclass(frozen=True)
@@ -70,13 +72,14 @@ class ShearLaw:
 
 
 def learn_shear(
-    record: Ensembles,
-    window: int,
+    records: Ensembles | Sequence[Ensembles],
     *,
+    window: int = 5,
     kinematics: bool = True,
     outside: str = "warn",
     most: int = 900,
     rounds: int = 2,
+    progress: bool | None = None,
 ) -> ShearLaw:
     """Learn from dumbbells in simple shear at several rates.
 
@@ -86,13 +89,20 @@ def learn_shear(
     largest noise there is (theory, F21). Without, it is known as a covariance.
 
     Args:
-        record: of simple shear.
+        records: of simple shear; one.
         window: intervals of one increment.
         kinematics: as above.
         outside: what happens far from the data, "warn", "refuse" or "allow".
         most: windows used at most, evenly chosen.
         rounds: fits; from the second on, increments belong to the middle of their windows.
+        progress: a bar of the fits; None shows one on a terminal.
+
+    Raises InputError for other than one record, and as start_pairs and fit_process do.
     """
+    several = listed(records)
+    if len(several) > 1:
+        raise InputError(f"records: expected one of simple shear, got {len(several)}")
+    (record,) = several
     pairs = start_pairs(record, window)
     target = pairs.rate[:, 1]
     if kinematics:
@@ -104,7 +114,7 @@ def learn_shear(
     if not kinematics:
         noise = np.diag(noise) + _stretch_noise(record, keep, k, pairs.window)
     middle, law = s, None
-    for _ in range(rounds):
+    for _ in bar(rounds, progress):
         X = np.stack([middle, k], axis=-1)
         process = fit_process(X, target[keep], noise=noise, mean=0.0, iterations=40)
         law = ShearLaw(process, kinematics, outside)

@@ -7,7 +7,7 @@ dumbbells are exact: the function is zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from typing import Any
@@ -27,7 +27,7 @@ from warp_peri.flow.planar import (
     eigenvalues,
     from_eigenvalues,
 )
-from warp_peri.flow.protocols import Ensembles
+from warp_peri.flow.protocols import Ensembles, listed
 
 LEAST = 1e-6
 """Eigenvalues are kept above it inside a step; a check refuses what is not positive."""
@@ -199,11 +199,12 @@ def spring_data(C: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def learn_spring(
-    records: Ensembles | list[Ensembles],
+    records: Ensembles | Sequence[Ensembles],
     *,
     points: int = 200,
     outside: str = "warn",
     rounds: int = 2,
+    progress: bool | None = None,
     **options: Any,
 ) -> SpringLaw:
     """Learn the spring from conformations and stresses.
@@ -213,17 +214,16 @@ def learn_spring(
         points: chosen greedily, those that tell most about all others.
         outside: what happens far from the data, "warn", "refuse" or "allow".
         rounds: greedy choices.
+        progress: a bar of the fits; None shows one on a terminal.
         options: of fit_process.
 
     Raises InputError for moments that are not positive definite, no records, or fewer points than
     2.
     """
-    records = [records] if isinstance(records, Ensembles) else records
+    records = listed(records)
     if points < 2:
         raise InputError(f"points: expected 2 or more, got {points}")
-    if not records:
-        raise InputError("records: expected one or more, got none")
     samples = [spring_data(record.C, record.S) for record in records]
     X, y = np.concatenate([x for x, _ in samples]), np.concatenate([v for _, v in samples])
-    process = condensed(X, y, points, rounds=rounds, **options)
+    process = condensed(X, y, points, rounds=rounds, progress=progress, **options)
     return SpringLaw(process, outside, Gradients.of([record.K for record in records]))

@@ -10,6 +10,7 @@ the spring alone leaves is learned with it (F39). The state has eight components
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -22,7 +23,7 @@ from warp_peri.flow.gaussian_process import GaussianProcess, condensed
 from warp_peri.flow.law_content import law_content
 from warp_peri.flow.laws import FENEP
 from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame, trace
-from warp_peri.flow.protocols import Ensembles
+from warp_peri.flow.protocols import Ensembles, listed
 from warp_peri.flow.spring_law import (
     LEAST,
     SpringLaw,
@@ -157,11 +158,12 @@ def beside(c: np.ndarray, memory: np.ndarray) -> np.ndarray:
 
 
 def learn_twisted(
-    records: Ensembles | list[Ensembles],
-    b: float,
+    records: Ensembles | Sequence[Ensembles],
     *,
+    b: float,
     points: int = 200,
     turns: int = 120,
+    progress: bool | None = None,
     **options: Any,
 ) -> TwistedSpringLaw:
     """Learn the spring, what turns it and what it has beyond a function of C.
@@ -171,12 +173,13 @@ def learn_twisted(
         b: of the dumbbells.
         points: of the spring.
         turns: points of ν, of those samples where P is turned at all, and of the excess.
+        progress: a bar of the fits; None shows one on a terminal.
         options: of learn_spring.
 
     Raises InputError when no sample has its P turned: learn_spring is enough then.
     """
-    records = [records] if isinstance(records, Ensembles) else records
-    law, twin = learn_spring(records, points=points, **options), FENEP(b)
+    records = listed(records)
+    law, twin = learn_spring(records, points=points, progress=progress, **options), FENEP(b)
     shape, inputs, left, turned, by = [], [], [], [], []
     for record in records:
         P = homogeneous(twin, record.K, record.interval).reshape(-1, 4)
@@ -196,8 +199,9 @@ def learn_twisted(
         raise InputError("twist: expected samples of shear or mixed flow, got none")
     noise = (ABSOLUTE**2 + (RELATIVE * y[keep]) ** 2) / x[keep] ** 2
     ratio = y[keep] / x[keep]
-    process = condensed(np.concatenate(shape)[keep], ratio, turns, noise=noise, floor=FLOOR**2)
+    shaped = np.concatenate(shape)[keep]
+    process = condensed(shaped, ratio, turns, noise=noise, floor=FLOOR**2, progress=progress)
     X, y = np.concatenate(inputs), np.concatenate(left)
     known = np.full(len(y), SPREAD**2)  # steady states, which are many samples, weigh more
-    excess = condensed(X, y, turns, noise=known, floor=LEAST_SPREAD**2, mean=0.0)
+    excess = condensed(X, y, turns, noise=known, floor=LEAST_SPREAD**2, mean=0.0, progress=progress)
     return TwistedSpringLaw(law, process, excess, b)

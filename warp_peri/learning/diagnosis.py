@@ -23,6 +23,7 @@ from warp_peri.losses.noise import noise_loss
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.shown import in_rows
 
 LEAST_SAMPLES = 8
 PARTS = 24
@@ -50,19 +51,19 @@ WORDS = {
 LOUD = 0.1
 """Residual above which the solid does not describe the data, whatever is proven of it."""
 NEXT = {
-    "noise": "fields of noise in the fit (noise=…, loss='corrected' or 'output'), or longer means",
+    "noise": "fields of noise in the fit, fit(…, noise=…), or longer means",
     "dispersion": "a smaller spacing of the nodes, a larger horizon or degree, or two influence "
     "functions",
-    "anisotropy": "a micromodulus, whose bonds have stiffnesses of their own: no isotropic solid "
+    "anisotropy": "Micromodulus(…), whose bonds have stiffnesses of their own: no isotropic solid "
     "has these moduli",
-    "nonlinearity": "smaller loads, or the nonlinear solid (nonlinear=…)",
+    "nonlinearity": "smaller loads, or the nonlinear solid, ThirdOrder(LPS(…))",
     "heterogeneity": "a larger smoothing radius and spacing, where the sheet is uniform, or parts "
     "of it, each with a solid of its own",
     "unexplained": "smaller and smoother loads, more of them, and a smaller spacing of the nodes",
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """Where the squared residual of a model on training data comes from.
 
@@ -103,6 +104,12 @@ class Diagnosis:
             "this solid does not describe these data, though what is proven of it holds. "
             f"The largest part is {WORDS[name]}. Try {NEXT[name]}"
         )
+
+    def __repr__(self) -> str:
+        shares = {name: f"{100 * self.shares[name]:.0f} % of its square" for name in self.causes}
+        left = f"{100 * self.residual:.3g} % of the loads"
+        rows = [("left", left), *shares.items()]
+        return in_rows("Diagnosis", [*rows, ("try next", self.advice)] if self.advice else rows)
 
 
 def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> Diagnosis:

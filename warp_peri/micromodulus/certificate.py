@@ -23,6 +23,8 @@ SHARES = (0.92, 0.75, 0.5, 0.25, 0.05)
 FIRST = 8
 """Cells along an axis of the zone, or of a face of directions."""
 MOST_CELLS = {2: 400_000, 3: 3_000_000}
+STIFFEST = {2: 120, 3: 36}
+"""Intervals of the grid that the stiffest wave is looked for on."""
 AT_ONCE = 20_000
 DEEPEST = 24
 LONG_WAVE_SHARE = 0.995
@@ -233,3 +235,24 @@ def _failed(
         failed[open_[bad]] = True
         open_ = open_[~bad]
     return cells[failed]
+
+
+def stiffest(steps: np.ndarray, tensors: np.ndarray) -> float:
+    """No less than Λmax D(k) of any k, and a percent or two more than the largest (T21).
+
+    Args:
+        steps: one of ξ and −ξ in spacings, shape [H, d].
+        tensors: C(ξ), shape [H, d, d].
+    """
+    d = steps.shape[1]
+    intervals = STIFFEST[d]
+    line = 2 * np.pi / intervals * np.arange(intervals)
+    half = line[: intervals // 2 + 1]  # D(−k) = D(k)
+    phase = np.stack(np.meshgrid(half, *[line] * (d - 1), indexing="ij"), axis=-1).reshape(-1, d)
+    size = np.linalg.norm(tensors, 2, axis=(1, 2))
+    bent = np.linalg.eigvalsh(2 * np.einsum("n,ni,nj->ij", size, steps, steps))[-1]
+    largest = max(
+        np.linalg.eigvalsh(np.tensordot(bend(part, steps), tensors, 1)).max()
+        for part in np.array_split(phase, len(phase) // AT_ONCE + 1)
+    )
+    return float(largest + bent / 2 * d * (np.pi / intervals) ** 2)

@@ -13,7 +13,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.micromodulus import elastic
-from warp_peri.micromodulus.certificate import Certificate, certify
+from warp_peri.micromodulus.certificate import Certificate, certify, stiffest
 from warp_peri.micromodulus.family import bend
 from warp_peri.micromodulus.groups import (
     Symmetry,
@@ -253,10 +253,23 @@ class Crystal:
                 worst = max(worst, float(np.linalg.norm(traction, axis=0).max()))
         return worst
 
+    @property
+    def uncut(self) -> str:
+        """Why no bonds may be cut, with the figure of `surface_traction`."""
+        return (
+            "a law of micromodulus tensors is not objective there (a turned face feels up to "
+            f"{self.surface_traction():.3g} {symbols(self.units)[1]} per radian); give a collar "
+            f"{self.horizon:g} wide"
+        )
+
     def certified(self) -> Crystal:
         """The law with its certificate; `certificate.holds` says whether one was found."""
         scaled = self.tensors * self.spacing**2
         return replace(self, certificate=certify(self.steps, scaled, self.group))
+
+    def stiffest_wave(self) -> float:
+        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
+        return stiffest(self.steps, self.tensors)
 
     def in_units(self, units: Units) -> Crystal:
         """The same law in other units. Raises InputError where no factor leads to them."""
@@ -291,12 +304,6 @@ class Crystal:
         the law is not objective there, and the message says how far from it.
         """
         nodes = self.fitting(points)
-        traction = self.surface_traction()
-        unit = symbols(self.units)[1]
-        why = (
-            f": a law of micromodulus tensors is not objective there (a turned face feels up to "
-            f"{traction:.3g} {unit} per radian); give a collar {self.horizon:g} wide"
-        )
         return Operator(
             nodes,
             self.spacing,
@@ -305,7 +312,7 @@ class Crystal:
             self.tensor(),
             method=method,
             dtype=dtype,
-            why=why,
+            why=f": {self.uncut}",
             model=self,
         )
 

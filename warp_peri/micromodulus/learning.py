@@ -32,6 +32,7 @@ from warp_peri.micromodulus.groups import (
 )
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.regression import Learned, compressed, directions, learn
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, factors
@@ -251,6 +252,9 @@ def from_phonons(
 
     Returns a law with its certificate. Raises InputError for a crystal that is not stable.
     """
+    for what, value in (("spacing", spacing), ("horizon", horizon)):
+        if not is_positive(value):
+            raise InputError(f"{what}: expected a number > 0, got {value!r}")
     d = atoms.dimension
     length, stress = factors(units, USUAL)
     turn = checked_orientation(orientation, d)

@@ -42,9 +42,8 @@ class AtRest(Placed):
         refuse_solver(solver, (Newton,), "a neural operator")
         asked = solver if isinstance(solver, Newton) else Newton()
         given, search = np.array(u, dtype=float), Equilibrium(self)
-        fields = np.where(self.points.interior[:, None], 0.0, given)
-        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (b, fields)), strict=True)
-        found = [search.solve(*pair, tolerance=asked.tolerance) for pair in pairs]
+        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (b, given)), strict=True)
+        found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
         for number, one in enumerate(found):
             if not one.converged:
                 raise InputError(

@@ -22,6 +22,8 @@ MOST_PRODUCTS = 40
 """Of a linear solve, before the tangent is factorised anew."""
 FORCING, ADJOINT = 1e-3, 1e-8
 """Relative residuals of the linear solves of a step, and of an adjoint."""
+PARTS = (1, 2, 4, 8)
+"""Equal parts that a load and what is given on the collar are applied in, until all are found."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +55,18 @@ class Equilibrium:
         self.placed = placed
         rows = placed.bonds.rows
         self.unknown = (2 * rows[:, None] + [0, 1]).ravel()
-        self.factors = self._factors(placed.tangent(torch.zeros(self._shape, dtype=placed.dtype)))
+        self.at_rest = placed.tangent(torch.zeros(self._shape, dtype=placed.dtype))
+        self.factors = self.factors_of(self.at_rest)
+
+    @property
+    def _rounding(self) -> float:
+        return float(ROUNDING * torch.finfo(self.placed.dtype).eps)
 
     @property
     def _shape(self) -> tuple[int, int]:
         return len(self.placed.points.x), 2
 
-    def _factors(self, tangent: Tangent) -> SuperLU:
+    def factors_of(self, tangent: Tangent) -> SuperLU:
         """LU of the tangent's rows and columns of the interior."""
         return splu(matrix(tangent)[:, self.unknown].tocsc())
 
@@ -95,8 +102,40 @@ class Equilibrium:
                 break
             field, left, size = best
             steps += 1
-        rounding = ROUNDING * torch.finfo(self.placed.dtype).eps
-        return Found(field, size, steps, size <= max(tolerance, rounding))
+        return Found(field, size, steps, size <= max(tolerance, self._rounding))
+
+    def from_rest(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
+        """Where the force on the interior is b, on the branch that leaves the state of rest.
+
+        The search begins with the linear solution of the tangent at rest, which a start of zeros is
+        far from wherever the collar moves. Where it fails, load and collar come in more parts.
+        Arguments and errors are those of `solve`; what `u` has inside does not count. Where no
+        number of parts finds it, the end of the first search is returned.
+        """
+        load, given = np.array(b, float), np.array(u, float)
+        first = None
+        for parts in PARTS:
+            field = self._linear(load / parts, given / parts)
+            for part in range(1, parts + 1):
+                start = np.where(self.placed.points.interior[:, None], field, part / parts * given)
+                found = self.solve(part / parts * load, start, tolerance=tolerance)
+                if not found.converged:
+                    break
+                field = (part + 1) / part * found.u
+            first = first or found
+            if found.converged:
+                return found
+        assert first is not None
+        return first
+
+    def _linear(self, load: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """The equilibrium of the tangent at rest, shape [N, 2]; `given` on the collar."""
+        rows = self.placed.bonds.rows
+        field = given.copy()
+        field[rows] = 0
+        pull = self.at_rest(torch.as_tensor(field, dtype=self.placed.dtype)).double().numpy()
+        field[rows] = self._solved(self.at_rest, load[rows] - pull, FORCING, "N")
+        return field
 
     def gradient(self, u: torch.Tensor, by_u: torch.Tensor) -> None:
         """Add to the gradients of the material's numbers those of a loss of an equilibrium, (NO10).
@@ -109,7 +148,8 @@ class Equilibrium:
         """
         placed = self.placed
         tangent = placed.tangent(u)
-        multiplier = self._solved(tangent, by_u.detach().double().numpy(), ADJOINT, "T")
+        enough = max(ADJOINT, self._rounding)  # a smaller residual would never be reached
+        multiplier = self._solved(tangent, by_u.detach().double().numpy(), enough, "T")
         weight = torch.as_tensor(multiplier, dtype=u.dtype)
         (-(placed(u.detach()) * weight).sum()).backward()
 
@@ -134,7 +174,7 @@ class Equilibrium:
         asked = {"rtol": tolerance, "restart": MOST_PRODUCTS, "maxiter": 1}
         answer, failed = gmres(J, right.ravel(), M=M, **asked)
         if failed:
-            self.factors = self._factors(tangent)
+            self.factors = self.factors_of(tangent)
             answer = before(right.ravel())
         return np.asarray(answer).reshape(-1, 2)
 

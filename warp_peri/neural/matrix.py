@@ -22,12 +22,13 @@ def matrix(tangent: Tangent) -> sp.csr_array:
     number = bonds.number[bonds.whole].ravel()
     average = sp.csr_array((share, (k, number)), shape=(len(bonds.whole), listed)) @ stretching
     first = stretching[:acting]
-    slopes = (part.double().numpy().ravel() for part in (tangent.to_own, tangent.to_other))
-    rate = sp.diags_array(tangent.to_e.double().numpy().ravel()) @ first
-    for slope, row in zip(slopes, (bonds.own.numpy(), bonds.other.numpy())):
-        rate = rate + sp.diags_array(slope) @ average[row]
     rows = (2 * bonds.rows[:, None] + [0, 1]).ravel()
-    J = first.T[rows] @ rate
+    pull = first.T[rows]
+    J = pull @ (sp.diags_array(tangent.to_e.double().numpy().ravel()) @ first)
+    slopes = np.concatenate([tangent.to_own.double().numpy(), tangent.to_other.double().numpy()])
+    ends = np.tile(np.arange(acting), 2), np.concatenate([bonds.own.numpy(), bonds.other.numpy()])
+    by_theta = sp.csr_array((slopes, ends), shape=(acting, len(bonds.whole)))
+    J = J + (pull @ by_theta) @ average
     t = tangent.tension.double().numpy().ravel() / length[:acting]
     across = np.stack([-M[:acting, 1], M[:acting, 0]], axis=1)
     turned = _between(bonds.near[:acting], bonds.far[:acting], across, nodes)

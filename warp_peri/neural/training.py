@@ -8,7 +8,6 @@ import pickle
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +15,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
-from warp_peri.neural.equilibrium import Equilibrium, Found
+from warp_peri.neural.frames import RENEWED, Frames
 from warp_peri.neural.interpolation import CELLS, interpolated_force
 from warp_peri.neural.material import Operator
 from warp_peri.points.samples import Samples
@@ -29,8 +28,6 @@ LOOKED = 5
 """Epochs from one look at the validation samples to the next."""
 SAVED = 120.0
 """Seconds between two checkpoints."""
-SOLVED = 1e-5
-"""Tolerance of the equilibria of a training from displacements."""
 
 
 @dataclass(frozen=True)
@@ -106,65 +103,15 @@ class _Loads:
         return errors.detach()
 
 
-class _Frames:
-    """Samples whose displacement is seen and whose load is zero: (NO8)."""
-
-    def __init__(self, material: Operator, samples: Samples, *, near: bool) -> None:
-        self.placed = material.on(samples.points)
-        self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
-        self.rows, self.search = self.placed.bonds.rows, Equilibrium(self.placed)
-        self.near = near
-        self.start = samples.u.copy() if near else np.stack([affine(samples, u) for u in samples.u])
-        self.unsolved = 0
-
-    def errors(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
-        """Relative ℓ2 errors of the solved displacement."""
-        return torch.stack([self._solved(int(n))[1] for n in some])
-
-    def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
-        """The errors, with gradients of their mean added to the material's."""
-        errors = []
-        for n in some.tolist():
-            found, error = self._solved(n)
-            errors.append(error)
-            if not found.converged:
-                self.unsolved += 1
-                continue
-            self.start[n] = found.u
-            u, seen = torch.as_tensor(found.u, dtype=self.u.dtype), self.u[n]
-            gap = u[self.rows] - seen[self.rows]
-            if float(gap.norm()) > 0:
-                by_u = gap / (gap.norm() * seen[self.rows].norm() * len(some))
-                self.search.gradient(u, by_u)
-        return torch.stack(errors)
-
-    def _solved(self, n: int) -> tuple[Found, torch.Tensor]:
-        """The equilibrium of a frame and its error."""
-        field = self.start[n]
-        found = self.search.solve(np.zeros_like(field), field, tolerance=SOLVED)
-        u = torch.as_tensor(found.u, dtype=self.u.dtype)
-        return found, relative(u[None, self.rows], self.u[n : n + 1, self.rows])[0]
-
-
-def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
-    """A field with the interior on the affine motion that fits its collar best, shape [N, 2]."""
-    places = np.column_stack([samples.x, np.ones(len(u))])
-    collar = ~samples.interior
-    motion, *_ = np.linalg.lstsq(places[collar], u[collar], rcond=None)
-    return np.where(collar[:, None], u, places @ motion)
-
-
 def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """‖force − b‖ / ‖b‖, shape [S]."""
     errors: torch.Tensor = (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
     return errors
 
 
-def _taken(material: Operator, samples: Samples, *, near: bool = False) -> _Loads | _Frames:
+def _taken(material: Operator, samples: Samples) -> _Loads | Frames:
     """Samples by what is known of them."""
-    if samples.b is None:
-        return _Frames(material, samples, near=near)
-    return _Loads(material, samples)
+    return _Loads(material, samples) if samples.b is not None else Frames(material, samples)
 
 
 def residuals(material: Operator, samples: Samples) -> np.ndarray:
@@ -211,7 +158,7 @@ def train(
 
     Raises InputError for samples without loads and a checkpoint of other settings.
     """
-    learned, unseen = _taken(material, samples, near=True), _taken(material, val)
+    learned, unseen = _taken(material, samples), _taken(material, val)
     run = _Run(material, learned, training)
     run.resume(checkpoint)
     every = torch.arange(len(unseen.u))
@@ -244,7 +191,7 @@ def train(
 class _Run:
     """A training as it stands."""
 
-    def __init__(self, material: Operator, learned: _Loads | _Frames, training: Training) -> None:
+    def __init__(self, material: Operator, learned: _Loads | Frames, training: Training) -> None:
         self.material, self.learned, self.training = material, learned, training
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
@@ -258,6 +205,8 @@ class _Run:
     def epoch(self) -> float:
         """Once over all samples; the mean error on the way."""
         training, count = self.training, len(self.learned.u)
+        if isinstance(self.learned, Frames) and self.history.epochs % RENEWED == 0:
+            self.learned.renew()
         for group in self.adam.param_groups:
             group["lr"] = training.rate * _share(self.history.epochs, training.epochs)
         total = 0.0
@@ -290,6 +239,8 @@ class _Run:
             "least": self.least,
             "kept": self.kept,
         }
+        if isinstance(self.learned, Frames):
+            state["frames"] = self.learned.content()
         with whole_file(path) as temporary:
             torch.save(state, temporary)
 
@@ -307,6 +258,8 @@ class _Run:
                 raise InputError(
                     f"{path}: the checkpoint has {key} {value!r}, expected {mine[key]!r}"
                 )
+        if isinstance(self.learned, Frames):
+            self.learned.resume(state["frames"])
         self.material.load_state_dict(state["material"])
         self.adam.load_state_dict(state["adam"])
         self.random.set_state(state["random"])

@@ -39,13 +39,13 @@ class Family:
     second: Any = None
 
     def learn(
-        self, samples: Any, *, held_out: Samples | None = None, progress: bool | None = None
+        self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
     ) -> FamilyFit:
         """The fit.
 
         Args:
             samples: with loads, at least four; of a Dataset `train`, or its only set.
-            held_out: samples on the same kind of nodes, not learned from, that calibrate too.
+            validation: samples on the same kind of nodes, not learned from, that calibrate too.
             progress: as for the laws.
 
         Raises InputError for samples that cannot be halved, and whatever the laws refuse.
@@ -72,7 +72,7 @@ class Family:
             temperature=temperature,
             coarse=carried(fits["rich"].material, samples.points),
         )
-        family = calibrated(family, samples, held_out)
+        family = calibrated(family, samples, validation)
         return FamilyFit(family, fits["rich"])
 
 
@@ -118,13 +118,13 @@ def poorer(law: Any) -> Any:
     return replace(law, linear=changed) if hasattr(law, "linear") else changed
 
 
-def calibrated(family: Members, samples: Samples, held_out: Samples | None) -> Members:
+def calibrated(family: Members, samples: Samples, validation: Samples | None) -> Members:
     """The family with its factors and its record by wavelength, from answers whose truth is known.
 
     The factors are quantiles of what was true over what was computed.
     """
     bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None)
-    sets = [samples] if held_out is None else [samples, held_out]
+    sets = [samples] if validation is None else [samples, validation]
     found = [_measured(bare, one) for one in sets]
     rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
     record, members = None, rows["members"]

@@ -17,6 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.unit_names import LENGTHS
 
 FRAME = "ITEM: TIMESTEP"
+EXPECTED = "a LAMMPS dump (text, gzip, zstd or binary), H5MD, .extxyz, .xyz or .traj"
 BEFORE_FRAME = ("ITEM: UNITS", "ITEM: TIME")
 """What `dump_modify units yes` and `time yes` write ahead of a frame."""
 ANGSTROM_UNITS = ("metal", "real")
@@ -90,10 +91,10 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
     # What reads a broken file runs into anything.
     except Exception as error:
         raise InputError(
-            f"{path}: frame {number + 1} is not one of a LAMMPS dump ({error})"
+            f"{path}: frame {number + 1} cannot be read ({error}); expected {EXPECTED}"
         ) from None
     if number == 0:
-        raise InputError(f"{path}: expected a LAMMPS text dump, found no '{FRAME}'")
+        raise InputError(f"{path}: expected {EXPECTED}; found no frame")
 
 
 def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 
@@ -14,6 +15,22 @@ MOST_ITERATIONS = 1500
 RESTARTS = 2
 """Times that a solve goes on from where the true residual was found too large."""
 Field = Callable[[torch.Tensor], torch.Tensor]
+
+
+class Inner(NamedTuple):
+    """Of fields: their scalar product, the norm, and the largest absolute value."""
+
+    dot: Callable[[torch.Tensor, torch.Tensor], float]
+    norm: Callable[[torch.Tensor], float]
+    largest: Callable[[torch.Tensor], float]
+
+
+def _dot(a: torch.Tensor, b: torch.Tensor) -> float:
+    return float(torch.dot(a.flatten(), b.flatten()))
+
+
+HERE = Inner(_dot, lambda a: float(a.norm()), lambda a: float(a.abs().max()) if a.numel() else 0.0)
+"""Of fields that this process has the whole of."""
 
 
 @dataclass
@@ -36,6 +53,7 @@ def definite(
     tolerance: float,
     *,
     begin: Field | None = None,
+    inner: Inner = HERE,
     where: str = "",
     hint: str = "",
 ) -> tuple[torch.Tensor, SolveRecord]:
@@ -47,6 +65,7 @@ def definite(
         right: of any shape, on the processor.
         tolerance: of ‖L u − right‖ / ‖right‖.
         begin: where a search for L u = r starts; zero by default.
+        inner: how fields are measured.
         where, hint: of messages: which nodes, and what to try.
 
     Raises InputError when a direction has no positive energy, or the search stalls above the
@@ -58,17 +77,18 @@ def definite(
     torch.set_num_threads(1)
     try:
         record = SolveRecord()
-        largest = float(right.abs().max()) if right.numel() else 0.0
+        largest = inner.largest(right)
         u = torch.zeros_like(right)
         if largest == 0:
             return u, record
         right = right / largest  # squares of very small and very large loads are no numbers
-        size, left = float(right.norm()), right
+        size, left = inner.norm(right), right
         for _ in range(1 + RESTARTS):
             start = None if begin is None else begin(left)
-            u += _descend(product, precondition, left, 0.9 * tolerance * size, record, start, where)
+            goal = 0.9 * tolerance * size
+            u += _descend(product, precondition, left, goal, record, start, inner, where)
             left = right - product(u)
-            record.residual = float(left.norm()) / size
+            record.residual = inner.norm(left) / size
             if record.residual <= tolerance:
                 return u * largest, record
             if record.iterations >= MOST_ITERATIONS:
@@ -89,6 +109,7 @@ def _descend(
     goal: float,
     record: SolveRecord,
     start: torch.Tensor | None,
+    inner: Inner,
     where: str,
 ) -> torch.Tensor:
     """Until the recursive residual meets the goal."""
@@ -97,10 +118,10 @@ def _descend(
         u = start
         r -= product(u)
     z = precondition(r)
-    p, rz = z.clone(), _dot(r, z)
-    while float(r.norm()) > goal and record.iterations < MOST_ITERATIONS:
+    p, rz = z.clone(), inner.dot(r, z)
+    while inner.norm(r) > goal and record.iterations < MOST_ITERATIONS:
         q = product(p)
-        energy = _dot(p, q)
+        energy = inner.dot(p, q)
         if not (energy > 0 and rz > 0):
             raise InputError(
                 f"the operator{where} is indefinite: a direction has the energy {energy:.1e}"
@@ -110,13 +131,9 @@ def _descend(
         u.add_(p, alpha=step)
         r.sub_(q, alpha=step)
         z = precondition(r)
-        last, rz = rz, _dot(r, z)
+        last, rz = rz, inner.dot(r, z)
         p = z.add_(p, alpha=rz / last)
     return u
-
-
-def _dot(a: torch.Tensor, b: torch.Tensor) -> float:
-    return float(torch.dot(a.flatten(), b.flatten()))
 
 
 @dataclass(frozen=True)

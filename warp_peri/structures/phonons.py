@@ -17,6 +17,7 @@ from warp_peri.micromodulus.elastic import PAIRS, from_voigt
 from warp_peri.micromodulus.force_constants import (
     STEP,
     ForceConstants,
+    Polar,
     finite_differences,
     from_supercell,
 )
@@ -27,12 +28,18 @@ WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 REACHED = 1e-5
 """Force at half the width of a supercell, over the largest, that is none."""
 MOST_ATOMS = 6000
+WITH_IONS = 14.0
+"""Width of a supercell [Å] where Born charges take off what reaches further."""
 GRID = {2: 24, 3: 8}
 """Wave vectors along each reciprocal edge that are looked at for soft modes."""
 SOFT = 1e-5
 """Of the largest eigenvalue: a negative one beyond it is no rounding."""
 STRAIN = 1e-3
 """Of the finite strains that moduli are checked with."""
+BORN, DIELECTRIC = "born_effective_charges", "dielectric_tensor"
+"""ASE's names for what a calculator may give."""
+NEUTRAL = 1e-3
+"""Charges [e] that are none."""
 THZ = 15.633302
 """√(eV/Å²/amu) / 2π [THz]."""
 
@@ -48,15 +55,21 @@ def force_constants(
         supercell: repeats of the smallest cell along its edges; by default the smallest supercell
             at half whose width a displaced atom's forces have ended.
 
-    Raises InputError for repeats that are not three counts, or a crystal with imaginary phonons.
+    A calculator that gives Born charges (ASE's `born_effective_charges` and `dielectric_tensor`)
+    has the field of its ions in every wave, in any supercell (theory.md, T18).
+
+    Raises InputError for repeats that are not three counts, a crystal with imaginary phonons, Born
+    charges of a sheet, or without the dielectric tensor.
     """
     d, cell = reference.dimension, reference.cell
+    polar = born_charges(reference, calculator)
     if supercell is not None:
         repeats = tuple(int(n) for n in supercell)
         if len(repeats) != 3 or min(repeats) < 1 or (d == 2 and repeats[2] != 1):
             raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
     else:
-        repeats = _wide_enough(reference, calculator)
+        widths = WIDTHS if polar is None else (WITH_IONS,)
+        repeats = _wide_enough(reference, calculator, widths)
     many = cell.repeat(repeats)
     forces, x = forces_of(many, calculator), np.array(many.positions)
     phi = finite_differences(forces, x, range(len(cell)))
@@ -66,10 +79,35 @@ def force_constants(
         phi,
         range(len(cell)),
         thickness=reference.thickness,
+        polar=polar,
         stress=reference.stress,
     )
     check_phonons(found)
-    return found, f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms"
+    ions = "" if polar is None else ", and the field of ions by the calculator's Born charges"
+    return found, f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms{ions}"
+
+
+def born_charges(reference: Reference, calculator: Any) -> Polar | None:
+    """Charges that a calculator gives under ASE's names; None where it has none, or they vanish.
+
+    Raises InputError for those of a sheet, or without the dielectric tensor.
+    """
+    given = getattr(calculator, "implemented_properties", ())
+    if BORN not in given:
+        return None
+    cell = reference.cell.copy()
+    cell.calc = calculator
+    born = np.asarray(calculator.get_property(BORN, cell), dtype=float)
+    if np.abs(born).max() < NEUTRAL:
+        return None
+    if reference.dimension == 2:
+        raise InputError(
+            "calculator: it gives Born charges of a sheet; the field of a sheet's ions is another "
+            "than a solid's, and no law here has it"
+        )
+    if DIELECTRIC not in given:
+        raise InputError(f"calculator: it gives {BORN} without {DIELECTRIC}; expected both")
+    return Polar(born, np.asarray(calculator.get_property(DIELECTRIC, cell), dtype=float))
 
 
 def forces_of(many: ase.Atoms, calculator: Any) -> Any:
@@ -83,18 +121,20 @@ def forces_of(many: ase.Atoms, calculator: Any) -> Any:
     return forces
 
 
-def _wide_enough(reference: Reference, calculator: Any) -> tuple[int, ...]:
+def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
     cell, d = reference.cell, reference.dimension
     edges = np.array(cell.cell)
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
     rim = 0.0
     repeats: tuple[int, ...] = (1, 1, 1)
-    for width in WIDTHS:
+    for width in widths:
         counts = np.ceil(width / heights).astype(int)
         counts[d:] = 1
         if repeats != (1, 1, 1) and np.prod(counts) * len(cell) > MOST_ATOMS:
             break
         repeats = tuple(counts.tolist())
+        if len(widths) == 1:
+            return repeats
         many = cell.repeat(repeats)
         at_rest, x = forces_of(many, calculator), np.array(many.positions)
         still, rim = at_rest(x), 0.0

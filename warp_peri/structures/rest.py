@@ -97,6 +97,7 @@ def at_rest(
     }
     if size is not None:
         said["thickness"] = f"{size:.4g} Å, {rule}"
+        said["bending"] = "not in the law: it moves a sheet in its plane only"
     cell.calc = None
     return Reference(cell, size, stress, usual_spacing(cell, flat), said)
 
@@ -257,10 +258,11 @@ def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
     """By the rule that Reference states [Å]."""
     z = np.array(cell.positions)[:, 2]
     radii = [vdw_radii[cell.numbers[n]] for n in (z.argmin(), z.argmax())]
-    radii = [USUAL_RADIUS if np.isnan(r) else float(r) for r in radii]
-    return float(np.ptp(z) + sum(radii)), (
+    known = [USUAL_RADIUS if np.isnan(r) else float(r) for r in radii]
+    guess = " (2 Å where none is known)" if np.isnan(radii).any() else ""
+    return float(np.ptp(z) + sum(known)), (
         f"{np.ptp(z):.4g} Å between outermost nuclei and van der Waals radii of "
-        f"{radii[0]:.3g} and {radii[1]:.3g} Å"
+        f"{known[0]:.3g} and {known[1]:.3g} Å{guess}"
     )
 
 

@@ -1,0 +1,105 @@
+"""Noise on the displacements that a network and a dictionary learn from: the anisotropic sheet.
+
+Normal noise, independent at every node of the training squares, of 0, 1, 2 and 5 % of their root
+mean square; all other squares are clean. The dictionary has free signs, or signs that guarantee
+stability at rest. The network is smaller than printed, (2, 32, 64, 1) and
+(4, 64, 64, 1), so that four trainings take minutes. What is done is kept in --out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT))
+
+import numpy as np
+import torch
+
+from examples import neural_sets
+from examples.hgo_square import SAFE
+from examples.neural_rivals import dictionary
+from examples.neural_sets import Sets
+from examples.prose import table
+from examples.studies.papers import keeper
+from tools.make_hgo import SPACING
+from warp_peri.errors import exit_status
+from warp_peri.neural.evaluation import evaluate
+from warp_peri.neural.material import Operator
+from warp_peri.neural.training import Training, train
+from warp_peri.points.samples import Samples
+from warp_peri.tissue.energy_fit import fit_energy
+from warp_peri.tissue.fit_errors import hyperelastic_errors
+
+REACH = 3
+LEVELS = (0.0, 0.01, 0.02, 0.05)
+JUDGED = ("val", "test")
+
+
+def noisy(samples: Samples, level: float) -> Samples:
+    """The samples with noise of so much of their root mean square."""
+    size = level * np.sqrt(np.mean(samples.u**2))
+    noise = np.random.default_rng(7).normal(0, size, samples.u.shape) if level else 0.0
+    return Samples(samples.points, samples.u + noise, samples.b)
+
+
+def network(sets: Sets, level: float, epochs: int) -> dict[str, float]:
+    """Errors on clean squares of a network that has learned from noisy ones."""
+    seen = noisy(sets["train"], level)
+    material = Operator(
+        REACH * SPACING, (32, 64), (64, 64), anisotropic=True, strain=2.0, units=seen.points.units
+    )
+    train(material, seen, sets["val"], Training(epochs=epochs, batch=5))
+    found = {name: evaluate(material, sets[name]) for name in JUDGED}
+    return {f"{key} {name}": found[name][key] for name in JUDGED for key in ("E_res", "E_u")}
+
+
+def terms(sets: Sets, level: float, guaranteed: bool) -> dict[str, float | None]:
+    """The same of the dictionary; with free signs, whose equilibria noise takes, E_res alone."""
+    seen = noisy(sets["train"], level)
+    solid = (
+        fit_energy(seen, SAFE, positive=True).material if guaranteed else dictionary(seen, REACH)
+    )
+    found = {name: hyperelastic_errors(solid, sets[name], solve=guaranteed) for name in JUDGED}
+    return {f"{key} {name}": found[name].get(key) for name in JUDGED for key in ("E_res", "E_u")}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--epochs", type=int, default=25, help="of each network")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add_argument("--data", type=Path, default=ROOT / "data")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural_noise")
+    given = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    sets = neural_sets.hgo(given.data / "hgo", REACH, mirror=False, jobs=given.jobs, progress=True)
+    kept, rows = keeper(given.out), []
+    for name in ("free signs", "guaranteed", "network"):
+        for level in LEVELS:
+            work = partial(one, sets, name, level, given)
+            errors: dict[str, Any] = kept(f"{name}_{level:g}", work)
+            cells = ["–" if e is None else f"{100 * e:.2f}" for e in errors.values()]
+            rows.append([f"{100 * level:g} %", name, *cells])
+    print(table(["noise", "", *errors], rows))
+    return 0
+
+
+def one(
+    sets: Sets, name: str, level: float, given: argparse.Namespace
+) -> Mapping[str, float | None]:
+    """Errors of one of the three at one level."""
+    if name == "network":
+        return network(sets, level, given.epochs)
+    return terms(sets, level, name == "guaranteed")
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))

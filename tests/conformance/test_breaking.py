@@ -1,0 +1,164 @@
+"""What every solid that breaks must do, in the plane and in space, bonds broken or not.
+
+Such a solid is placed on a body with free faces by a Cracked, not on points with whole families:
+the table of laws beside this one asks what these cannot offer, a stress at nodes and a collar.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.conformance.test_laws import OTHER, near
+from tests.support.bodies import random_breaking
+from tests.support.problems import difference, noise
+from warp_peri import launch
+from warp_peri.damage import BondLaw, BrittleSolid, Cracked, Mixed, SoftSolid, box
+from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.points.unit_names import factors
+
+SIDES = {2: (9, 8), 3: (6, 5, 6)}
+CRACK = {
+    2: [[(-1, 0.1), (1.2, 0.6)]],
+    3: [[(-1, 0.2, -1), (-1, 0.2, 1), (1, 0.2, 1), (1, 0.2, -1)]],
+}
+
+
+def linear(d, lam):
+    return wp.Model(lam, 0.8, 1.0, [1.0], horizon=2.0, dimension=d)
+
+
+SOLIDS = {
+    "brittle": lambda d: BrittleSolid(linear(d, 0.3), 2.0, toughness=0.01),
+    "brittle, by stretch": lambda d: BrittleSolid(linear(d, 0.8), 2.0, critical_stretch=0.05),
+    "brittle, by energy": lambda d: BrittleSolid(linear(d, 2.0), 2.0, critical_energy=1e-3),
+    "soft": lambda d: SoftSolid(linear(d, 0.8), BondLaw(4.0, 0.05, 0.05)),
+    "mixed": lambda d: Mixed(
+        2.0, lambda x: 2.5 + 0.1 * x[..., 0], lambda x: 1 + 0.1 * x[..., 1], dimension=d
+    ),
+}
+
+
+@pytest.fixture(params=[(name, d) for name in SOLIDS for d in (2, 3)], ids=str)
+def solid(request):
+    name, d = request.param
+    return SOLIDS[name](d)
+
+
+def points_of(solid, held=1.0, angle=0.0):
+    x = box(SIDES[solid.dimension], 1.0)
+    inside = (np.abs(x) < np.abs(x).max(axis=0) - held + 0.6).all(axis=1)
+    return wp.Points(x @ turn(solid.dimension, angle).T, inside, 1.0)
+
+
+def turn(d, angle):
+    R = np.eye(d)
+    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return R
+
+
+def torn(solid, share, angle=0.0):
+    """The solid on a body of which a share of the bonds is broken, and its points."""
+    points = points_of(solid, angle=angle)
+    body = Cracked(points).body(solid, "solve")
+    neighbour = random_breaking(body, np.random.default_rng(1), share)
+    return CutSolid(solid, body, ~points.interior, neighbour=neighbour), points
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_motion_without_strain_costs_nothing_and_forces_balance(solid, share):
+    op, points = torn(solid, share)
+    x, d = points.x, solid.dimension
+    u, scale = noise(points), np.abs(op.matrix @ noise(points).ravel()).max()
+    for rigid in (np.ones(d) + 0 * x, x @ (np.tri(d) - np.tri(d).T)):
+        near(op(rigid), 0 * op(rigid), 1e-12, scale * np.abs(rigid).max())
+        assert abs(op.energy(rigid)) < 1e-11 * scale
+    f = (op.matrix @ u.ravel()).reshape(u.shape)
+    near(f.sum(axis=0), np.zeros(d), 1e-12, np.abs(f).sum())
+    moment = x.T @ f
+    near(moment, moment.T, 1e-12, np.abs(x).max() * np.abs(f).sum())
+    assert op.energy(u) > 0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_product_and_energy_belong_to_the_force(solid, share):
+    op, points = torn(solid, share)
+    u, v = noise(points), noise(points)[::-1] * points.interior[:, None]
+    near(op.product(u, v), difference(lambda t: op(u + t[0] * v), [0.0], 1e-3)[0], 1e-8)
+    slope = difference(lambda t: op.energy(u + t[0] * v), [0.0], 1e-3)[0]
+    near((op(u) * v[points.interior]).sum(), slope, 1e-8)
+
+
+def test_a_turned_body_answers_turned(solid):
+    if isinstance(solid, Mixed):
+        pytest.skip("its moduli are functions of positions, which do not turn")
+    (op, points), other = torn(solid, 0.2), torn(solid, 0.2, angle=0.4)[0]
+    R, u = turn(solid.dimension, 0.4), noise(points)
+    near(other(u @ R.T), op(u) @ R.T, 1e-11)
+
+
+def test_a_solve_finds_the_truth_around_a_crack(solid):
+    points, d = points_of(solid), solid.dimension
+    problem = Cracked(points, u=noise(points), cracks=CRACK[d])
+    op = wp.solve(solid, problem).operator
+    u, b = 1e-3 * noise(points, 2)[1], np.zeros_like(points.x)
+    b[points.interior] = op(u)
+    solution = wp.solve(solid, dataclasses.replace(problem, b=b, u=u))
+    near(solution.u, u, 1e-9)
+    assert solution.residual < 1e-10
+    near(float(solution.energy()), op.energy(u), 1e-9)
+
+
+def test_a_file_keeps_all_of_it_and_other_units_are_the_same_solid(solid, tmp_path):
+    first, again, theirs, ours = (tmp_path / f"{name}.json" for name in "abcd")
+    if isinstance(solid, Mixed):
+        with pytest.raises(wp.InputError, match="no file is made"):
+            wp.save(first, solid)
+        return
+    wp.save(first, solid)
+    wp.save(again, wp.load(first))
+    assert first.read_bytes() == again.read_bytes()
+    wp.save(theirs, wp.load(first, units=OTHER))
+    wp.save(ours, solid.in_units(OTHER))
+    assert theirs.read_bytes() == ours.read_bytes()
+    length, stress = factors(solid.units, OTHER)
+    points = points_of(solid)
+    there = dataclasses.replace(points, x=length * points.x, spacing=length, units=OTHER)
+    u = noise(points)
+    answers = [
+        wp.solve(one, Cracked(on, u=scale * u, cracks=scale * np.array(CRACK[solid.dimension])))
+        for one, on, scale in ((solid, points, 1.0), (solid.in_units(OTHER), there, length))
+    ]
+    near(answers[1].u, length * answers[0].u, 1e-12)
+    d = solid.dimension
+    near(answers[1].energy(), answers[0].energy() * stress * length**d, 1e-11)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("name", [name for name in SOLIDS if "brittle" in name])
+def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(name, d, monkeypatch):
+    monkeypatch.setattr(launch, "SLICE", 16)
+    solid, before = SOLIDS[name](d), launch.threads()
+    x = box(SIDES[d], 1.0)
+    length, _ = factors(solid.units, OTHER)
+    found = []
+    uneven = 0.01 * x * (1 + np.random.default_rng(2).random(x.shape))  # no bonds alike
+    try:
+        for threads, one, scale in (
+            (1, solid, 1.0),
+            (2, solid, 1.0),
+            (1, solid.in_units(OTHER), length),
+        ):
+            launch.set_threads(threads)
+            points = wp.Points(scale * x, np.ones(len(x), bool), scale, units=one.units)
+            step = 0.3 * one.longest_step(scale)
+            run = wp.move(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
+            found.append((run.details.damage, run.u / scale, run.time))
+    finally:
+        launch.set_threads(before)
+    assert 0 < found[0][0].mean() < 0.9
+    assert all(np.array_equal(a, b) for a, b in zip(found[0], found[1]))
+    assert np.array_equal(found[0][0], found[2][0])
+    near(found[2][1], found[0][1], 1e-9)
+    near(found[2][2], found[0][2], 1e-9)

@@ -1,0 +1,127 @@
+"""Shell blocks of the pages, in turn, in a folder of their own.
+
+What is typed as `warp-peri …` runs through the command's own `main`. What does not run here stands
+in NOT_HERE with its reason; what a page takes as the reader's own is made in GIVEN.
+"""
+
+import re
+import shlex
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from examples import own_material
+from tests.package.test_pages import PAGES, ROOT, home  # noqa: F401 (a fixture)
+from tests.support.plates import plate
+from tools.make_frames import write_frames
+from warp_peri.cli.main import main
+
+NOT_HERE = {
+    r"(make|pip|source|python3 -m venv|\.venv/bin/pip) ": "sets up an environment",
+    r"(\.venv/bin/)?python examples/": "a script of minutes; tests/examples runs it, here its name",
+    r"(\.venv/bin/)?python -m pytest": "this very suite",
+}
+CHEAP = ("influence", "export")
+"""Pages whose commands take a second; the others are slow."""
+
+
+def commands(text):
+    """What the shell blocks of a page type, a line each, comments taken off."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    joined = [re.sub(r"\\\n\s*", "", block) for language, block in found if not language]
+    lines = [line for block in joined for line in block.splitlines()]
+    return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
+
+
+TYPED = {page.stem: found for page in PAGES if (found := commands(page.read_text("utf-8")))}
+RUN = {
+    name: ours
+    for name, lines in TYPED.items()
+    if (ours := [line for line in lines if line.startswith("warp-peri ")])
+}
+
+
+def test_every_command_is_run_or_says_why_not():
+    for name, lines in TYPED.items():
+        for line in lines:
+            known = line.startswith("warp-peri ") or any(re.match(each, line) for each in NOT_HERE)
+            assert known, f"{name}: {line}"
+
+
+def test_scripts_that_pages_type_are_there_with_their_options():
+    for name, lines in TYPED.items():
+        for line in lines:
+            if script := re.match(r"(?:\.venv/bin/)?python (examples/\S+)(.*)", line):
+                source = (ROOT / script[1]).read_text(encoding="utf-8")
+                for option in re.findall(r"--[a-z-]+", script[2]):
+                    assert f'"{option}"' in source, f"{name}: {line}"
+
+
+def of_atoms(folder):
+    import ase.build
+    import ase.io
+
+    ase.io.write("Al.cif", ase.build.bulk("Al", cubic=True))
+    ase.io.write("MoS2.cif", ase.build.mx2(a=3.16, vacuum=10))
+
+
+def of_bodies(folder):
+    """A learned model, and a plate with a hole as Gmsh writes it."""
+    of_gallery(folder)
+    mesh = plate(7.0, 60.0, 10, 48)
+    left = [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], -60.0)]
+    right = [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], 60.0)]
+    tags = [np.repeat([1, 2], [len(left), len(right)]), np.full(len(mesh.triangles), 9)]
+    meshio.Mesh(
+        np.column_stack([mesh.x, np.zeros(len(mesh.x))]),
+        [("line", mesh.edges[left + right]), ("triangle", mesh.triangles)],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={"left": np.array([1, 1]), "right": np.array([2, 1])},
+    ).write("plate.msh", file_format="gmsh22", binary=False)
+
+
+def of_any(folder):
+    Path("MODEL.json").write_bytes(Path("runs/first/model.json").read_bytes())
+    Path("DATA.h5").write_bytes(Path("data/graphene_0K.h5").read_bytes())
+    r = np.linspace(0.5, 25.0, 50)
+    np.savetxt(
+        "K.csv", np.column_stack([r, np.exp(-r / 9)]), delimiter=",", header="r,K", comments=""
+    )
+
+
+def of_gallery(folder):
+    wp.save("runs/graphene_0K/model.json", wp.load("runs/first/model.json"))
+
+
+def of_own_data(folder):
+    own_material.make_dumps(folder)
+
+
+def of_tissue(folder):
+    write_frames(folder / "FOLDER")
+
+
+GIVEN = {
+    "atoms": of_atoms,
+    "bodies": of_bodies,
+    "export": of_any,
+    "gallery": of_gallery,
+    "influence": of_any,
+    "own_data": of_own_data,
+    "tissue": of_tissue,
+}
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in CHEAP else pytest.param(name, marks=pytest.mark.slow) for name in RUN]
+)
+@pytest.mark.filterwarnings("ignore")
+def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):  # noqa: F811
+    monkeypatch.chdir(home)
+    GIVEN.get(name, lambda folder: None)(home)
+    for line in RUN[name]:
+        status = main(shlex.split(line)[1:])
+        assert status == 0, f"{line}: {capsys.readouterr().err}"

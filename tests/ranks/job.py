@@ -1,0 +1,163 @@
+"""What tests start under mpiexec: python -m tests.ranks.job FOLDER [WORD …].
+
+A crack that runs, with a checkpoint and files; with `rest` also sums, bodies at rest in the plane
+and in space, and refusals; with `fail` at the end input that one rank alone cannot use. The first
+rank prints JSON.
+"""
+
+import hashlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import warp_peri as wp
+from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.ranks import lattice, spread, whole
+from warp_peri.ranks.processes import world
+from warp_peri.ranks.sums import total
+
+H = 0.5
+
+
+def digest(values):
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def uneven():
+    """Numbers of many sizes and both signs, whose sum in floats depends on the order."""
+    random = np.random.default_rng(0)
+    return random.normal(size=(1000, 2)) * 10.0 ** random.integers(-8, 8, (1000, 2))
+
+
+def solid(dimension):
+    """A positive kernel, λ ≠ μ."""
+    D = np.array([1.0, 0.6, 0.3])
+    return wp.Model(0.9, 0.4, 1.0, D, horizon=(2.5 if dimension == 2 else 2) * H,
+                    certified_on=(H,), dimension=dimension)  # fmt: skip
+
+
+def inside(x):
+    """A thick L in the plane, a ball in space, with room for a collar."""
+    away = (x - CENTRE[x.shape[1]]) / H
+    if x.shape[1] == 3:
+        return (away**2).sum(axis=1) < 8**2
+    return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
+
+
+CENTRE = {2: np.array([12.5, 12.5]), 3: np.array([6.0, 6.0, 6.0])}
+
+
+def fields(x):
+    """A load and a displacement, from the positions alone."""
+    waves = [np.sin(0.3 * x[:, 0] + a) * np.cos(0.2 * x[:, 1] - a) for a in range(x.shape[1])]
+    u = np.stack(waves, axis=1)
+    return 0.01 * u[:, ::-1], 0.1 * u
+
+
+def rest(folder):
+    comm, found = world(), {}
+    found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
+    for shape in ((52, 52), (25, 25, 25)):
+        points = lattice(shape, H, inside)
+        b, u = fields(points.x)
+        tolerance = 1e-10 if len(shape) == 2 else 1e-8
+        solver = wp.Krylov(tolerance=tolerance)
+        solution = wp.solve(solid(len(shape)), wp.Dirichlet(points, b, u), solver=solver)
+        answer = points.gather(solution.u)
+        left = points.gather(np.abs(solution.operator(solution.u) - solution.load).max(initial=0)
+                             * np.ones(len(points.x)))  # fmt: skip
+        name = f"{len(shape)}-D"
+        found[name] = {"u": digest(answer), "iterations": solution.iterations[0],
+                       "residual": solution.residual, "left": left.max()}  # fmt: skip
+        if comm.rank == 0:
+            np.save(folder / f"{name}_{comm.size}.npy", answer)
+    found["refused"] = []
+    wide = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
+    for wrong in (
+        lambda: solid(3).on(points)(u),
+        lambda: wp.solve(solid(2), wp.Dirichlet(wide, *fields(wide.x))),
+        lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
+    ):
+        try:
+            wrong()
+            found["refused"].append(None)
+        except wp.InputError as error:
+            found["refused"].append(str(error))
+    return found
+
+
+def crack(folder, by="rows", steps="60", pause="0"):
+    """A notched plate that is pulled at its ends."""
+    x = rectangle(40.0, 20.0, 1.0)
+    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
+    x = points.x
+    glass = BrittleSolid(
+        wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")), 2.5, toughness=1e-4
+    )
+    ends = np.abs(x[:, 1]) > 9
+    if pause != "0":
+        print("pids", *points.comm.allgather(os.getpid()), flush=True)
+    motion = wp.move(
+        glass,
+        Cracked(points, np.where(ends[:, None], np.sign(x) * (0.0, 0.01), 0.0),
+                cracks=[[(-20.5, 0.0), (-5.0, 0.0)]]),
+        step=0.5 * glass.longest_step(1.0),
+        steps=int(steps),
+        every=20,
+        no_fail=np.abs(x[:, 1]) > 7,
+        regions={"top": x[:, 1] > 0},
+        sections={"middle": [(-20.5, 6.0), (20.5, 6.0)]},
+        watch={"worst": lambda phi: time.sleep(float(pause)) or phi.max()},
+        checkpoint=folder / "state.h5",
+        checkpoint_every=1,
+        series=folder / "series",
+    )  # fmt: skip
+    records = [motion["elastic"], motion["force middle"], motion["u top"], motion["worst"]]
+    phi = whole(points, motion.details.damage)
+    return {
+        "u": digest(whole(points, motion.u)),
+        "damage": digest(phi),
+        "worst": phi.max(),
+        "records": digest(np.concatenate([np.ravel(record) for record in records])),
+        "ledger": motion.missing,
+    }
+
+
+def block(by="rows"):
+    """A notched block in space."""
+    x = box((20.0, 10.0, 8.0), 1.0)
+    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0), by)
+    x = points.x
+    model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
+    rock = BrittleSolid(model, 2.5, toughness=1e-4)
+    pull = np.where(np.abs(x[:, 1:2]) > 4, np.sign(x) * (0.0, 0.02, 0.0), 0.0)
+    notch = [(-11.0, 0.0, -5.0), (-4.0, 0.0, -5.0), (-4.0, 0.0, 5.0), (-11.0, 0.0, 5.0)]
+    motion = wp.move(
+        rock, Cracked(points, pull, cracks=[notch]), step=0.5 * rock.longest_step(1.0), steps=40,
+        no_fail=np.abs(x[:, 1]) > 3,
+    )  # fmt: skip
+    return {"u": digest(whole(points, motion.u)),
+            "worst": whole(points, motion.details.damage).max()}  # fmt: skip
+
+
+def fail():
+    comm = world()
+    if comm.rank == 1:
+        raise wp.InputError("load: rank 1 has none")
+    comm.Barrier()
+
+
+if __name__ == "__main__":
+    folder, by, steps, pause, *more = sys.argv[1:]
+    found = {"crack": crack(Path(folder), by, steps, pause)}
+    if pause == "0":
+        found["block"] = block(by)
+    if "rest" in more:
+        found |= rest(Path(folder))
+    print(json.dumps(found), flush=True)
+    if "fail" in more:
+        fail()

@@ -1,0 +1,170 @@
+"""The same bits and the same answers on one, two and three ranks; what ends them ends all."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from examples.large_plate import main as large_plate
+from tests.ranks.job import H, block, crack, fields, inside, solid, uneven
+
+pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
+MPIEXEC = Path(sys.executable).with_name("mpiexec")
+if not MPIEXEC.exists():
+    pytest.skip("no mpiexec beside Python: pip install 'warp_peri[mpi]'", allow_module_level=True)
+ROOT = Path(__file__).parent.parent.parent
+LIMIT = 240
+"""Seconds that a job may take, on however busy a machine."""
+
+
+def start(count, folder, by="rows", steps=60, *more, pause=0):
+    """A job on so many ranks."""
+    words = (folder, by, steps, pause, *more)
+    alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [MPIEXEC, "-n", str(count), sys.executable, "-m", "tests.ranks.job", *map(str, words)],
+        cwd=ROOT, env=os.environ | alone, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+def ended(process):
+    try:
+        return *process.communicate(timeout=LIMIT), process.returncode
+    finally:
+        process.kill()
+
+
+def finished(process, status=0):
+    out, err, got = ended(process)
+    assert got == status, err
+    return json.loads(out.splitlines()[-1]) | {"said": err}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("ranks")
+
+
+@pytest.fixture(scope="module")
+def jobs(folder):
+    """What two ranks found, which stopped early, and one and three that went on from there."""
+    found = {2: finished(start(2, folder, "rows", 40, "rest"))}
+    for place in (1, 3):
+        shutil.copytree(folder, folder / str(place), ignore=shutil.ignore_patterns("1", "*.npy"))
+    later = {
+        1: start(1, folder / "1", "rows", 60, "rest"),
+        3: start(3, folder / "3", "bisection", 60, "rest", "fail"),
+    }
+    return found | {count: finished(job, 2 if count == 3 else 0) for count, job in later.items()}
+
+
+def test_sums_do_not_depend_on_who_has_what(jobs):
+    values = uneven()
+    exact = [float(np.sum([int(v * 2**60) for v in column.tolist()], dtype=object) / 2**60)
+             for column in values.T]  # fmt: skip
+    assert jobs[1]["sums"] == jobs[2]["sums"] == jobs[3]["sums"]
+    np.testing.assert_allclose(jobs[1]["sums"], exact, rtol=1e-15)
+    assert (values.sum(axis=0) != values[::-1].sum(axis=0)).any()  # floats alone would
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimension, jobs, folder):
+    found = [jobs[count][f"{dimension}-D"] for count in (1, 2, 3)]
+    assert len({one["u"] for one in found}) == len({one["iterations"] for one in found}) == 1
+    assert found[0]["iterations"] <= (32 if dimension == 2 else 30)
+    tolerance = 1e-10 if dimension == 2 else 1e-8
+    assert found[0]["residual"] <= tolerance
+    shape = (52,) * 2 if dimension == 2 else (25,) * 3
+    x = H * np.argwhere(np.ones(shape))
+    b, u = fields(x)
+    points, law = wp.Points(x, inside(x), H), solid(dimension)
+    if dimension == 3:
+        law = wp.micromodulus.tensors_of(law, H)
+    alone = wp.solve(law, wp.Dirichlet(points, b, u), solver=wp.Krylov(tolerance=tolerance)
+                     if dimension == 2 else None)  # fmt: skip
+    answer = np.load(folder / f"{dimension}-D_2.npy")
+    assert np.abs(answer - alone.u).max() <= 10 * tolerance * np.abs(alone.u).max()
+
+
+def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
+    one, edge, many = jobs[2]["refused"]
+    assert one.startswith("points: expected Points, got a piece")
+    assert edge.startswith("points: expected 4 nodes around the interior")
+    assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
+
+
+def test_a_crack_has_the_bits_of_one_process_and_goes_on_with_another_number(
+    jobs, folder, tmp_path
+):
+    alone = crack(tmp_path)
+    assert (tmp_path / "series" / "motion.pvd").exists()  # the files of one process
+    assert alone["worst"] > 0.3
+    one, three = (jobs[count]["crack"] for count in (1, 3))
+    for name in ("u", "damage"):
+        assert one[name] == three[name] == alone[name]
+    assert one["records"] == three["records"]
+    assert one["ledger"] < 1e-2
+    for name in ("state.h5", "series/motion.xdmf", "series/record_00000060.h5"):
+        assert (folder / "1" / name).read_bytes() == (folder / "3" / name).read_bytes()
+    meshio = pytest.importorskip("meshio")
+    with meshio.xdmf.TimeSeriesReader(folder / "3" / "series" / "motion.xdmf") as series:
+        x, _ = series.read_points_cells()
+        time, data, _ = series.read_data(series.num_steps - 1)
+    assert series.num_steps == 3
+    assert time > 0
+    assert x.shape == data["displacement"].shape == (800, 3)
+    assert data["damage"].max() == alone["worst"]
+
+
+def test_a_breaking_block_in_space_has_the_bits_of_one_process(jobs):
+    alone = block()
+    assert alone["worst"] > 0.3
+    assert [jobs[count]["block"] for count in (1, 2, 3)] == [alone] * 3
+
+
+def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
+    said = jobs[3]["said"]
+    assert said.count("error: ") == 1
+    assert "error: load: rank 1 has none" in said
+    assert "Traceback" not in said
+
+
+def test_another_mpiexec_is_named():
+    wrong = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", "import warp_peri.ranks.processes as w; w.world()"],
+        cwd=ROOT, env=os.environ | {"OMPI_COMM_WORLD_SIZE": "2"}, text=True, capture_output=True,
+        timeout=LIMIT, check=False,
+    )  # fmt: skip
+    assert wrong.returncode == 1
+    assert "they do not see each other" in wrong.stderr
+    assert f"use {MPIEXEC}" in wrong.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("later", [1, 3])
+def test_a_killed_rank_loses_nothing_but_the_steps_since_its_checkpoint(later, tmp_path):
+    truth = finished(start(2, tmp_path / "truth"))["crack"]
+    job = start(2, tmp_path, pause=1)
+    pids = [int(word) for word in job.stdout.readline().split()[1:]]
+    while not (tmp_path / "state.h5").exists():
+        assert job.poll() is None
+    os.kill(pids[1], signal.SIGKILL)
+    assert ended(job)[2] != 0  # the other rank does not wait for ever
+    assert finished(start(later, tmp_path))["crack"] == truth
+
+
+def test_the_plate_of_the_example_alone(tmp_path, capsys):
+    words = ["--sides", "32", "--shape", "disk", "--tolerance", "1e-8", "--json"]
+    assert large_plate([*words, "--out", str(tmp_path)]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["iterations"]["32"] <= 25
+    assert numbers["difference"] < 1e-7
+    assert (tmp_path / "plate.png").stat().st_size > 5000

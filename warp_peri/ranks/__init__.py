@@ -1,0 +1,17 @@
+"""One solve or motion on many processes, under mpiexec: `mpiexec -n 64 python my_script.py`.
+
+A rank is one of the processes. Each owns a piece of the nodes; what comes back is on these.
+"""
+
+from contextlib import suppress
+
+from warp_peri.errors import InputError
+from warp_peri.launch import ranks_started
+from warp_peri.ranks.pieces import Piece, lattice, spread, whole
+from warp_peri.ranks.processes import is_first, world
+
+if ranks_started():
+    with suppress(InputError):  # raised again where ranks are used
+        world()  # from here on one rank speaks
+
+__all__ = ["Piece", "is_first", "lattice", "spread", "whole"]

@@ -1,0 +1,125 @@
+"""Stencils on blocks of rows: rows of others, then one local transform a block (theory.md, R1).
+
+No transform crosses ranks, and a block's has the same bits on any number of ranks.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import scipy.fft
+
+from warp_peri.micromodulus.coarse import SHIFT, shear
+from warp_peri.micromodulus.sweeps import convolved, inverse, torus_symbol
+from warp_peri.ranks.halo import RowHalo
+from warp_peri.ranks.pieces import Rows
+from warp_peri.ranks.processes import Comm
+
+WIDTH = {2: 32, 3: 12}
+"""Half the width of the inverse filter [nodes]."""
+TORUS = 8
+"""Widths of the torus that the filter is taken from."""
+
+
+class Convolution:
+    """A symmetric stencil's product with fields in blocks of rows, zero beyond the box.
+
+    Args:
+        comm, rows: the box and who owns what.
+        reach: of the stencil [nodes].
+        symbol: its transform on a torus of a given shape, [d (d + 1)/2, *torus] halved.
+        dtype: of the transforms, float64 or float32.
+    """
+
+    def __init__(
+        self,
+        comm: Comm,
+        rows: Rows,
+        reach: int,
+        symbol: Callable[[tuple[int, ...]], np.ndarray],
+        dtype: type = np.float64,
+    ) -> None:
+        self.reach, self.block, self.dtype = reach, rows.block, dtype
+        self.halo = RowHalo(comm, rows.starts, reach)
+        sizes = (rows.block + 2 * reach, *(n + reach for n in rows.shape[1:]))
+        self.torus = tuple(scipy.fft.next_fast_len(n, real=True) for n in sizes)
+        self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
+
+    def start(self, field: np.ndarray) -> None:
+        """Send for the rows of others; `finish` gives the product."""
+        self._wide = self.halo.start(field.astype(self.dtype, copy=False))
+
+    def finish(self) -> np.ndarray:
+        """The product with the field that was sent for, [d, rows, ...]; inner blocks first."""
+        wide, reach, block = self._wide, self.reach, self.block
+        count = wide.shape[1] - 2 * reach
+        out = np.empty((wide.shape[0], count, *wide.shape[2:]), self.dtype)
+        inside = tuple(slice(0, n) for n in wide.shape[2:])
+        parts = [slice(first, min(first + block, count)) for first in range(0, count, block)]
+        inner = [p for p in parts if p.start >= reach and p.stop + reach <= count]
+        for part in [*inner, None, *(p for p in parts if p not in inner)]:
+            if part is None:
+                self.halo.finish()
+                continue
+            there = wide[:, part.start : part.stop + 2 * reach]
+            found = convolved(self.symbol, there, self.torus)
+            out[:, part] = found[:, reach : reach + part.stop - part.start][:, :, *inside]
+        del self._wide
+        return out
+
+    def __call__(self, field: np.ndarray) -> np.ndarray:
+        self.start(field)
+        return self.finish()
+
+
+def inverse_filter(
+    steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray
+) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
+    """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
+
+    The kernel of the inverse times a window; with Hann's the symbol is looked at, with Bartlett's,
+    whose transform is not negative, it is positive whatever the symbol (theory.md, R2). Cut off
+    without a window it would not be.
+    """
+    d = steps.shape[1]
+    width = WIDTH[d]
+    torus = (TORUS * width,) * d
+    seen = np.ones(())
+    for n in (*torus[:-1], 0):
+        k = np.arange(n or torus[-1] // 2 + 1) * (2 * np.pi / torus[-1])
+        seen = seen[..., None] * ((1 + np.cos(k)) / 2)
+    symbol = torus_symbol(torus, steps, tensors)
+    for n, (i, j) in enumerate(itertools.combinations_with_replacement(range(d), 2)):
+        if i == j:
+            symbol[n] += SHIFT * shear(elastic) * seen
+    axes = tuple(range(1, d + 1))
+    kernel = scipy.fft.irfftn(inverse(symbol), s=torus, axes=axes)
+    kernel = np.roll(kernel, (width,) * d, axes)[:, *(slice(2 * width + 1),) * d]
+    away = np.abs(np.arange(-width, width + 1)) / (width + 1)
+    for window in ((1 + np.cos(np.pi * away)) / 2, 1 - away):
+        stencil = kernel.copy()
+        for axis in range(d):
+            stencil *= window.reshape([-1 if a == axis else 1 for a in range(d)])
+        if smallest(_folded(stencil, torus)) > 0:
+            break
+    return width, lambda shape: _folded(stencil, shape)
+
+
+def _folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
+    """The symbol of a stencil [c, 2w + 1, ...] on a torus."""
+    field = np.zeros((len(stencil), *torus))
+    field[:, *(slice(n) for n in stencil.shape[1:])] = stencil
+    axes = tuple(range(1, field.ndim))
+    field = np.roll(field, tuple(-(n // 2) for n in stencil.shape[1:]), axes)
+    return np.ascontiguousarray(scipy.fft.rfftn(field, axes=axes).real)
+
+
+def smallest(symbol: np.ndarray) -> float:
+    """Smallest eigenvalue of symmetric matrices [d (d + 1)/2, ...]."""
+    d = {3: 2, 6: 3}[len(symbol)]
+    full = np.empty((*symbol.shape[1:], d, d))
+    for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), symbol):
+        full[..., i, j] = full[..., j, i] = part
+    return float(np.linalg.eigvalsh(full).min())

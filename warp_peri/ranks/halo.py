@@ -1,0 +1,134 @@
+"""What a rank feels of other ranks' nodes: lists of nodes, and whole rows of a box."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from warp_peri.ranks.pieces import Piece
+from warp_peri.ranks.processes import Comm
+
+
+class NodeHalo:
+    """Nodes of other ranks in the boxes around a piece.
+
+    The nodes here are the piece's own and theirs, in the order of the whole body: sums over
+    neighbours then have the same bits on any rank.
+
+    Args:
+        piece: the nodes that this rank owns.
+        reach: how far it feels [length].
+
+    Attributes:
+        number: of all nodes here in the whole body, rising, shape [m].
+        x: their positions, shape [m, d].
+        own: places of the piece's own among them, shape [n].
+        sent: bytes of one exchange of vectors that this rank sends.
+    """
+
+    def __init__(self, piece: Piece, reach: float) -> None:
+        comm, slack = piece.comm, 1e-6 * piece.spacing
+        low, high = piece.x.min(axis=0) - reach - slack, piece.x.max(axis=0) + reach + slack
+        boxes = comm.allgather((low, high))
+        given = [np.zeros(0, np.int64)] * comm.size
+        for rank, (low, high) in enumerate(boxes):
+            if rank != comm.rank:
+                given[rank] = np.flatnonzero(((piece.x >= low) & (piece.x <= high)).all(axis=1))
+        taken = comm.alltoall([(piece.number[nodes], piece.x[nodes]) for nodes in given])
+        number = np.concatenate([piece.number, *[numbers for numbers, _ in taken]])
+        order = np.argsort(number)
+        self.number = number[order]
+        self.x = np.concatenate([piece.x, *[x for _, x in taken]])[order]
+        self.own = np.searchsorted(self.number, piece.number)
+        ranks = range(comm.size)
+        self._give = [(r, self.own[given[r]]) for r in ranks if len(given[r])]
+        self._take = [
+            (r, np.searchsorted(self.number, taken[r][0])) for r in ranks if len(taken[r][0])
+        ]
+        self.comm, d = comm, piece.dimension
+        self.sent = 8 * d * sum(len(places) for _, places in self._give)
+        self._out = [np.empty((len(places), d)) for _, places in self._give]
+        self._in = [np.empty((len(places), d)) for _, places in self._take]
+
+    def exchange(self, field: np.ndarray) -> None:
+        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
+        from mpi4py import MPI
+
+        comm = self.comm
+        requests = [comm.Irecv(b, source=r) for (r, _), b in zip(self._take, self._in)]
+        for (rank, places), buffer in zip(self._give, self._out):
+            np.take(field, places, axis=0, out=buffer)
+            requests.append(comm.Isend(buffer, dest=rank))
+        MPI.Request.Waitall(requests)
+        for (_, places), buffer in zip(self._take, self._in):
+            field[places] = buffer
+
+    def around(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
+        values = np.asarray(values)
+        here = np.zeros((len(self.number), *values.shape[1:]), values.dtype)
+        here[self.own] = values
+        requests = [self.comm.isend(here[places], dest=r) for r, places in self._give]
+        for r, places in self._take:
+            here[places] = self.comm.recv(source=r)
+        for request in requests:
+            request.wait()
+        return here
+
+
+class RowHalo:
+    """Rows of other ranks before and after those of this one.
+
+    Args:
+        comm: the ranks.
+        starts: first row of each rank, and the number of rows.
+        width: rows on each side; beyond the box they are zero.
+    """
+
+    def __init__(self, comm: Comm, starts: np.ndarray, width: int) -> None:
+        self.comm, self.width = comm, width
+        first, last = self.first, self.last = starts[comm.rank : comm.rank + 2]
+        self._give, self._take = [], []
+        for r, (start, end) in enumerate(pairwise(starts)):
+            if r == comm.rank:
+                continue
+            low, high = max(first, start - width), min(last, end + width)
+            if low < high:
+                self._give.append((r, slice(low - first, high - first)))
+            low, high = max(start, first - width), min(end, last + width)
+            if low < high:
+                self._take.append((r, slice(low - first + width, high - first + width)))
+        self._wide = np.zeros(0)
+        self._requests: list[Any] = []
+        self._buffers: list[np.ndarray] = []
+
+    def start(self, field: np.ndarray) -> np.ndarray:
+        """A field [d, rows, ...] among rows of zeros, which `finish` fills. One at a time."""
+        w, shape = self.width, field.shape
+        self._wide = wide = np.zeros((shape[0], shape[1] + 2 * w, *shape[2:]), field.dtype)
+        wide[:, w : w + shape[1]] = field
+        self._buffers = [np.empty_like(wide[:, rows]) for _, rows in self._take]
+        out = [np.ascontiguousarray(field[:, rows]) for _, rows in self._give]
+        self._requests = [
+            *(self.comm.Irecv(b, source=r, tag=w) for (r, _), b in zip(self._take, self._buffers)),
+            *(self.comm.Isend(b, dest=r, tag=w) for (r, _), b in zip(self._give, out)),
+        ]
+        self._out = out
+        return wide
+
+    def finish(self) -> None:
+        """Wait for the rows of others."""
+        from mpi4py import MPI
+
+        MPI.Request.Waitall(self._requests)
+        for (_, rows), buffer in zip(self._take, self._buffers):
+            self._wide[:, rows] = buffer
+        self._requests, self._buffers, self._out = [], [], []
+
+    def __call__(self, field: np.ndarray) -> np.ndarray:
+        """The field with the rows of others around it."""
+        wide = self.start(field)
+        self.finish()
+        return wide

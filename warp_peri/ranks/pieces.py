@@ -1,0 +1,195 @@
+"""Nodes of one body, each owned by one rank: rows of a lattice, or boxes by recursive bisection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.launch import ranks_started
+from warp_peri.points.lattice import LATTICE_TOLERANCE
+from warp_peri.points.points import Points
+from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.ranks.processes import Comm, agreed, world
+
+SLABS, SMALLEST, LARGEST = 8, 8, 128
+"""Blocks of rows that a box is cut to at least, where they have between so many rows each."""
+_OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A box of lattice nodes in blocks of rows, each of one rank.
+
+    What is computed block by block has the same bits on any number of ranks.
+
+    Attributes:
+        shape: nodes of the box along the axes.
+        block: rows of a block along the first axis, a power of two.
+        starts: first row of each rank, and the number of rows, shape [P + 1].
+    """
+
+    shape: tuple[int, ...]
+    block: int
+    starts: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The nodes that this rank owns. Fields that go with it are on these.
+
+    Attributes:
+        comm: the ranks.
+        x: positions [length], shape [n, d].
+        interior: of these nodes, shape [n] bool, as of Points.
+        spacing: of the lattice.
+        number: of these nodes in the whole body, rising, shape [n].
+        count: nodes of the whole body.
+        grid: lattice steps from the corner of the whole body, shape [n, d].
+        rows: of a box in rows; None by bisection.
+        units, axis: as of Points.
+    """
+
+    comm: Comm
+    x: np.ndarray
+    interior: np.ndarray
+    spacing: float
+    number: np.ndarray
+    count: int
+    grid: np.ndarray
+    rows: Rows | None
+    units: Units = USUAL
+    axis: Any = None
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return int(self.x.shape[1])
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
+        values = np.ascontiguousarray(values)
+        order = np.empty(self.count, np.int64)
+        sizes = np.array(self.comm.allgather(len(self.number)))
+        self.comm.Allgatherv(self.number.astype(np.int64), [order, sizes])
+        width = int(np.prod(values.shape[1:])) * values.itemsize
+        raw = np.empty((self.count, width), np.uint8)
+        mine = values.view(np.uint8).reshape(len(self.number), width)
+        self.comm.Allgatherv(mine, [raw, sizes * width])
+        found = np.empty_like(raw)
+        found[order] = raw
+        return found.view(values.dtype).reshape(self.count, *values.shape[1:])
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _OF_A_WHOLE:
+            raise InputError("points: expected Points, got a piece of some, which are on ranks")
+        raise AttributeError(name)
+
+
+def lattice(
+    shape: tuple[int, ...],
+    spacing: float,
+    interior: Callable[[np.ndarray], np.ndarray],
+    *,
+    origin: Any = 0.0,
+    block: int | None = None,
+    units: Units = USUAL,
+    axis: float | None = None,
+) -> Any:
+    """This rank's Piece of a box of lattice nodes, of which no rank ever holds the whole.
+
+    Args:
+        shape: nodes along each axis; the rows of the first axis go to the ranks.
+        spacing: h [length].
+        interior: which nodes are unknown, of positions [n, d] as bool [n].
+        origin: position of the first node.
+        block: rows that stay together, a power of two; by default an eighth of them or less.
+        units, axis: as of Points.
+
+    Raises InputError for more ranks than blocks.
+    """
+    comm = world()
+    sides = np.array(shape)
+    rows = _rows(comm, shape, block)
+    first, last = rows.starts[comm.rank : comm.rank + 2]
+    grid = np.indices((last - first, *shape[1:]), dtype=np.int32).reshape(len(sides), -1).T
+    grid = np.ascontiguousarray(grid + np.array([first, *[0] * (len(sides) - 1)], np.int32))
+    row = int(np.prod(sides[1:]))
+    x = np.asarray(origin) + spacing * grid
+    number = np.arange(first * row, last * row)
+    with agreed(comm):
+        inside = np.asarray(interior(x))
+        if inside.shape != (len(x),) or inside.dtype != bool:
+            raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
+        check_units(units)
+    count = row * int(sides[0])
+    return Piece(comm, x, inside, float(spacing), number, count, grid, rows, units, axis)
+
+
+def spread(points: Points, by: str = "rows") -> Any:
+    """This rank's piece of points that every rank has; the points themselves without mpiexec.
+
+    Args:
+        points: a lattice along the axes, without a box, the same on every rank.
+        by: "rows" of the lattice, or "bisection" of boxes at the middle of their longest side.
+
+    Raises InputError for other points, and for more ranks than there are rows in blocks, or nodes.
+    """
+    if not ranks_started():
+        return points
+    comm = world()
+    if by not in ("rows", "bisection"):
+        raise InputError(f"by: expected rows or bisection, got {by!r}")
+    if not points.is_plain_lattice:
+        raise InputError("points: expected a lattice that has no box and none outside, for ranks")
+    place = (points.x - points.x.min(axis=0)) / points.spacing
+    grid = np.rint(place).astype(np.int32)
+    if np.abs(place - grid).max() > LATTICE_TOLERANCE:
+        raise InputError("points: expected a lattice along the axes for ranks, got a turned one")
+    rows = None
+    if by == "rows":
+        rows = _rows(comm, tuple((grid.max(axis=0) + 1).tolist()), None)
+        first, last = rows.starts[comm.rank : comm.rank + 2]
+        own = np.flatnonzero((grid[:, 0] >= first) & (grid[:, 0] < last))
+    else:
+        own = np.sort(_bisected(grid, np.arange(len(grid)), comm.size)[comm.rank])
+    if min(comm.allgather(len(own))) == 0:
+        raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
+    parts = points.x[own], points.interior[own], points.spacing
+    return Piece(comm, *parts, own, len(grid), grid[own], rows, points.units, points.axis)
+
+
+def whole(points: Any, values: np.ndarray) -> np.ndarray:
+    """Values on all nodes, on every rank: of a piece gathered, of Points as they are."""
+    return values if isinstance(points, Points) else np.asarray(points.gather(values))
+
+
+def _rows(comm: Comm, shape: tuple[int, ...], block: int | None) -> Rows:
+    if block is None:
+        wanted = 2 ** int(np.log2(max(shape[0] / SLABS, 1)))
+        block = int(np.clip(wanted, SMALLEST, LARGEST))
+    if block < 1 or block & (block - 1):
+        raise InputError(f"block: expected a power of two, got {block}")
+    blocks = -(-shape[0] // block)
+    if comm.size > blocks:
+        raise InputError(
+            f"ranks: expected at most {blocks} for {shape[0]} rows in blocks of {block}, got "
+            f"{comm.size}"
+        )
+    starts = np.minimum(block * (blocks * np.arange(comm.size + 1) // comm.size), shape[0])
+    return Rows(tuple(int(n) for n in shape), block, starts)
+
+
+def _bisected(grid: np.ndarray, nodes: np.ndarray, parts: int) -> list[np.ndarray]:
+    """Nodes cut in parts of equal size, again and again across the longest side (Berger, 1987)."""
+    if parts == 1:
+        return [nodes]
+    there = grid[nodes]
+    axis = int(np.ptp(there, axis=0).argmax())
+    order = nodes[np.lexsort((nodes, there[:, axis]))]
+    few = parts // 2
+    cut = len(order) * few // parts
+    return _bisected(grid, order[:cut], few) + _bisected(grid, order[cut:], parts - few)

@@ -1,0 +1,107 @@
+"""The processes that mpiexec started: who speaks, who builds kernels, and how an error ends all."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from warp_peri import errors
+from warp_peri.errors import InputError
+from warp_peri.launch import DEVICE, ranks_started, set_threads, threads
+
+Comm: TypeAlias = Any
+"""A communicator of mpi4py."""
+GRACE = 0.5
+"""Seconds that the first rank has to speak, where all meet the same error."""
+THREADS = threads()
+"""Before anybody says a number."""
+
+
+@functools.cache
+def world() -> Comm:
+    """All ranks. From here on the first one speaks, an error of one ends all, and a rank sweeps on
+    one thread unless another number has been set.
+
+    Raises InputError without mpi4py, and under another mpiexec than that of its MPI library.
+    """
+    os.environ.setdefault("MPIR_CVAR_SUPPRESS_ABORT_MESSAGE", "1")  # our line says it
+    started = ranks_started() or 1
+    if started == 1:
+        os.environ.setdefault("UCX_TLS", "self")  # as structures.lammps.find_mpi
+    elif os.environ.get("UCX_TLS") == "self":
+        del os.environ["UCX_TLS"]  # inherited from a process that was alone
+    try:
+        import mpi4py
+
+        mpi4py.rc.thread_level = "funneled"
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        raise InputError(f"ranks: needs mpi4py: pip install 'warp_peri[mpi]' ({error})") from None
+    comm = MPI.COMM_WORLD
+    if started > comm.size:
+        raise InputError(
+            f"mpiexec: {started} processes were started, and they do not see each other: this one "
+            f"belongs to another MPI than the library that is loaded; use {own_mpiexec()}"
+        )
+    if comm.size > 1:
+        if threads() == THREADS:
+            set_threads(1)
+        errors.LAST_WORDS.append(functools.partial(_ended, comm))
+        sys.excepthook = functools.partial(_uncaught, comm)
+        if comm.rank:
+            sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (until the end)
+    return comm
+
+
+def own_mpiexec() -> str:
+    """The mpiexec of this environment, beside its Python where there is one."""
+    beside = Path(sys.executable).with_name("mpiexec")
+    return str(beside) if beside.exists() else "the mpiexec of that library"
+
+
+def is_first() -> bool:
+    """Whether this process is the one that writes and draws: alone, or the first rank."""
+    return not ranks_started() or world().rank == 0
+
+
+def _ended(comm: Comm, line: str, status: int) -> None:
+    """Say one line, once, and end all ranks."""
+    if comm.rank:
+        time.sleep(GRACE)
+    print(line, file=sys.__stderr__, flush=True)
+    comm.Abort(status)
+    os._exit(status)  # what has been said is not said again
+
+
+def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace: Any) -> None:
+    known = isinstance(error, InputError)
+    lines = [f"error: {error}"] if known else traceback.format_exception(kind, error, trace)
+    _ended(comm, f"rank {comm.rank}: " * (not known) + "".join(lines).rstrip(), 2 if known else 1)
+
+
+@contextmanager
+def agreed(comm: Comm) -> Iterator[None]:
+    """An InputError that any rank meets inside is raised on all. No rank may wait for others."""
+    mine: InputError | None = None
+    try:
+        yield
+    except InputError as error:
+        mine = error
+    told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
+    if told:
+        raise mine or InputError(told[0])
+
+
+def build(comm: Comm, *kernels: Any) -> None:
+    """Load kernels, which one rank compiles and the others then find in Warp's cache."""
+    for turn in (comm.rank == 0, comm.rank != 0):
+        for kernel in kernels if turn else ():
+            kernel.module.load(DEVICE)
+        comm.Barrier()
