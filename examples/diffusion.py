@@ -24,6 +24,7 @@ import warp_peri as wp
 from warp_peri import Points
 from warp_peri.diffusion import Conductor, CoupledSolid
 from warp_peri.errors import exit_status
+from warp_peri.files.atomic import whole_file
 
 RATIO = 3.0
 """Horizon over spacing on lattices; 3.5 on scattered points."""
@@ -137,6 +138,21 @@ def study(cells: list[int], run: Callable[[int], float]) -> dict[str, Any]:
     return {"errors": dict(zip(map(str, cells), errors)), "order": order(cells, errors)}
 
 
+def draw(
+    path: Path, x: np.ndarray, kappa: np.ndarray, solved: np.ndarray, free: np.ndarray
+) -> None:
+    """Conductivity and solution of the plate with grains."""
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    shown = {"conductivity κ": kappa, "solution φ": solved}
+    for ax, (name, values) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
+        drawn = ax.tripcolor(*x[free].T, values[free], shading="gouraud")
+        ax.set(aspect="equal", xlabel="x₁", title=name)
+        figure.colorbar(drawn, ax=ax)
+    figure.axes[0].set_ylabel("x₂")
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=120)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -162,14 +178,9 @@ def main(argv: list[str] | None = None) -> int:
             "order": order(cells, errors),
         }
     if args.microstructure:
-        numbers["microstructure"], (x, kappa, solved, free) = microstructure(args.microstructure)
-        figure = Figure(figsize=(9, 4), layout="constrained")
-        for ax, values, title in zip(figure.subplots(1, 2), (kappa, solved), ("κ", "φ")):
-            shown = ax.scatter(*x[free].T, c=values[free], s=3, cmap="viridis")
-            ax.set(aspect="equal", title=title)
-            figure.colorbar(shown, ax=ax)
+        numbers["microstructure"], fields = microstructure(args.microstructure)
         args.out.mkdir(parents=True, exist_ok=True)
-        figure.savefig(args.out / "diffusion.png", dpi=120)
+        draw(args.out / "diffusion.png", *fields)
     print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
     return 0
 

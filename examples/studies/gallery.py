@@ -33,7 +33,7 @@ from PIL import Image
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import whole_file, write_text
 
-LARGEST, WIDTH = 150_000, 1000
+LARGEST, WIDTH = 200_000, 1000
 """A picture of more bytes is brought to this width in pixels, in 256 colours of its own."""
 MAGNIFIED = 40
 """Displacements in the picture of stress are drawn this many times too large."""
@@ -142,6 +142,102 @@ FIGURES = (
         "loads, and its error within the band that noise alone explains ([more](noise.md)).",
         ("python examples/studies/noise_study.py",),
         "noise/disk.png",
+    ),
+    Figure(
+        "The lattice, the atoms, the nodes",
+        "Graphene, a sheet of it, and the nodes that its atoms are smoothed onto "
+        "([more](papers/you_2021.md)).",
+        ("python examples/studies/papers.py you_2021",),
+        "papers/you_2021_atoms.png",
+    ),
+    Figure(
+        "From a structure to a law",
+        "Molybdenum disulphide from a structure and a potential: its phonons beside those of the "
+        "law, Young's modulus over direction, errors on unseen loads ([more](atoms.md)).",
+        ("python examples/structures.py MoS2 --picture docs/atoms.png",),
+        "atoms.png",
+    ),
+    Figure(
+        "A crystal in space",
+        "Copper: acoustic branches of the atoms and of the law, and Young's modulus over direction "
+        "([more](crystals.md)).",
+        ("python examples/crystals.py Cu --picture docs/crystals.png",),
+        "crystals.png",
+    ),
+    Figure(
+        "A sheet that is not even",
+        "A disc of boron nitride in graphene, and the maps of κ and μ that were learned from loads "
+        "([more](dressed.md)).",
+        ("python examples/uneven_sheet.py",),
+        "uneven_sheet.png",
+    ),
+    Figure(
+        "An answer with its error",
+        "What was said of the error beside what is true, on scenes that nothing was fitted to, and "
+        "a map of the likely error ([more](predict.md)).",
+        ("python examples/predict.py",),
+        "predict.png",
+    ),
+    Figure(
+        "Which law over which strain",
+        "Errors of graphene's laws over the strain ([more](which_law.md)).",
+        ("python examples/studies/which_law.py",),
+        "which_law.png",
+    ),
+    Figure(
+        "Soft tissue with fibres",
+        "A disk of an anisotropic sheet under large strain: elements, the law that was learned on "
+        "squares, their difference ([more](tissue.md)).",
+        ("python examples/hgo_square.py --element linear --samples 60 --disks 4",),
+        "pictures/sheet.png",
+    ),
+    Figure(
+        "A neural operator",
+        "Influence function and force state that graphene's forces taught networks of the printed "
+        "widths ([more](neural.md)).",
+        ("python examples/neural_operator.py graphene",),
+        "pictures/neural.png",
+    ),
+    Figure(
+        "Polymer flow with memory",
+        "A channel of dumbbells: exact law, learned law with its band, dumbbells in every particle "
+        "([more](flow.md)).",
+        ("python examples/polymer_flow.py",),
+        "pictures/channel.png",
+    ),
+    Figure(
+        "A crack that branches",
+        "Share of broken bonds in a plate of glass ([more](cracks.md)).",
+        ("python examples/branching.py",),
+        "pictures/branching.png",
+    ),
+    Figure(
+        "A crack in a block",
+        "A penny-shaped crack: two planes through its damage, and the stress over time "
+        "([more](cracks.md)).",
+        ("python examples/penny_crack.py",),
+        "pictures/penny.png",
+    ),
+    Figure(
+        "Holes in a plate",
+        "Stress around three holes under tension, elements along their edges ([more](bodies.md)).",
+        ("python examples/plate_with_hole.py --three-holes",),
+        "pictures/holes.png",
+    ),
+    Figure(
+        "A ball that swells in a block",
+        "The isotropic solid in three dimensions, and its error over the spacing "
+        "([more](lattices.md)).",
+        ("python examples/solid_in_space.py",),
+        "pictures/space.png",
+    ),
+    Figure(
+        "Diffusion through two materials",
+        "A plate with grains that conduct twenty times better, and the solution of a stationary "
+        "flow through it ([more](cracks.md#diffusion)).",
+        ("python examples/diffusion.py",),
+        "gallery/diffusion.png",
+        "diffusion/diffusion.png",
     ),
     Figure(
         "Speed against accuracy",

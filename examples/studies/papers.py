@@ -22,13 +22,19 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 from examples.prose import fill
-from examples.studies import paper_jafarzadeh_2024, paper_slides, paper_you_2021
+from examples.studies import (
+    paper_jafarzadeh_2024,
+    paper_polymer_gp,
+    paper_slides,
+    paper_you_2021,
+)
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.atomic import write_json, write_text
+from warp_peri.files.atomic import plain, write_json, write_text
 
 SOURCES = {
     "you_2021": paper_you_2021,
     "jafarzadeh_2024": paper_jafarzadeh_2024,
+    "polymer_gp": paper_polymer_gp,
     "slides": paper_slides,
 }
 """Each has `values(runs, kept, figures)`: what its template, beside it, leaves open."""
@@ -40,7 +46,7 @@ def keeper(folder: Path) -> Callable[..., Any]:
     def kept(name: str, compute: Callable[[], Any]) -> Any:
         path = folder / f"{name}.json"
         if not path.exists():
-            write_json(path, compute())
+            write_json(path, plain(compute()))
         return json.loads(path.read_text(encoding="utf-8"))
 
     return kept

@@ -79,7 +79,7 @@ def test_mirrors_split_the_dense_conditions_without_changing_them():
     margins = DenseMargins([points], HORIZON)
     inputs = [torch.tensor(values, requires_grad=True) for values in (w, p)]
     found = margins(torch.ones(()), torch.ones(()), [tuple(inputs)])
-    values, slopes = _dense(gammas, phis, w, p)
+    values, slopes = _dense([(gammas, phis)], w, p)
     np.testing.assert_allclose(found.detach(), values, rtol=1e-9, atol=1e-14)
     for margin, slope in zip(found, slopes):
         gradient = torch.cat(torch.autograd.grad(margin, inputs, retain_graph=True))
