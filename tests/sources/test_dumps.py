@@ -114,7 +114,7 @@ def test_samples_on_nodes(tmp_path):
 
 
 BROKEN = {
-    "empty": ("", "no 'ITEM: TIMESTEP'"),
+    "empty": ("", "found no frame"),
     "something else": ("x,y\n1,2\n", "expected 'ITEM: TIMESTEP'"),
     "cut": (frame(REFERENCE, 0)[:-200], "frame 1"),
     "second frame cut": (frame(REFERENCE, 0) + frame(REFERENCE, 1)[:-200], "frame 2"),

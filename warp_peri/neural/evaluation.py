@@ -14,7 +14,7 @@ from warp_peri.neural.frames import affine
 from warp_peri.neural.material import Operator
 from warp_peri.points.samples import Samples
 
-TOLERANCE = {torch.float64: 1e-6, torch.float32: 1e-5}
+TOLERANCE = {torch.float64: 1e-8, torch.float32: 1e-5}
 """Of the solves that an error is told of, by precision."""
 
 
