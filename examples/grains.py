@@ -23,6 +23,7 @@ import warp_peri as wp
 from tools.grains import Columns, columns, plane_constants
 from warp_peri.dressed import DressedSolid, fit_maps, from_phonons
 from warp_peri.errors import exit_status
+from warp_peri.files.atomic import whole_file
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.structures.waves import CONE, relative
 
@@ -117,17 +118,18 @@ def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> Non
         answer = table["answer"] - table["answer"].mean(axis=0)
         true = samples.u[0]
         shown = {
-            f"{name}: number of the grain": data[name].grain,
-            "stiffness over the grain's own": table["map"],
-            "|u| of atoms, one unseen load [Å]": np.linalg.norm(true, axis=1),
+            f"{name}: grain": data[name].grain,
+            "stiffness over its own": table["map"],
+            "|u| of the atoms [Å]": np.linalg.norm(true, axis=1),
             "error [Å]": np.linalg.norm(answer - true, axis=1),
         }
         for ax, (title, values) in zip(row, shown.items()):
             drawn = ax.scatter(*samples.points.x.T, c=values, s=14, marker="s", linewidths=0)
             figure.colorbar(drawn)
-            ax.set(aspect="equal", title=title)
+            ax.set(aspect="equal", title=title, xlabel="[Å]")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100)
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=100)
 
 
 def main(arguments: list[str] | None = None) -> int:

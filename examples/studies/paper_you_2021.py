@@ -37,8 +37,7 @@ ROUNDS = 100
 CHANGES = {
     "as printed": ("relu", "dense"),
     "conditions over the zone": ("relu", "symbol"),
-    "bounds by projection": ("projected", "dense"),
-    "both": ("projected", "symbol"),
+    "and bounds by projection": ("projected", "symbol"),
 }
 """How λ, μ, α and D are kept inside their bounds, and which conditions are asked for."""
 SETS = ("train", "val", "test")
@@ -127,8 +126,8 @@ def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None
 
 
 def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Least, median and largest errors over the seeds."""
-    cells = []
+    """Median constants, then least, median and largest errors over the seeds."""
+    cells = [f"{np.median([run[key] for run in runs]):.2f}" for key in ("lam", "mu", "alpha")]
     for key in ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test"):
         known = sorted(run[key] for run in runs if run[key] is not None)
         if not known:
