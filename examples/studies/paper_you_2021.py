@@ -67,6 +67,7 @@ def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str
         "manufactured": rows_of(consistency(manufactured, "fixed_alpha")),
         "learned_alpha": rows_of(consistency(manufactured, "learned_alpha")),
         "algorithm": rows_of(map(row_of_algorithm, algorithm, algorithm.values())),
+        **stopped(algorithm["as printed"]),
         "metric": rows_of(metric(runs, data)),
         "chosen": rows_of(chosen(squares)),
         "table_3": rows_of(map(table_3, trials["by_degree"], trials["AvgE"])),
@@ -136,6 +137,16 @@ def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
         text = " / ".join(percent([known[0], float(np.median(known)), known[-1]]))
         cells.append(text + ("" if len(known) == len(runs) else f" ({len(known)} of {len(runs)})"))
     return [name, *cells]
+
+
+def stopped(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """How many runs end near the printed constants (λ below −0.4), and between which."""
+    there = [run for run in runs if run["lam"] < -0.4]
+    ranges = {
+        key: f"{min(run[key] for run in there):.2f} to {max(run[key] for run in there):.2f}"
+        for key in ("lam", "mu")
+    }
+    return {"stopped": f"{len(there)}", **ranges}
 
 
 def metric(runs: Path, data: Dataset) -> list[list[str]]:
