@@ -39,9 +39,9 @@ DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
 FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-PAYS = {"sine": 4600, "fft": 8500}
-"""A factorisation pays from 1 + n B/4600 loads on n nodes with B bonds where the sine transform
-does, from 1 + n B/8500 elsewhere."""
+PAYS = {"sine": 1700, "fft": 5500}
+"""A factorisation pays from 1 + n B/1700 loads on n nodes with B bonds where the sine transform
+does, from 1 + n B/5500 elsewhere."""
 BONDS = 34
 """Where nobody says how many: between δ = 2.5 and 4 spacings."""
 LARGEST_SOLID = 4_000
