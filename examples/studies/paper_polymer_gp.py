@@ -220,9 +220,7 @@ def training(n: int) -> dict[str, Any]:
         "printed pairing": lambda: learn_rate(
             pairs["printed pairing"], kinematics=False, outside="allow"
         ),
-        "kinematics known": lambda: learn_rate(
-            pairs["start pairing"], kinematics=True, outside="allow"
-        ),
+        "kinematics known": lambda: learn_rate(pairs["start pairing"], outside="allow"),
         "exact rates, printed form": lambda: exact_law(n, kinematics=False),
         "exact rates, kinematics known": lambda: exact_law(n),
     }
@@ -311,8 +309,7 @@ def whole_run(name: str) -> dict[str, Any]:
             law = exact_law(1000)
         elif name != "exact law":
             pairs = start_pairs(channel_record(100_000), 1).choose(1000, np.random.default_rng(0))
-            law = learn_rate(pairs, kinematics=True, outside="allow")
-            law = replace(law, outside="allow")
+            law = learn_rate(pairs, outside="allow")
         learned = time.process_time() - start
         run = flow_of(law)
     seconds = time.process_time() - start - learned

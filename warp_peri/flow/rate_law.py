@@ -171,7 +171,7 @@ def learn_rate(
         kernel: of the processes; products of K and s need "second" or "product", or kinematics.
         kinematics: whether what the flow does to any stress is taken as known.
         outside: what happens far from the data, "warn", "refuse" or "allow".
-        most: increments used at most, evenly chosen.
+        most: increments of records used at most, evenly chosen; pairs are all used.
         rounds: fits; from the second on, increments over a window belong to its middle, where the
             law found before puts it: the noise of the data does not enter there.
         progress: a bar of the fits; None shows one on a terminal.
@@ -181,8 +181,8 @@ def learn_rate(
     if isinstance(records, Pairs):
         pairs = records
     else:
-        pairs = reduce(Pairs.joined, [start_pairs(record, window) for record in listed(records)])
-    pairs = pairs.evenly(most)
+        every = [start_pairs(record, window) for record in listed(records)]
+        pairs = reduce(Pairs.joined, every).evenly(most)
     law, s = None, pairs.s
     exact = not np.nan_to_num(pairs.noise, nan=1.0).any()
     known = None if exact or np.isnan(pairs.noise).any() else pairs.noise
