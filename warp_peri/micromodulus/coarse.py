@@ -47,12 +47,7 @@ def torus_inverse(
 ) -> Filter:
     """(D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
     torus = torus_shape(nodes)
-    symbol = torus_symbol(torus, steps, tensors)
-    d = nodes.dimension
-    for n, (i, j) in enumerate(itertools.combinations_with_replacement(range(d), 2)):
-        if i == j:
-            symbol[n] += shift
-    table = inverse(symbol).astype(np.float32)
+    table = shifted_inverse(torus, steps, tensors, shift).astype(np.float32)
     mask = nodes.mask()
     inside = tuple(slice(0, n) for n in nodes.shape)
 
@@ -61,6 +56,27 @@ def torus_inverse(
         return np.asarray(z[(slice(None), *inside)] * mask, dtype=np.float64)
 
     return apply
+
+
+def shifted_inverse(
+    torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float
+) -> np.ndarray:
+    """(D(k) + shift I)⁻¹ at the waves of a torus, packed as torus_symbol packs D."""
+    symbol = torus_symbol(torus, steps, tensors)
+    d = len(torus)
+    for n, (i, j) in enumerate(itertools.combinations_with_replacement(range(d), 2)):
+        if i == j:
+            symbol[n] += shift
+    return inverse(symbol)
+
+
+def seen_by_coarser(torus: tuple[int, ...]) -> np.ndarray:
+    """p = Π (1 + cos k_a h)/2 at the waves of a torus: what P makes of a wave."""
+    seen = np.ones(())
+    for n in torus[:-1]:
+        seen = seen[..., None] * ((1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2)
+    last = np.arange(torus[-1] // 2 + 1)
+    return np.asarray(seen[..., None] * ((1 + np.cos(2 * np.pi * last / torus[-1])) / 2))
 
 
 def sine(nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
@@ -97,18 +113,13 @@ def sine(nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarr
 def multigrid(nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
     """For any mask: short waves by a filter on the torus, long ones by a V-cycle, added.
 
-    z = mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p = Π (1 + cos k_a h)/2 what P makes
-    of a wave; V is a V-cycle for Q1 elements of the same moduli on every second node.
+    z = mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle
+    for Q1 elements of the same moduli on every second node.
     """
-    torus = torus_shape(nodes)
-    seen = np.ones(())
-    for n in torus[:-1]:
-        seen = seen[..., None] * ((1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2)
-    last = np.arange(torus[-1] // 2 + 1)
-    seen = seen[..., None] * ((1 + np.cos(2 * np.pi * last / torus[-1])) / 2)
+    seen = seen_by_coarser(torus_shape(nodes))
     short = torus_inverse(nodes, steps, tensors, SHIFT * shear(elastic) * seen)
     mask = nodes.mask()[nodes.core]
-    coarse = _coarser(mask)
+    coarse = coarser(mask)
     if not coarse.any():
         return short
     d = nodes.dimension
@@ -124,7 +135,7 @@ def multigrid(nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, elastic: np.
     return apply
 
 
-def _coarser(mask: np.ndarray) -> np.ndarray:
+def coarser(mask: np.ndarray) -> np.ndarray:
     """Nodes that a coarser level keeps: every second along each axis, from the second on."""
     return mask[(slice(1, None, 2),) * mask.ndim]
 
@@ -178,7 +189,7 @@ class VCycle:
             return
         self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
         self.largest = self._largest()
-        coarse = _coarser(mask)
+        coarse = coarser(mask)
         if coarse.any():
             self.coarser = VCycle(steps, tensors * 2.0 ** (d - 2), coarse)
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.fft
 
-from warp_peri.micromodulus.coarse import SHIFT, shear
-from warp_peri.micromodulus.sweeps import convolved, inverse, torus_symbol
+from warp_peri.micromodulus.coarse import SHIFT, seen_by_coarser, shear, shifted_inverse
+from warp_peri.micromodulus.sweeps import convolved
 from warp_peri.ranks.halo import RowHalo
 from warp_peri.ranks.pieces import Rows
 from warp_peri.ranks.processes import Comm
@@ -59,13 +59,16 @@ class Convolution:
         inside = tuple(slice(0, n) for n in wide.shape[2:])
         parts = [slice(first, min(first + block, count)) for first in range(0, count, block)]
         inner = [p for p in parts if p.start >= reach and p.stop + reach <= count]
-        for part in [*inner, None, *(p for p in parts if p not in inner)]:
-            if part is None:
-                self.halo.finish()
-                continue
-            there = wide[:, part.start : part.stop + 2 * reach]
-            found = convolved(self.symbol, there, self.torus)
-            out[:, part] = found[:, reach : reach + part.stop - part.start][:, :, *inside]
+
+        def fill(these: list[slice]) -> None:
+            for part in these:
+                there = wide[:, part.start : part.stop + 2 * reach]
+                found = convolved(self.symbol, there, self.torus)
+                out[:, part] = found[:, reach : reach + part.stop - part.start][:, :, *inside]
+
+        fill(inner)
+        self.halo.finish()
+        fill([part for part in parts if part not in inner])
         del self._wide
         return out
 
@@ -86,16 +89,10 @@ def inverse_filter(
     d = steps.shape[1]
     width = WIDTH[d]
     torus = (TORUS * width,) * d
-    seen = np.ones(())
-    for n in (*torus[:-1], 0):
-        k = np.arange(n or torus[-1] // 2 + 1) * (2 * np.pi / torus[-1])
-        seen = seen[..., None] * ((1 + np.cos(k)) / 2)
-    symbol = torus_symbol(torus, steps, tensors)
-    for n, (i, j) in enumerate(itertools.combinations_with_replacement(range(d), 2)):
-        if i == j:
-            symbol[n] += SHIFT * shear(elastic) * seen
+    shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
+    table = shifted_inverse(torus, steps, tensors, shift)
     axes = tuple(range(1, d + 1))
-    kernel = scipy.fft.irfftn(inverse(symbol), s=torus, axes=axes)
+    kernel = scipy.fft.irfftn(table, s=torus, axes=axes)
     kernel = np.roll(kernel, (width,) * d, axes)[:, *(slice(2 * width + 1),) * d]
     away = np.abs(np.arange(-width, width + 1)) / (width + 1)
     for window in ((1 + np.cos(np.pi * away)) / 2, 1 - away):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_peri.micromodulus.coarse import VCycle, prolong, restrict
+from warp_peri.micromodulus.coarse import VCycle, coarser, prolong, restrict
 from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.micromodulus.sweeps import ByRows, torus_symbol
 from warp_peri.ranks.convolution import smallest
@@ -71,7 +71,7 @@ class _InRows(VCycle):
         self.diagonal = diagonal.reshape(d, *([1] * d))
         self.largest = largest(steps, tensors)
         self._halo, self._between = RowHalo(comm, starts, 1), Between(comm, starts)
-        few = mask[(slice(1, None, 2),) * d]
+        few = coarser(mask)
         self._next = cycle(comm, steps, tensors * 2.0 ** (d - 2), few, self._between.coarse)
 
     def product(self, field: np.ndarray) -> np.ndarray:

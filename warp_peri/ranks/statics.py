@@ -10,6 +10,7 @@ import torch
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
+from warp_peri.micromodulus.coarse import coarser
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.states import tensors_of
@@ -58,7 +59,7 @@ class RowOperator:
         width, symbol = inverse_filter(law.steps, tensors, law.tensor())
         self._H = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
         self._between = Between(comm, rows.starts)
-        few = self.mask[(slice(1, None, 2),) * d]
+        few = coarser(self.mask)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
         self._coarse = cycle(comm, *near, few, self._between.coarse)
 
