@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.prediction.coarse import APART, EverySecond
-from warp_peri.prediction.spectrum import KNOTS, Spectrum
+from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
 if TYPE_CHECKING:
     from warp_peri.prediction.members import Members
@@ -110,9 +111,7 @@ class PlacedMembers:
     @cached_property
     def spectrum(self) -> Spectrum:
         """What part of a field has which wavelength, by the record of the family."""
-        record = self.family.record
-        knots = self.points.spacing * KNOTS if record is None else record.wavelength
-        return Spectrum(self.points, knots)
+        return _spectrum(self.points, self.family.record)
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
@@ -120,8 +119,7 @@ class PlacedMembers:
         record = self.family.record
         if record is None or self.points.spacing == 0:
             return None, 0.0
-        shares = self.spectrum.shares(u)
-        return record.of(shares), record.unseen(shares)
+        return record.told(self.spectrum.shares(u))
 
     @cached_property
     def coarse(self) -> OnCoarse | None:
@@ -217,15 +215,12 @@ class OnCoarse:
         record = self.family.record
         if record is None:
             return None, 0.0
-        shares = self.spectrum.shares(u[self.nodes.chosen])
-        return record.of(shares), record.unseen(shares)
+        return record.told(self.spectrum.shares(u[self.nodes.chosen]))
 
     @cached_property
     def spectrum(self) -> Spectrum:
         """What part of a field has which wavelength, by the record of the family."""
-        record = self.family.record
-        knots = self.nodes.nodes.spacing * KNOTS if record is None else record.wavelength
-        return Spectrum(self.nodes.nodes, knots)
+        return _spectrum(self.nodes.nodes, self.family.record)
 
     def correction(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """e [I, 2] of a residual on all unknown nodes, and what coarse nodes do not see of it: the
@@ -234,6 +229,11 @@ class OnCoarse:
         e[self.nodes.nodes.interior] = self.inverse(seen, ROUGH)
         short = (residual**2).sum() - APART**2 * (seen**2).sum()
         return self.nodes.spread(e), self.unseen * float(np.sqrt(max(short, 0.0)))
+
+
+def _spectrum(points: Points, record: Record | None) -> Spectrum:
+    """What part of a field on these points has which wavelength, by a record where there is one."""
+    return Spectrum(points, points.spacing * KNOTS if record is None else record.wavelength)
 
 
 def _gradient(operator: Any, u: np.ndarray) -> float:

@@ -56,6 +56,10 @@ class Record:
         """The share of a field that is shorter than all that samples held."""
         return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
 
+    def told(self, shares: np.ndarray) -> tuple[float, float]:
+        """Both: the error, and the share that is not seen."""
+        return self.of(shares), self.unseen(shares)
+
 
 class Spectrum:
     """Shares of fields on a lattice by wavelength; what is affine in a field belongs to none.
