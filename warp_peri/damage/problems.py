@@ -109,15 +109,7 @@ class Cracked:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, options)
-        how, begin, records, run = taken(
-            options,
-            "move",
-            BreakingBody.__init__,
-            BreakingBody.start,
-            CrackRun.__init__,
-            CrackRun.march,
-            given=("load", "held", "u", "cracks"),
-        )
+        how, begin, records, run = options_of_steps(options)
         offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
         moving = BreakingBody(material, body, load=self.b, held=self.held, **how)
         marching = CrackRun(moving, **records)
@@ -139,6 +131,15 @@ class Cracked:
         own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
         soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
         return soft.pull(u, **how)
+
+
+def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+    """Those of a motion in steps: for BreakingBody, its start, CrackRun and its march.
+
+    Raises InputError for others.
+    """
+    parts = BreakingBody.__init__, BreakingBody.start, CrackRun.__init__, CrackRun.march
+    return taken(options, "move", *parts, given=("load", "held", "u", "cracks"))
 
 
 @dataclass(frozen=True, eq=False)

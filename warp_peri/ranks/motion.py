@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, taken
+from warp_peri.contract import offered
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body
 from warp_peri.damage.march import LEDGER, CrackRun, History, Section
 from warp_peri.damage.motion import BreakingBody, BreakingState, Ledger
-from warp_peri.damage.problems import Broken, Cracked
+from warp_peri.damage.problems import Broken, Cracked, options_of_steps
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours
@@ -223,15 +223,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
             )
         check_same(material.units, piece.units)
         material.linear.check_dimension(piece)
-        how, begin, records, run = taken(
-            options,
-            "move",
-            BreakingBody.__init__,
-            BreakingBody.start,
-            CrackRun.__init__,
-            CrackRun.march,
-            given=("load", "held", "u", "cracks"),
-        )
+        how, begin, records, run = options_of_steps(options)
     model = material.model
     build(comm, *_kernels(piece.dimension, material.tension_only))
     felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if model.lam == model.mu else 2)
