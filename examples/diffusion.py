@@ -21,10 +21,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.graphene_report import save_figure
 from warp_peri import Points
 from warp_peri.diffusion import Conductor, CoupledSolid
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import whole_file
 
 RATIO = 3.0
 """Horizon over spacing on lattices; 3.5 on scattered points."""
@@ -149,8 +149,7 @@ def draw(
         ax.set(aspect="equal", xlabel="x₁", title=name)
         figure.colorbar(drawn, ax=ax)
     figure.axes[0].set_ylabel("x₂")
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=120)
+    save_figure(figure, path)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -20,10 +20,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.graphene_report import save_figure
 from tools.grains import Columns, columns, plane_constants
 from warp_peri.dressed import DressedSolid, fit_maps, from_phonons
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import whole_file
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.structures.waves import CONE, relative
 
@@ -128,8 +128,7 @@ def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> Non
             figure.colorbar(drawn)
             ax.set(aspect="equal", title=title, xlabel="[Å]")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=100)
+    save_figure(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -108,6 +108,8 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     from matplotlib.figure import Figure  # the other ranks need no memory for it
 
+    from examples.graphene_report import save_figure
+
     args.out.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     flat = slice(None) if x.shape[1] == 2 else x[:, 2] == np.median(x[:, 2])
@@ -116,7 +118,7 @@ def main(argv: list[str] | None = None) -> int:
         shown = ax.scatter(*x[flat].T[:2], c=values[flat], s=6, marker="s", linewidths=0)
         ax.set(aspect="equal", title=title, xlabel="[Å]")
         figure.colorbar(shown, ax=ax)
-    figure.savefig(args.out / "plate.png", dpi=100)
+    save_figure(figure, args.out / "plate.png")
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0
 

@@ -21,6 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.graphene_report import save_figure
 from warp_peri import flow
 from warp_peri.errors import exit_status
 
@@ -85,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
             ax.plot(TIME * np.arange(81), s[:, i, 1], style, label=kind)
         ax.set(xlabel="relaxation times", ylabel="s_xy", title=name)
     ax.legend(frameon=False, fontsize=8)
-    figure.savefig(options.out / "stress.png", dpi=120)
+    save_figure(figure, options.out / "stress.png")
 
 
 if __name__ == "__main__":
