@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, placed, refuse_uncut, taken
+from warp_peri.contract import offered, placed, taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.points.mesh import Mesh
@@ -105,8 +105,8 @@ class Body:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
-        refuse_uncut(material, "Body")
-        offered(material, "influence", "solve", "a linear material for a Body")
+        if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
+            offered(material, "influence", "solve", "a linear material for a Body")
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(

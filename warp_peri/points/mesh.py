@@ -42,6 +42,16 @@ class Mesh:
     middle: np.ndarray
     parts: dict[str, np.ndarray] = field(default_factory=dict)
 
+    @property
+    def cells(self) -> np.ndarray:
+        """The triangles, under the name that a body in space has too."""
+        return self.triangles
+
+    @property
+    def faces(self) -> np.ndarray:
+        """The outline's edges, likewise."""
+        return self.edges
+
     @cached_property
     def loops(self) -> np.ndarray:
         """Number of the closed curve that each edge belongs to, shape [E]."""

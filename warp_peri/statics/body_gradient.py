@@ -122,7 +122,7 @@ def _by_lame(solution: BodySolution, f: np.ndarray, b: np.ndarray) -> tuple[floa
 def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) -> float:
     """w · K u + v · L u with the λ and μ of a model."""
     classes = bond_classes(solution.spacing, model.horizon)
-    K = solution.rim.stiffness(Moduli(**moduli(model, classes)))
+    K = solution.rim.stiffness(Moduli.square(**moduli(model, classes)))
     total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
     if solution.points is not None:
         force = NodeOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
