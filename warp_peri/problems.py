@@ -15,6 +15,7 @@ from warp_peri.dynamics.verlet import march
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.statics.body import Coupling, solve_body
 from warp_peri.statics.rim import Field, Traction
 from warp_peri.statics.settings import refuse_solver
@@ -87,16 +88,16 @@ class Body:
     """A body with free edges on a mesh: held in part, pulled in part (theory.md, B1–B7).
 
     Attributes:
-        mesh: the body.
-        displacement: [length] by part of the outline, vectors or functions of positions [n, 2];
+        mesh: the body, triangles or, of a crystal in space, tetrahedra.
+        displacement: [length] by part of the outline, vectors or functions of positions [n, d];
             NaN leaves a component free.
         traction: force per area [stress] by part, or functions of positions and outward normals.
-        b: body force density [stress/length] as a function of positions [n, 2].
+        b: body force density [stress/length] as a function of positions [n, d].
         edge: stiffness of an edge of its own [stress · length] by part (B10).
         coupling: how elements and lattice meet.
     """
 
-    mesh: Mesh
+    mesh: Mesh | Tetrahedra
     displacement: Mapping[str, Field | ArrayLike]
     traction: Mapping[str, Traction | ArrayLike] | None = None
     b: Field | None = None

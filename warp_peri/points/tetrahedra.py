@@ -14,34 +14,39 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
-from warp_peri.points.mesh import FLAT, REST
 
+REST = "rest"
+"""Name of the edges of an outline, or the faces of a surface, that have no other."""
+FLAT = 1e-9
+"""Size of a cell over that power of its longest side below which it counts as none."""
 OPPOSITE = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Corners of the face across from each corner."""
-NEAR = 24
-"""Cells around a position that are asked whether they hold it."""
+ASKED = 5000
+"""Cells that are asked at once what they hold."""
 WITHIN = 1e-9
 """How far outside a cell, in its own coordinates, a position may lie that it holds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tetrahedra:
-    """Tetrahedra of a body, with flat faces.
+    """Tetrahedra of a body, with a surface that may be curved.
 
     Attributes:
         x: corners [length], shape [P, 3].
         cells: their corners, shape [T, 4].
         faces: triangles of the surface by their corners, shape [F, 3].
         parts: faces by name, numbers into `faces`; those that have no name are REST.
+        curved: edges of the surface by their corners, shape [E, 2], the smaller first.
+        middle: points of the surface halfway along them [length], shape [E, 3]; an edge is the
+            parabola through its ends and this, all others are straight.
     """
 
     x: np.ndarray
     cells: np.ndarray
     faces: np.ndarray
     parts: dict[str, np.ndarray] = field(default_factory=dict)
-
-    middle = None
-    """Of curved faces there is none."""
+    curved: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
+    middle: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def hole_sizes(self) -> np.ndarray:
@@ -66,29 +71,37 @@ class Tetrahedra:
         return found
 
     def holding(self, x: np.ndarray) -> np.ndarray:
-        """Number of the tetrahedron that holds each point, −1 where none does."""
-        tree, inverse = self._finder
-        count = min(NEAR, len(self.cells))
-        near = tree.query(x, k=count)[1].reshape(len(x), count)
-        found = np.full(len(x), -1)
-        for k in range(count):
-            left = found < 0
-            cell = near[left, k]
-            own = np.einsum("nij,nj->ni", inverse[cell], x[left] - self.x[self.cells[cell, 0]])
-            least = np.minimum(own.min(axis=1), 1 - own.sum(axis=1))
-            found[np.flatnonzero(left)[least >= -WITHIN]] = cell[least >= -WITHIN]
+        """Number of a tetrahedron that holds each point, −1 where none does."""
+        middle, inverse, classes = self._finder
+        found, points = np.full(len(x), -1), cKDTree(x)
+        for size, some in classes:  # a cell is asked for what lies as near as its own corners
+            for part in np.array_split(some, len(some) // ASKED + 1):
+                near = points.query_ball_point(middle[part], size)
+                cell = np.repeat(part, [len(n) for n in near])
+                n = np.concatenate(near).astype(int)
+                own = np.einsum("nij,nj->ni", inverse[cell], x[n] - self.x[self.cells[cell, 0]])
+                held = np.minimum(own.min(axis=1), 1 - own.sum(axis=1)) >= -WITHIN
+                found[n[held]] = cell[held]
         return found
 
     @cached_property
-    def _finder(self) -> tuple[cKDTree, np.ndarray]:
-        """Middles of the cells, and what takes a position to the coordinates of a cell."""
+    def _finder(self) -> tuple[np.ndarray, np.ndarray, list[tuple[float, np.ndarray]]]:
+        """Middles of the cells, what takes a position to a cell's own coordinates, and cells with
+        corners no further than so much from their middle."""
         corners = self.x[self.cells]
         sides = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-        return cKDTree(corners.mean(axis=1)), np.linalg.inv(sides)
+        middle = corners.mean(axis=1)
+        size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
+        rank = np.ceil(2 * np.log2(size)).astype(int)
+        classes = [(2.0 ** (n / 2), np.flatnonzero(rank == n)) for n in np.unique(rank)]
+        return middle, np.linalg.inv(sides), classes
 
 
 def make_tetrahedra(
-    x: ArrayLike, cells: ArrayLike, parts: Mapping[str, ArrayLike] | None = None
+    x: ArrayLike,
+    cells: ArrayLike,
+    parts: Mapping[str, ArrayLike] | None = None,
+    middle: Mapping[tuple[int, int], ArrayLike] | None = None,
 ) -> Tetrahedra:
     """A body from corners and tetrahedra.
 
@@ -96,6 +109,7 @@ def make_tetrahedra(
         x: corners [length], shape [P, 3]; those that no cell has are left out.
         cells: corners of each, shape [T, 4].
         parts: faces of the surface by name, triples of corners, shape [n, 3].
+        middle: points halfway along curved edges of the surface [length], by the pair of corners.
 
     Raises InputError for cells without volume, corners out of range, a face of more than two
     cells, and named faces that are not of the surface.
@@ -136,4 +150,7 @@ def make_tetrahedra(
     rest = np.setdiff1d(np.arange(len(faces)), np.concatenate([*named.values(), []]).astype(int))
     if len(rest):
         named[REST] = np.union1d(named.get(REST, np.zeros(0, int)), rest)
-    return Tetrahedra(np.asarray(x), np.asarray(t), faces, named)
+    bent = {tuple(sorted(place[c] for c in pair)): at for pair, at in (middle or {}).items()}
+    curved = np.array(list(bent), dtype=int).reshape(-1, 2)
+    points = np.array(list(bent.values()), dtype=float).reshape(-1, 3)
+    return Tetrahedra(np.asarray(x), np.asarray(t), faces, named, curved, points)

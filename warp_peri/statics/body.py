@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -237,6 +237,8 @@ def solve_body(
         return solution
     _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
     points, cell = lattice
+    if not isinstance(model, Model):  # the mesh lies as the nodes of the law do
+        points = replace(points, axis=_axis_of(model))
     bulk = make(model, points)
     elements = Rim(mesh, np.ones(len(mesh.cells), bool), degree=1)
     whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
@@ -279,6 +281,12 @@ def _of_crystal(crystal: Any, mesh: Mesh | Tetrahedra, coupling: Coupling) -> Mo
     if np.linalg.eigvalsh(voigt).min() <= 0:
         raise InputError("model: expected long-wave moduli of positive energy, got some of none")
     return Moduli(C)
+
+
+def _axis_of(crystal: Any) -> Any:
+    """How the crystal lies on its own nodes, as points state it."""
+    turn = np.asarray(crystal.orientation)
+    return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
 
 
 def _warn_beyond(solution: BodySolution) -> None:

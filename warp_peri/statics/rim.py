@@ -64,7 +64,7 @@ def finite_elements() -> Any:
 
 
 class Rim:
-    """Some cells of a mesh as elements of degree 1, or of degree 2 and curved at a plane outline.
+    """Some cells of a mesh as elements of degree 1, or of degree 2 and curved at the outline.
 
     Node i has the displacements d i to d i + d − 1.
 
@@ -79,10 +79,10 @@ class Rim:
         corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
         cells = cells.reshape(-1, self.d + 1)
         kinds = {
-            2: (fem.MeshTri, fem.ElementTriP1, fem.ElementTriP2),
-            3: (fem.MeshTet, fem.ElementTetP1, fem.ElementTetP2),
+            2: (fem.MeshTri, fem.MeshTri2, fem.ElementTriP1, fem.ElementTriP2),
+            3: (fem.MeshTet, fem.MeshTet2, fem.ElementTetP1, fem.ElementTetP2),
         }
-        make, *elements = kinds[self.d]
+        make, bent, *elements = kinds[self.d]
         straight = make(mesh.x[corners].T.copy(), cells.T.copy())
         size = len(corners) ** np.arange(self.d)[::-1]
         known = size @ np.sort(straight.facets, axis=0)
@@ -92,10 +92,18 @@ class Rim:
         ends = np.sort(place[mesh.faces], axis=1)
         self.facets = order[np.searchsorted(known[order], ends @ size)]
         shape = straight
-        if degree == 2 and mesh.middle is not None:
-            shape = fem.MeshTri2.from_mesh(straight)
+        if degree == 2 and len(mesh.curved):
+            shape = bent.from_mesh(straight)
             positions = shape.doflocs.copy()
-            positions[:, shape.dofs.facet_dofs[0, self.facets]] = mesh.middle.T
+            edges = straight.facets if self.d == 2 else straight.edges
+            known = size[-2:] @ np.sort(edges, axis=0)
+            order = np.argsort(known)
+            there = (place[mesh.curved] >= 0).all(axis=1)  # in order of corners too
+            asked = np.sort(place[mesh.curved[there]], axis=1) @ size[-2:]
+            edge = order[np.minimum(np.searchsorted(known[order], asked), len(order) - 1)]
+            own = known[edge] == asked
+            dofs = shape.dofs.facet_dofs if self.d == 2 else shape.dofs.edge_dofs
+            positions[:, dofs[0, edge[own]]] = mesh.middle[there][own].T
             shape = replace(shape, doflocs=positions)
         self.mesh, self.corners = mesh, corners
         self.cells = np.full(len(mesh.cells), -1)
