@@ -134,3 +134,25 @@ def test_a_cell_without_volume_is_named():
     flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
     with pytest.raises(InputError, match="cells: number 0 has no volume"):
         make_tetrahedra(flat, [[0, 1, 2, 3]])
+
+
+@pytest.mark.slow
+def test_a_void_under_pressure_is_that_of_a_hollow_ball():
+    """G. Lamé's field in an isotropic ball, on curved quadratic tetrahedra; at 1.3 of the page."""
+    lam, mu, inner, outer, pressure = 0.1, 0.08, 8.0, 25.0, 0.01
+    C, K = cubic_tensor(3, lam + 2 * mu, lam, mu), lam + 2 * mu / 3
+    law = fit_symbol(dispersive(C), 1.0, 2.0, symmetry="m-3m", tensor=C)
+
+    def field(x):
+        r = np.linalg.norm(x, axis=1)
+        size = pressure * inner**3 / (outer**3 - inner**3)
+        return (size * (r / (3 * K) + outer**3 / (4 * mu * r**2)) / r)[:, None] * x
+
+    for side, told in ((4.0, (0.0115, 0.0073)), (3.0, (0.0091, 0.0051))):
+        mesh = mesh_solid(Sphere(outer, name="skin"), [Sphere(inner, size=side)], size=4.0)
+        held, pulls = {"skin": field}, {"void": lambda x, n: -pressure * n}
+        found = solve_body(law, mesh, displacement=held, traction=pulls)
+        for most, x, u in zip(
+            told, (found.rim.x, found.points.x), (found.u_rim, found.u_bulk), strict=True
+        ):
+            assert np.linalg.norm(u - field(x)) < 1.3 * most * np.linalg.norm(field(x))

@@ -90,6 +90,8 @@ def body_gradient(
 
     Raises InputError for other shapes.
     """
+    if not isinstance(solution.model, Model):
+        raise InputError("solution: expected a body of a peridynamic solid, got one of a crystal")
     by_bulk = np.zeros_like(solution.u_bulk) if by_bulk is None else np.asarray(by_bulk, float)
     by_rim = np.asarray(by_rim, dtype=float)
     if by_rim.shape != solution.u_rim.shape or by_bulk.shape != solution.u_bulk.shape:

@@ -63,6 +63,10 @@ def finite_elements() -> Any:
     return skfem
 
 
+MOST_STEPS, FOUND = 30, 1e-11
+"""Of Newton's method for a position in a cell, and a step of it that is none."""
+
+
 class Rim:
     """Some cells of a mesh as elements of degree 1, or of degree 2 and curved at the outline.
 
@@ -202,7 +206,7 @@ class Rim:
             holding: number of the mesh's cell that holds each, one of the rim's.
         """
         cells = self.cells[holding]
-        local = self.basis.mapping.invF(x.T[:, :, None], tind=cells)
+        local = self._places(x, cells)
         values, columns = [], []
         for k in range(self.basis.Nbfun):
             value = self.element.gbasis(self.basis.mapping, local, k, tind=cells)[0]
@@ -211,6 +215,21 @@ class Rim:
         rows = np.tile(np.arange(len(x)), self.basis.Nbfun)
         entries = (np.concatenate(values), (rows, np.concatenate(columns)))
         return sp.csr_array(sp.coo_array(entries, shape=(len(x), len(self.x))))
+
+    def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Positions in the coordinates of their cells, shape [d, m, 1], by Newton's method.
+
+        A position next to a curved face may lie a little outside of the cell that held it.
+        """
+        mapping, goal = self.basis.mapping, x.T[:, :, None]
+        places = np.full(goal.shape, 1 / (self.d + 1))
+        for _ in range(MOST_STEPS):
+            left = goal - mapping.F(places, tind=cells)
+            step = np.einsum("ijkl,jkl->ikl", mapping.invDF(places, tind=cells), left)
+            places = places + step
+            if np.abs(step).max(initial=0.0) < FOUND:
+                return np.asarray(places)
+        raise InputError("mesh: expected curved cells that are one-to-one, some are folded")
 
     def stress(self, moduli: Moduli, u: np.ndarray) -> np.ndarray:
         """σ [TPa] at the nodes, the mean over the elements that meet there, shape [n, d, d]."""
