@@ -1,4 +1,4 @@
-"""A block of copper with a void, pulled at its top: tetrahedra at the faces, the learned law inside."""
+"""A block of copper with a void, pulled at its top: tetrahedra at its faces, the law inside."""
 
 from __future__ import annotations
 

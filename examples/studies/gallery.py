@@ -226,7 +226,8 @@ FIGURES = (
     ),
     Figure(
         "A void in a block of copper",
-        "Stress that a crystal predicts, tetrahedra at its faces ([more](bodies.md#crystals-in-the-plane-and-in-space)).",
+        "Stress that a crystal predicts, tetrahedra at its faces "
+        "([more](bodies.md#crystals-in-the-plane-and-in-space)).",
         ("python examples/crystal_body.py --out docs/pictures/crystal_body.png",),
         "pictures/crystal_body.png",
     ),
