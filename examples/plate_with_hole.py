@@ -125,7 +125,7 @@ def main(argv: list[str] | None = None) -> int:
     _, stress = solution.on_corners()
     figure = Figure(figsize=(5.5, 4.5), layout="constrained")
     axes = figure.subplots()
-    triangles = Triangulation(mesh.x[:, 0], mesh.x[:, 1], mesh.triangles)
+    triangles = Triangulation(mesh.x[:, 0], mesh.x[:, 1], mesh.cells)
     shown = axes.tripcolor(triangles, stress[:, 0, 0] / TENSION, shading="gouraud", cmap="viridis")
     axes.set(aspect="equal", title="σ₁₁ over the tension far away", xlabel="Å")
     figure.colorbar(shown, ax=axes)

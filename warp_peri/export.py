@@ -161,11 +161,13 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
     elements = np.zeros(len(mesh.x))
     elements[body.rim.corners] = 1
     data = {"displacement": _vector(u), "stress": _tensor(stress), "elements": elements}
-    x = np.column_stack([mesh.x, np.zeros(len(mesh.x))])
+    d = mesh.x.shape[1]
+    x = np.column_stack([mesh.x, np.zeros((len(mesh.x), 3 - d))])
+    cells = [("triangle" if d == 2 else "tetra", mesh.cells)]
     with whole_file(path) as temporary:
-        meshio.Mesh(x, [("triangle", mesh.triangles)], point_data=data).write(temporary, "vtu")
+        meshio.Mesh(x, cells, point_data=data).write(temporary, "vtu")
     return {
-        "largest_displacement": float(np.hypot(*u.T).max()),
+        "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
         "largest_stress": float(np.linalg.eigvalsh(stress).max()),
     }
 
@@ -270,9 +272,10 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
 
 def _tensor(field: np.ndarray) -> np.ndarray:
     """ParaView's symmetric tensors have six components: XX, YY, ZZ, XY, YZ, XZ."""
-    out = np.zeros((len(field), 6))
-    out[:, 0], out[:, 1], out[:, 3] = field[:, 0, 0], field[:, 1, 1], field[:, 0, 1]
-    return out
+    d = field.shape[-1]
+    full = np.zeros((len(field), 3, 3))
+    full[:, :d, :d] = field
+    return np.stack([full[:, a, c] for a, c in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))], 1)
 
 
 def _matrix(field: np.ndarray) -> np.ndarray:
@@ -284,7 +287,7 @@ def _matrix(field: np.ndarray) -> np.ndarray:
 
 def _vector(field: np.ndarray) -> np.ndarray:
     """ParaView's vectors have three components."""
-    return np.column_stack([field, np.zeros(len(field))])
+    return np.column_stack([field, np.zeros((len(field), 3 - field.shape[1]))])
 
 
 def _everywhere(points: PointsLike, values: np.ndarray) -> np.ndarray:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, placed, refuse_uncut, taken
+from warp_peri.contract import offered, placed, taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.statics.body import Coupling, solve_body
 from warp_peri.statics.rim import Field, Traction
 from warp_peri.statics.settings import refuse_solver
@@ -87,16 +88,16 @@ class Body:
     """A body with free edges on a mesh: held in part, pulled in part (theory.md, B1–B7).
 
     Attributes:
-        mesh: the body.
-        displacement: [length] by part of the outline, vectors or functions of positions [n, 2];
+        mesh: the body, triangles or, of a crystal in space, tetrahedra.
+        displacement: [length] by part of the outline, vectors or functions of positions [n, d];
             NaN leaves a component free.
         traction: force per area [stress] by part, or functions of positions and outward normals.
-        b: body force density [stress/length] as a function of positions [n, 2].
+        b: body force density [stress/length] as a function of positions [n, d].
         edge: stiffness of an edge of its own [stress · length] by part (B10).
         coupling: how elements and lattice meet.
     """
 
-    mesh: Mesh
+    mesh: Mesh | Tetrahedra
     displacement: Mapping[str, Field | ArrayLike]
     traction: Mapping[str, Traction | ArrayLike] | None = None
     b: Field | None = None
@@ -105,8 +106,8 @@ class Body:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
-        refuse_uncut(material, "Body")
-        offered(material, "influence", "solve", "a linear material for a Body")
+        if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
+            offered(material, "influence", "solve", "a linear material for a Body")
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(

@@ -225,6 +225,13 @@ FIGURES = (
         "pictures/holes.png",
     ),
     Figure(
+        "A void in a block of copper",
+        "Stress that a crystal predicts, tetrahedra at its faces "
+        "([more](bodies.md#crystals-in-the-plane-and-in-space)).",
+        ("python examples/crystal_body.py --out docs/pictures/crystal_body.png",),
+        "pictures/crystal_body.png",
+    ),
+    Figure(
         "A ball that swells in a block",
         "The isotropic solid in three dimensions, and its error over the spacing "
         "([more](lattices.md)).",

@@ -137,7 +137,7 @@ def test_an_edge_of_its_own_carries_force():
     """A disk pulled at its edge: u = t r / ((C11 + C12) + E_s / R), where C44 is isotropic."""
     radius, size, pull = 12.0, 6.0, 0.01
     mesh = disk(radius)
-    moduli = Moduli(C11=1.2, C12=0.4, C44=0.4)
+    moduli = Moduli.square(C11=1.2, C12=0.4, C44=0.4)
     rim = Rim(mesh, np.ones(len(mesh.triangles), bool))
     K = rim.stiffness(moduli) + rim.edge_stiffness("edge", size)
     fixed = np.zeros(rim.x.shape, bool)

@@ -53,7 +53,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
-    """PART=a,b as vectors by part; "-" is no number."""
+    """PART=a,b or PART=a,b,c as vectors by part; "-" is no number."""
     vectors = {}
     for word in words:
         name, _, numbers = word.rpartition("=")
@@ -61,7 +61,9 @@ def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
             pair = [np.nan if part == "-" else float(part) for part in numbers.split(",")]
         except ValueError:
             pair = []
-        if not name or len(pair) != 2:
-            raise InputError(f"{option}: expected PART=number,number, got {word!r}")
+        if not name or len(pair) not in (2, 3):
+            raise InputError(
+                f"{option}: expected PART=number,number (,number in space), got {word!r}"
+            )
         vectors[name] = np.array(pair)
     return vectors

@@ -16,11 +16,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
-
-REST = "rest"
-"""Name of the edges of an outline that have no other."""
-FLAT = 1e-9
-"""Area of a triangle over the square of its longest side below which it counts as none."""
+from warp_peri.points.tetrahedra import FLAT, REST, Tetrahedra, make_tetrahedra
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +37,21 @@ class Mesh:
     edges: np.ndarray
     middle: np.ndarray
     parts: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def cells(self) -> np.ndarray:
+        """The triangles, under the name that a body in space has too."""
+        return self.triangles
+
+    @property
+    def faces(self) -> np.ndarray:
+        """The outline's edges, likewise."""
+        return self.edges
+
+    @property
+    def curved(self) -> np.ndarray:
+        """Edges that have a `middle`, by their corners, the smaller first: all of the outline."""
+        return np.sort(self.edges, axis=1)
 
     @cached_property
     def loops(self) -> np.ndarray:
@@ -164,14 +175,16 @@ def _numbered(
     return Mesh(x[used], renumbered.reshape(-1, 3), new[edges], middles, named)
 
 
-def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """A 2-D mesh of any format that meshio reads, positions in Å.
+def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
+    """A mesh of any format that meshio reads, positions in Å.
 
-    Triangles and quadrilaterals (cut in two), straight or of second order, whose edges' midpoints
-    are kept on the outline. Parts of the outline are the lines' physical names or sets.
+    Tetrahedra where there are some, of second order too, of which the corners count; else triangles
+    and quadrilaterals (cut in two), straight or of second order, whose edges' midpoints are kept on
+    the outline. Parts of the outline are the lines' physical names or sets, of a surface those of
+    the triangles.
 
-    Raises InputError for a file that is not read, without meshio (the extra `bodies`), not plane,
-    or without triangles or quadrilaterals.
+    Raises InputError for a file that is not read, without meshio (the extra `bodies`), without
+    tetrahedra and not plane, or without any of these cells.
     """
     try:
         import meshio
@@ -184,6 +197,12 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
         raise InputError(f"{path}: not a mesh that meshio reads ({error})") from None
     points = np.asarray(read.points, dtype=float)
+    solid = [np.asarray(c.data)[:, :4] for c in read.cells if c.type in ("tetra", "tetra10")]
+    if solid:
+        try:
+            return make_tetrahedra(points, np.concatenate(solid), _named(read, "triangle", 3))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
         raise InputError(f"{path}: expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
     x, triangles = points[:, :2], []
@@ -202,28 +221,29 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         kinds = ", ".join(sorted({block.type for block in read.cells})) or "nothing"
         raise InputError(f"{path}: expected triangles or quadrilaterals, got {kinds}")
     try:
-        return make_mesh(x, np.concatenate(triangles), _named_lines(read), middle)
+        return make_mesh(x, np.concatenate(triangles), _named(read, "line", 2), middle)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _named_lines(read: object) -> dict[str, np.ndarray]:
-    """The lines of a meshio mesh by name: its sets, or Gmsh's physical groups."""
+def _named(read: object, kind: str, corners: int) -> dict[str, np.ndarray]:
+    """Lines or triangles of a meshio mesh by name: its sets, or Gmsh's physical groups."""
     sets: dict[str, list[np.ndarray]] = {}
     cells, data = read.cells, read.cell_data  # type: ignore[attr-defined]
-    names = {int(value[0]): name for name, value in read.field_data.items() if value[1] == 1}  # type: ignore[attr-defined]
+    groups = read.field_data.items()  # type: ignore[attr-defined]
+    names = {int(value[0]): name for name, value in groups if value[1] == corners - 1}
     for number, block in enumerate(cells):
-        if not block.type.startswith("line"):
+        if not block.type.startswith(kind):
             continue
-        pairs = np.asarray(block.data)[:, :2]
+        found = np.asarray(block.data)[:, :corners]
         if "gmsh:physical" in data:
             for tag in np.unique(data["gmsh:physical"][number]):
                 if tag in names:
                     sets.setdefault(names[tag], []).append(
-                        pairs[data["gmsh:physical"][number] == tag]
+                        found[data["gmsh:physical"][number] == tag]
                     )
             continue
         for name, kept in read.cell_sets.items():  # type: ignore[attr-defined]
             if kept[number] is not None and len(kept[number]):
-                sets.setdefault(name, []).append(pairs[kept[number]])
+                sets.setdefault(name, []).append(found[kept[number]])
     return {name: np.concatenate(pairs) for name, pairs in sets.items()}

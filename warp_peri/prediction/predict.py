@@ -323,12 +323,8 @@ def _of_body(
     ]
     share, factors = family.factors.floor / np.sqrt(2), family.factors
     mesh = problem.mesh
-    corners = u[mesh.triangles]
-    edges = mesh.x[mesh.triangles]
-    pairs = [edges[:, k] - edges[:, 0] for k in (1, 2)]
-    slopes = np.linalg.solve(
-        np.stack(pairs, axis=1), np.stack([corners[:, k] - corners[:, 0] for k in (1, 2)], axis=1)
-    )
+    sides, moved = (f[mesh.cells[:, 1:]] - f[mesh.cells[:, :1]] for f in (mesh.x, u))
+    slopes = np.linalg.solve(sides, moved)
     gradient = float(np.sqrt((slopes**2).sum(axis=(1, 2)).mean()))
     parts = {
         "left": factors.screen * gradient,

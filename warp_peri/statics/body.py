@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,17 +17,17 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.operator.stress import node_fields
 from warp_peri.operator.symbol import moduli
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.strain import edge_strain, largest_strain
+from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.body_loads import check_part, loads_on
-from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic
+from warp_peri.statics.bulk import MARGIN, Bulk, PlacedBulk, bulk_points, cubic, on_all
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
@@ -35,8 +36,8 @@ from warp_peri.statics.whole_body import WholeBody
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.lattice import LARGEST
 
-OVERLAP = 2.0
-"""Overlap of rim and bulk where none is given, in horizons."""
+OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0
+"""Overlap of rim and bulk where none is given: in horizons, of a crystal in spacings."""
 TOLERANCE = 1e-8
 
 
@@ -46,7 +47,8 @@ class Coupling:
 
     Attributes:
         spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
-        overlap: width of what both solve for [Å]; None for two horizons.
+        overlap: width of what both solve for [Å]; None for two horizons, of a crystal four
+            spacings.
         degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
         tolerance: of the mismatch on the rim's inner side.
 
@@ -75,20 +77,20 @@ class BodySolution:
     """A body in equilibrium.
 
     Attributes:
-        model: of the bulk, on its lattice.
+        model: of the bulk, on its lattice; a peridynamic solid or a crystal.
         spacing: of this lattice [Å].
         tried: lattices that were looked at, where none was asked for.
         moduli: of the rim, and of the bulk at long waves.
         rim: its elements, with their nodes `rim.x`.
-        u_rim: displacement of these [Å], shape [n, 2].
+        u_rim: displacement of these [Å], shape [n, d].
         points: nodes of the bulk, unknown and collar; None where elements are alone.
-        u_bulk: displacement of these [Å], shape [N, 2].
+        u_bulk: displacement of these [Å], shape [N, d].
         overlap: of the two [Å].
         exchange: what it took, and residuals of both.
         problem: what was solved, factorised; for gradients.
     """
 
-    model: Model
+    model: Any
     spacing: float
     tried: tuple[Tried, ...]
     moduli: Moduli
@@ -102,23 +104,25 @@ class BodySolution:
 
     @property
     def rim_stress(self) -> np.ndarray:
-        """σ [TPa] at the rim's nodes, shape [n, 2, 2]."""
+        """σ [TPa] at the rim's nodes, shape [n, d, d]."""
         return self.rim.stress(self.moduli, self.u_rim)
 
     @property
     def bulk_stress(self) -> np.ndarray:
-        """σ [TPa] at the unknown nodes of the bulk, shape [I, 2, 2]."""
+        """σ [TPa] at the unknown nodes of the bulk, shape [I, d, d]."""
         if self.points is None:
-            return np.zeros((0, 2, 2))
-        return np.asarray(node_fields(self.model, self.points, self.u_bulk).stress[0])
+            return np.zeros((0, self.rim.d, self.rim.d))
+        assert isinstance(self.problem, Schwarz)
+        return self.problem.bulk.stress(self.u_bulk)
 
     def on_corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """u [Å], shape [P, 2], and σ [TPa], shape [P, 2, 2], at the mesh's corners.
+        """u [Å], shape [P, d], and σ [TPa], shape [P, d, d], at the mesh's corners.
 
         The rim's where it is, the bulk's elsewhere.
         """
         mesh = self.rim.mesh
-        u, stress = np.empty((len(mesh.x), 2)), np.empty((len(mesh.x), 2, 2))
+        d = self.rim.d
+        u, stress = np.empty(mesh.x.shape), np.empty((len(mesh.x), d, d))
         corner_nodes = self.rim.corner_nodes
         u[self.rim.corners] = self.u_rim[corner_nodes]
         stress[self.rim.corners] = self.rim_stress[corner_nodes]
@@ -126,8 +130,8 @@ class BodySolution:
         if len(rest) and self.points is not None:
             matrix = cubic(self.points, mesh.x[rest])
             u[rest] = matrix @ self.u_bulk[self.points.interior]
-            flat = matrix @ self.bulk_stress.reshape(-1, 4)
-            stress[rest] = flat.reshape(-1, 2, 2)
+            flat = matrix @ self.bulk_stress.reshape(-1, d * d)
+            stress[rest] = flat.reshape(-1, d, d)
         return u, stress
 
     def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
@@ -136,16 +140,16 @@ class BodySolution:
         The rim's where it is, the bulk's elsewhere.
 
         Args:
-            x: positions [Å], shape [m, 2].
+            x: positions [Å], shape [m, d].
 
         Raises InputError for positions outside the mesh.
         """
-        triangle = self.rim.mesh.holding(x)
-        if (triangle < 0).any():
-            raise InputError(f"x: {np.count_nonzero(triangle < 0)} positions are outside the mesh")
-        in_rim = self.rim.cells[triangle] >= 0
+        cell = self.rim.mesh.holding(x)
+        if (cell < 0).any():
+            raise InputError(f"x: {np.count_nonzero(cell < 0)} positions are outside the mesh")
+        in_rim = self.rim.cells[cell] >= 0
         to_x = _rows(np.flatnonzero(in_rim), len(x))
-        R = to_x @ self.rim.probe(x[in_rim], triangle[in_rim])
+        R = to_x @ self.rim.probe(x[in_rim], cell[in_rim])
         B = sp.csr_array((len(x), len(self.u_bulk)))
         if self.points is not None and not in_rim.all():
             inside = np.flatnonzero(self.points.interior)
@@ -166,8 +170,8 @@ def _rows(kept: np.ndarray, count: int) -> sp.csr_array:
 
 
 def solve_body(
-    model: Model,
-    mesh: Mesh,
+    model: Any,
+    mesh: Mesh | Tetrahedra,
     *,
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None = None,
@@ -179,29 +183,41 @@ def solve_body(
     """A body in equilibrium, its outline held in part, pulled in part, free elsewhere (B1–B7).
 
     Args:
-        model: certified on some lattice; it is transferred to that of the bulk.
-        mesh: the body [Å].
+        model: a peridynamic solid, certified on some lattice and transferred to that of the bulk,
+            in the plane; or a crystal, on its own lattice, its axes those of the mesh.
+        mesh: the body [Å], triangles or tetrahedra.
         displacement: [Å] by part, vectors or functions of positions [n, 2]; NaN leaves one free.
         traction: force per area [TPa] by part, or functions of positions and outward normals.
         b: body force density [TPa/Å] as a function of positions [n, 2].
-        edge: stiffness of an edge of its own [TPa Å] by part, negative where it is softer (B10).
+        edge: stiffness of an edge of its own [TPa Å] by part, negative where it is softer (B10);
+            in the plane.
         coupling: how rim and bulk meet.
         allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
 
     Warns of strains far beyond the data that the model was trained on.
 
     Raises InputError for unknown parts, other shapes, loads that are not finite, a body free to
-    move, a mesh in another unit, a hole below the overlap, or what is not positive definite.
+    move, a mesh in another unit or of another dimension, a hole below the overlap, or what is not
+    positive definite.
     """
     loads = loads_on(mesh, displacement, traction, b)
     springs = _springs(edge or {}, mesh)
-    model, spacing, tried = _on_lattice(model, mesh, loads.b, coupling, allowed=allow_uncertified)
-    stiff = long_wave(model, spacing)
-    overlap = OVERLAP * model.horizon if coupling.overlap is None else coupling.overlap
-    lattice = bulk_points(mesh, spacing, model.horizon, units=model.units)
-    collar = 2 * model.horizon + MARGIN * spacing
+    make: type[Bulk] | type[PlacedBulk]
+    if isinstance(model, Model):
+        _refuse_dimension(2, mesh)
+        model, spacing, tried = _on_lattice(
+            model, mesh, loads.b, coupling, allowed=allow_uncertified
+        )
+        stiff, make = long_wave(model, spacing), Bulk
+        reach, usual = 2 * model.horizon, OVERLAP * model.horizon
+    else:
+        stiff, spacing, tried = _of_crystal(model, mesh, coupling), model.spacing, ()
+        make, reach, usual = PlacedBulk, model.horizon, CRYSTAL_OVERLAP * spacing
+    overlap = usual if coupling.overlap is None else coupling.overlap
+    lattice = bulk_points(mesh, spacing, reach, units=model.units)
+    collar = reach + MARGIN * spacing
     depth = mesh.distance(mesh.x, spacing / 10)
-    kept = _rim_triangles(mesh, depth < collar + overlap, lattice)
+    kept = _rim_cells(mesh, depth < collar + overlap, lattice)
     rim = Rim(mesh, kept, coupling.degree)
     f, (given, fixed) = loads.on(rim), loads.given(rim)
     loads.refuse_loose(rim, fixed)
@@ -211,33 +227,77 @@ def solve_body(
         _refuse_soft_edges(problem)
     told = model, spacing, tried, stiff, rim
     if lattice is None or kept.all():
-        deepest = depth[mesh.triangles].min(axis=1).max()
+        deepest = depth[mesh.cells].min(axis=1).max()
         warnings.warn(_alone(model, collar + overlap, deepest, coupling), stacklevel=2)
         u = problem.solve(f.ravel(), given.ravel())
         record = Exchange(rim_residual=problem.residual(f.ravel(), u))
-        alone = u.reshape(-1, 2), None, np.zeros((0, 2))
+        alone = u.reshape(f.shape), None, np.zeros((0, rim.d))
         solution = BodySolution(*told, *alone, overlap, record, problem)
-        warn_beyond(model, lambda: _largest_strain(solution))
+        _warn_beyond(solution)
         return solution
     _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
-    points, triangle = lattice
-    bulk = Bulk(model, points)
-    elements = Rim(mesh, np.ones(len(mesh.triangles), bool), degree=1)
+    points, cell = lattice
+    if not isinstance(model, Model):  # the mesh lies as the nodes of the law do
+        points = replace(points, axis=_axis_of(model))
+    bulk = make(model, points)
+    elements = Rim(mesh, np.ones(len(mesh.cells), bool), degree=1)
     whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
-    to_bulk = rim.probe(points.x[bulk.collar], triangle[bulk.collar])
+    to_bulk = rim.probe(points.x[bulk.collar], cell[bulk.collar])
     two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
     b_bulk = loads.density(points.x[bulk.inside], spacing)
     u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
-    fields = u_rim, points, bulk.field(inner, two.to_bulk @ u_rim)
+    fields = u_rim, points, on_all(bulk, inner, two.to_bulk @ u_rim)
     solution = BodySolution(*told, *fields, overlap, record, two)
-    warn_beyond(model, lambda: _largest_strain(solution))
+    _warn_beyond(solution)
     return solution
+
+
+def _refuse_dimension(dimension: int, mesh: Mesh | Tetrahedra) -> None:
+    """Raise InputError for a mesh of another dimension than the law."""
+    if mesh.x.shape[1] != dimension:
+        kind = {2: "triangles", 3: "tetrahedra"}
+        raise InputError(
+            f"mesh: expected {kind[dimension]}, for the law is one of {dimension} dimensions, got "
+            f"{kind[mesh.x.shape[1]]}"
+        )
+
+
+def _of_crystal(crystal: Any, mesh: Mesh | Tetrahedra, coupling: Coupling) -> Moduli:
+    """The long waves' moduli of a crystal; InputError for what elements cannot go on with."""
+    _refuse_dimension(crystal.dimension, mesh)
+    if coupling.spacing not in (None, crystal.spacing):
+        raise InputError(
+            f"coupling: expected spacing {crystal.spacing:g} or None, got {coupling.spacing:g}; "
+            "transferred(law, spacing) fits another"
+        )
+    if crystal.stress is not None and np.any(crystal.stress):
+        raise InputError(
+            "model: expected a crystal at rest; one under stress pulls on its free faces, which "
+            "elements do not know"
+        )
+    C, d = crystal.tensor(), crystal.dimension
+    pairs = [(a, c) for a in range(d) for c in range(a, d)]
+    voigt = np.array([[C[a, b, i, j] for i, j in pairs] for a, b in pairs])
+    if np.linalg.eigvalsh(voigt).min() <= 0:
+        raise InputError("model: expected long-wave moduli of positive energy, got some of none")
+    return Moduli(C)
+
+
+def _axis_of(crystal: Any) -> Any:
+    """How the crystal lies on its own nodes, as points state it."""
+    turn = np.asarray(crystal.orientation)
+    return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
+
+
+def _warn_beyond(solution: BodySolution) -> None:
+    if isinstance(solution.model, Model):
+        warn_beyond(solution.model, lambda: _largest_strain(solution))
 
 
 def _largest_strain(found: BodySolution) -> float:
     """Largest strain along an edge of the rim's triangles, or between nodes of the bulk."""
     rim = found.rim
-    triangles = np.searchsorted(rim.corners, rim.mesh.triangles[rim.cells >= 0])
+    triangles = np.searchsorted(rim.corners, rim.mesh.cells[rim.cells >= 0])
     of_rim = edge_strain(rim.mesh.x[rim.corners], triangles, found.u_rim[rim.corner_nodes])
     if found.points is None:
         return of_rim
@@ -245,7 +305,7 @@ def _largest_strain(found: BodySolution) -> float:
 
 
 def _on_lattice(
-    model: Model, mesh: Mesh, b: Field | None, coupling: Coupling, *, allowed: bool
+    model: Model, mesh: Any, b: Field | None, coupling: Coupling, *, allowed: bool
 ) -> tuple[Model, float, tuple[Tried, ...]]:
     """The model on the bulk's lattice, its spacing, and what was tried where none was asked for."""
     if coupling.spacing is not None:
@@ -255,7 +315,7 @@ def _on_lattice(
     return here, tried[-1].spacing, tried
 
 
-def _alone(model: Model, needed: float, deepest: float, coupling: Coupling) -> str:
+def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str:
     """Why elements are alone, and what gives the lattice room.
 
     Args:
@@ -264,21 +324,23 @@ def _alone(model: Model, needed: float, deepest: float, coupling: Coupling) -> s
         deepest: of the mesh's triangles [Å].
         coupling: what was asked for.
     """
-    unit = symbols(model.units)[0]
+    unit, plane = symbols(model.units)[0], isinstance(model, Model)
+    cell = "triangle" if model.dimension == 2 else "tetrahedron"
+    reach = "two horizons" if plane else "a horizon"
     cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
     own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
     room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
-    if room > 0:
+    if room > 0 and plane:
         digits = 10.0 ** (np.floor(np.log10(room)) - 1)
         cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")
     return (
-        f"mesh: no triangle is {needed:g} {unit} from the body's edge, two horizons and the "
+        f"mesh: no {cell} is {needed:g} {unit} from the body's edge, {reach} and the "
         f"overlap (the deepest is {deepest:.3g} {unit}); it is solved by elements alone. Room for "
         f"the lattice: {', or '.join(cures)}"
     )
 
 
-def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
+def _refuse_small_holes(mesh: Mesh | Tetrahedra, overlap: float, unit: str) -> None:
     """Raise InputError where a hole is smaller than the overlap."""
     smallest = mesh.hole_sizes.min(initial=np.inf)
     if smallest < overlap:
@@ -290,7 +352,7 @@ def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
 
 def long_wave(model: Model, spacing: float) -> Moduli:
     """The moduli of a model on its lattice; InputError unless their energy is positive."""
-    stiff = Moduli(**moduli(model, bond_classes(spacing, model.horizon)))
+    stiff = Moduli.square(**moduli(model, bond_classes(spacing, model.horizon)))
     if not (stiff.C44 > 0 and stiff.C11 > abs(stiff.C12)):
         raise InputError(
             "model: expected long-wave moduli of positive energy, got C11, C12, C44 = "
@@ -300,8 +362,10 @@ def long_wave(model: Model, spacing: float) -> Moduli:
     return stiff
 
 
-def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
+def _springs(edge: Mapping[str, float], mesh: Mesh | Tetrahedra) -> dict[str, float]:
     """Edge stiffnesses by part, checked."""
+    if edge:
+        _refuse_dimension(2, mesh)
     for name, size in edge.items():
         check_part(name, mesh)
         if not (is_number(size) and np.isfinite(size)):
@@ -319,20 +383,20 @@ def _refuse_soft_edges(problem: RimProblem) -> None:
 
 
 def stiffness(rim: Rim, stiff: Moduli, springs: Mapping[str, float]) -> sp.csr_array:
-    """K of elements with the stiffness of edges [TPa], shape [2 n, 2 n]."""
+    """K of elements with the stiffness of edges [TPa], shape [d n, d n]."""
     K = rim.stiffness(stiff)
     for name, size in springs.items():
         K = K + rim.edge_stiffness(name, size)
     return sp.csr_array(K)
 
 
-def _rim_triangles(
-    mesh: Mesh, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
+def _rim_cells(
+    mesh: Mesh | Tetrahedra, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
 ) -> np.ndarray:
-    """Triangles with a corner near the outline, or that hold the collar; shape [T] bool."""
+    """Cells with a corner near the outline, or that hold the collar; shape [T] bool."""
     if lattice is None:
-        return np.ones(len(mesh.triangles), bool)
-    points, triangle = lattice
-    kept = near[mesh.triangles].any(axis=1)
-    kept[triangle[~points.interior]] = True
+        return np.ones(len(mesh.cells), bool)
+    points, cell = lattice
+    kept = near[mesh.cells].any(axis=1)
+    kept[cell[~points.interior]] = True
     return np.asarray(kept)

@@ -90,6 +90,8 @@ def body_gradient(
 
     Raises InputError for other shapes.
     """
+    if not isinstance(solution.model, Model):
+        raise InputError("solution: expected a body of a peridynamic solid, got one of a crystal")
     by_bulk = np.zeros_like(solution.u_bulk) if by_bulk is None else np.asarray(by_bulk, float)
     by_rim = np.asarray(by_rim, dtype=float)
     if by_rim.shape != solution.u_rim.shape or by_bulk.shape != solution.u_bulk.shape:
@@ -122,7 +124,7 @@ def _by_lame(solution: BodySolution, f: np.ndarray, b: np.ndarray) -> tuple[floa
 def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) -> float:
     """w · K u + v · L u with the λ and μ of a model."""
     classes = bond_classes(solution.spacing, model.horizon)
-    K = solution.rim.stiffness(Moduli(**moduli(model, classes)))
+    K = solution.rim.stiffness(Moduli.square(**moduli(model, classes)))
     total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
     if solution.points is not None:
         force = NodeOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from scipy.ndimage import binary_dilation
 
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import Mesh
+from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.statics.rim import Field, Rim, Traction
 
 FINE = 4
@@ -33,14 +35,14 @@ class Loads:
     b: Field | None
 
     def on(self, rim: Rim) -> np.ndarray:
-        """Load of tractions and the body force on the nodes of elements [TPa Å], shape [n, 2]."""
+        """Load of tractions and the body force on the nodes of elements [TPa Å], shape [n, d]."""
         f = np.zeros_like(rim.x) if self.b is None else rim.body_force(self.b)
         for name, pull in self.pulls.items():
             f += rim.traction(name, pull)
         return f
 
     def density(self, x: np.ndarray, spacing: float) -> np.ndarray:
-        """The body force density [TPa/Å] that nodes of a lattice feel, both of shape [n, 2].
+        """The body force density [TPa/Å] that nodes of a lattice feel, both of shape [n, d].
 
         Its mean around a node (B16), by weights that add up to one over the nodes and
         leave quadratic fields as they are: no force is lost between nodes, and what changes from
@@ -51,25 +53,27 @@ class Loads:
         if self.b is None:
             return np.zeros_like(x)
         cells = np.rint((x - x.min(axis=0)) / spacing).astype(int) + 2
+        d = x.shape[1]
         near = np.zeros(cells.max(axis=0) + 3, bool)
         near[tuple(cells.T)] = True
-        near = binary_dilation(near, np.ones((5, 5)))
-        places = np.argwhere(np.kron(near, np.ones((FINE, FINE), bool)))
+        near = binary_dilation(near, np.ones((5,) * d))
+        places = np.argwhere(np.kron(near, np.ones((FINE,) * d, bool)))
         at = x.min(axis=0) + spacing * ((places + 0.5) / FINE - 2.5)
-        fine = np.zeros((FINE * near.shape[0], FINE * near.shape[1], 2))
+        fine = np.zeros((*(FINE * np.array(near.shape)), d))
         fine[tuple(places.T)] = self.b(at)
         s = np.abs((np.arange(5 * FINE) + 0.5) / FINE - 2.5)
         inner, outer = 1 + s**2 * (1.5 * s - 2.5), 2 - s * (4 - s * (2.5 - 0.5 * s))
         weight = np.where(s < 1, inner, np.where(s < 2, outer, 0.0)) / FINE
         felt, count = fine, np.array(near.shape) - 4
-        for axis in (0, 1):
-            span = FINE * count[axis]
-            felt = sum(w * felt[n : n + span : FINE] for n, w in enumerate(weight)).swapaxes(0, 1)
+        for span in FINE * count:  # axis by axis, each to the end of the line when it is done
+            felt = np.moveaxis(
+                sum(w * felt[n : n + span : FINE] for n, w in enumerate(weight)), 0, d - 1
+            )
         there: np.ndarray = felt[tuple((cells - 2).T)]
         return there
 
     def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
-        """Held displacements of the nodes of elements, and which they are, shape [n, 2] each."""
+        """Held displacements of the nodes of elements, and which they are, shape [n, d] each."""
         given, fixed = np.zeros_like(rim.x), np.zeros(rim.x.shape, bool)
         for name, values in self.held.items():
             nodes = rim.nodes_of(name)
@@ -83,10 +87,13 @@ class Loads:
         """Raise InputError when displacements that are fixed, [n, 2], leave a rigid motion."""
         centred = rim.x - rim.x.mean(axis=0)
         size = np.abs(centred).max()
-        turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1) / size
-        motions = [np.broadcast_to(v, rim.x.shape) for v in np.eye(2)] + [turn]
+        motions = [np.broadcast_to(v, rim.x.shape) for v in np.eye(rim.d)]
+        for a, c in itertools.combinations(range(rim.d), 2):
+            turn = np.zeros_like(rim.x)
+            turn[:, a], turn[:, c] = -centred[:, c] / size, centred[:, a] / size
+            motions.append(turn)
         held_motions = np.stack([motion[fixed] for motion in motions], axis=1)
-        if np.linalg.matrix_rank(held_motions, tol=1e-6) < 3:
+        if np.linalg.matrix_rank(held_motions, tol=1e-6) < len(motions):
             raise InputError(
                 "displacement: expected parts that hold the body against shifts and turns, got "
                 + (", ".join(self.held) or "none")
@@ -94,7 +101,7 @@ class Loads:
 
 
 def loads_on(
-    mesh: Mesh,
+    mesh: Mesh | Tetrahedra,
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None,
     b: Field | None,
@@ -114,7 +121,7 @@ def loads_on(
     return Loads(held, pulls, None if b is None else _field("b", b))
 
 
-def check_part(name: str, mesh: Mesh) -> None:
+def check_part(name: str, mesh: Mesh | Tetrahedra) -> None:
     """Raise InputError unless the outline has a part of this name."""
     if name not in mesh.parts:
         raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 import torch
@@ -11,13 +13,16 @@ from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stencil import stencil
+from warp_peri.operator.stress import node_fields
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
+from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import domain
+from warp_peri.statics.settings import Krylov
 
 DIRECT = 4_000
 """Most unknown nodes whose operator is factorised."""
@@ -34,18 +39,18 @@ LOOSEST = 1e-3
 
 
 def bulk_points(
-    mesh: Mesh, spacing: float, horizon: float, *, units: Units = USUAL
+    mesh: Mesh | Tetrahedra, spacing: float, reach: float, *, units: Units = USUAL
 ) -> tuple[Points, np.ndarray] | None:
-    """Lattice nodes of a body, unknown where they are 2δ and a margin off the outline.
+    """Lattice nodes of a body, unknown where they are a collar and a margin off the outline.
 
     Args:
         mesh: of the body.
         spacing: h [Å]; nodes are multiples of it.
-        horizon: δ [Å].
+        reach: of the collar [Å]: 2δ of a peridynamic solid, δ of a crystal.
 
     Returns:
-        The nodes with a collar of 2δ, and the triangle that holds each, shape [N]; None where no
-        node is so far inside.
+        The nodes with their collar, and the cell that holds each, shape [N]; None where no node is
+        so far inside.
 
     Raises InputError for a body of more nodes than LARGEST, or of less than one spacing.
     """
@@ -54,25 +59,26 @@ def bulk_points(
     first = np.floor(low / spacing).astype(int) - 1
     shape = np.ceil(high / spacing).astype(int) + 2 - first
     axes = [spacing * (start + np.arange(n)) for start, n in zip(first, shape)]
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
     held = mesh.holding(x)
     inside = np.flatnonzero(held >= 0)
     away = np.zeros(len(x))
     away[inside] = mesh.distance(x[inside], SAMPLED * spacing)
-    unknown = away >= 2 * horizon + MARGIN * spacing
+    unknown = away >= reach + MARGIN * spacing
     if not unknown.any():
         return None
     from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
-    needed = from_unknown <= 2 * horizon * (1 + 1e-6)
+    needed = from_unknown <= reach * (1 + 1e-6)
     return Points(x[needed], unknown[needed], spacing, units=units), held[needed]
 
 
-def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
+def check_extent(mesh: Mesh | Tetrahedra, spacing: float, units: Units = USUAL) -> None:
     """Raise InputError for a body of more nodes than LARGEST, or of less than one spacing."""
     sides = np.ptp(mesh.x, axis=0)
     if (sides / spacing + 3).prod() > LARGEST or sides.max() < spacing:
+        size = " by ".join(f"{side:.3g}" for side in sides)
         raise InputError(
-            f"mesh: {sides[0]:.3g} by {sides[1]:.3g}, expected positions of a body that a "
+            f"mesh: {size}, expected positions of a body that a "
             f"lattice of {spacing:g} {symbols(units)[0]} fills with 1 to {LARGEST:.0e} nodes"
         )
 
@@ -138,21 +144,62 @@ class Bulk:
         solution, _ = self.system.solve(field, min(LOOSEST, SHARE * tolerance))
         return self.domain.scatter_free(solution).numpy()
 
-    def field(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
-        """Both on all nodes, shape [N, 2]."""
-        u = np.empty_like(self.points.x)
-        u[self.inside], u[self.collar] = inner, collar
-        return u
+    def stress(self, u: np.ndarray) -> np.ndarray:
+        """σ [TPa] at the unknown nodes, shape [I, 2, 2]."""
+        return np.asarray(node_fields(self.model, self.points, u).stress[0])
+
+
+class PlacedBulk:
+    """The same of any linear law on a lattice, by its own operator and solves.
+
+    Args:
+        model: the law.
+        points: the unknown nodes and their collar.
+    """
+
+    def __init__(self, model: Any, points: Points) -> None:
+        self.model, self.points = model, points
+        self.placed = model.on(points)
+        self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
+
+    def pull(self, collar: np.ndarray) -> np.ndarray:
+        """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""
+        return self._force(self.collar, collar)
+
+    def apply(self, inner: np.ndarray) -> np.ndarray:
+        """L_II of displacements of the unknown nodes, shape [I, d]."""
+        return self._force(self.inside, inner)
+
+    def push(self, inner: np.ndarray) -> np.ndarray:
+        """The transpose of pull: [I, d] to [C, d]."""
+        rows = self.placed.matrix().T @ inner.ravel()
+        return np.asarray(rows.reshape(self.points.x.shape)[self.collar])
+
+    def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
+        """L_II⁻¹ of a right-hand side, shape [I, d], well within a tolerance."""
+        b = np.zeros(self.points.x.shape)
+        b[self.inside] = right
+        asked = Krylov(tolerance=min(LOOSEST, SHARE * tolerance))
+        return np.asarray(self.placed.rest(b, np.zeros_like(b), asked).u[self.inside])
+
+    def stress(self, u: np.ndarray) -> np.ndarray:
+        """σ at the unknown nodes, shape [I, d, d]."""
+        return np.asarray(self.placed.stress(u))
+
+    def _force(self, some: np.ndarray, values: np.ndarray) -> np.ndarray:
+        u = np.zeros(self.points.x.shape)
+        u[some] = values
+        return np.asarray(self.placed(u))
 
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
-    """Matrix from values at unknown nodes to values at positions, cubic along both axes (B5).
+    """Matrix from values at unknown nodes to values at positions, cubic along each axis (B5).
 
-    Shape [m, I]; Lagrange's polynomials of the 4 × 4 nodes around each position.
+    Shape [m, I]; Lagrange's polynomials of the 4^d nodes around each position.
 
     Raises InputError where one of them is not an unknown node.
     """
-    h = points.spacing
+    h, d = points.spacing, x.shape[1]
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)
     number = np.full(grid.max(axis=0) - corner + 1, -1)
@@ -163,18 +210,26 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
         raise InputError(_TOO_NARROW)
     s = place - base  # in [1, 2)
     steps = np.arange(4)
-    weight = np.ones((len(x), 2, 4))
+    weight = np.ones((len(x), d, 4))
     for k in steps:
         for j in steps[steps != k]:
             weight[:, :, k] *= (s - j) / (k - j)
-    node = number[base[:, 0, None, None] + steps[:, None], base[:, 1, None, None] + steps[None, :]]
+    around = np.stack(np.meshgrid(*[steps] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    node = number[tuple(np.moveaxis(base[:, None] + around, -1, 0))]
     if (node < 0).any():
         raise InputError(_TOO_NARROW)
-    value = weight[:, 0, :, None] * weight[:, 1, None, :]
-    row = np.broadcast_to(np.arange(len(x))[:, None, None], node.shape)
+    value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
+    row = np.broadcast_to(np.arange(len(x))[:, None], node.shape)
     shape = (len(x), int(points.interior.sum()))
     entries = (value.ravel(), (row.ravel(), node.ravel()))
     return sp.csr_array(sp.coo_array(entries, shape=shape))
+
+
+def on_all(bulk: Bulk | PlacedBulk, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
+    """Displacement of the unknown nodes and of the collar on all nodes, shape [N, d]."""
+    u = np.empty_like(bulk.points.x)
+    u[bulk.inside], u[bulk.collar] = inner, collar
+    return u
 
 
 _TOO_NARROW = (

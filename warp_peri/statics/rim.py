@@ -1,7 +1,8 @@
-"""The rim of a body in finite elements of plane elasticity with the moduli of a lattice (B1–B3)."""
+"""The rim of a body in finite elements of elasticity with the moduli of a lattice (B1–B3)."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,28 +13,45 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import Mesh
+from warp_peri.points.tetrahedra import Tetrahedra
 
 Field = Callable[[np.ndarray], np.ndarray]
-"""Vectors, shape [n, 2], at positions [Å], shape [n, 2]."""
+"""Vectors, shape [n, d], at positions [Å], shape [n, d]."""
 Traction = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Force per area [TPa], shape [n, 2], at positions and outward normals, each of shape [n, 2]."""
+"""Force per area [TPa], shape [n, d], at positions and outward normals, each of shape [n, d]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Moduli:
-    """C11, C12 and C44 [TPa] on the axes of a square lattice."""
+    """C_ijkl [stress] of an elastic solid, shape [d, d, d, d]."""
 
-    C11: float
-    C12: float
-    C44: float
+    tensor: np.ndarray
+
+    @classmethod
+    def square(cls, C11: float, C12: float, C44: float) -> Moduli:
+        """Of a sheet whose axes are those of a square lattice."""
+        C = np.zeros((2, 2, 2, 2))
+        for a in (0, 1):
+            C[a, a, a, a], C[a, a, 1 - a, 1 - a] = C11, C12
+            C[a, 1 - a, a, 1 - a] = C[a, 1 - a, 1 - a, a] = C44
+        return cls(C)
+
+    @property
+    def C11(self) -> float:
+        return float(self.tensor[0, 0, 0, 0])
+
+    @property
+    def C12(self) -> float:
+        return float(self.tensor[0, 0, 1, 1])
+
+    @property
+    def C44(self) -> float:
+        """The shear modulus of the first two axes."""
+        return float(self.tensor[0, 1, 0, 1])
 
     def stress(self, gradient: np.ndarray) -> np.ndarray:
-        """σ [TPa] of displacement gradients, both of shape [..., 2, 2]."""
-        normal = np.diagonal(gradient, axis1=-2, axis2=-1)
-        along = self.C11 * normal + self.C12 * normal[..., ::-1]
-        shear = self.C44 * (gradient[..., 0, 1] + gradient[..., 1, 0])
-        rows = [along[..., 0], shear, shear, along[..., 1]]
-        return np.stack(rows, axis=-1).reshape(gradient.shape)
+        """σ [stress] of displacement gradients, both of shape [..., d, d]."""
+        return np.asarray(np.einsum("ijkl,...kl->...ij", self.tensor, gradient))
 
 
 def finite_elements() -> Any:
@@ -45,40 +63,56 @@ def finite_elements() -> Any:
     return skfem
 
 
-class Rim:
-    """Some triangles of a mesh as elements of degree 1, or of degree 2 and curved at the outline.
+MOST_STEPS, FOUND = 30, 1e-11
+"""Of Newton's method for a position in a cell, and a step of it that is none."""
 
-    Node i has the displacements 2 i and 2 i + 1.
+
+class Rim:
+    """Some cells of a mesh as elements of degree 1, or of degree 2 and curved at the outline.
+
+    Node i has the displacements d i to d i + d − 1.
 
     Args:
-        mesh: of the body.
-        kept: triangles of the rim, shape [T] bool.
+        mesh: of the body, triangles or tetrahedra.
+        kept: cells of the rim, shape [T] bool.
         degree: of the elements.
     """
 
-    def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
-        fem = finite_elements()
-        corners, triangles = np.unique(mesh.triangles[kept], return_inverse=True)
-        triangles = triangles.reshape(-1, 3)
-        straight = fem.MeshTri(mesh.x[corners].T.copy(), triangles.T.copy())
-        size = len(corners)
-        known = np.sort(straight.facets, axis=0)
-        order = np.argsort(known[0] * size + known[1])
+    def __init__(self, mesh: Mesh | Tetrahedra, kept: np.ndarray, degree: int = 2) -> None:
+        fem, self.d = finite_elements(), mesh.x.shape[1]
+        corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
+        cells = cells.reshape(-1, self.d + 1)
+        kinds = {
+            2: (fem.MeshTri, fem.MeshTri2, fem.ElementTriP1, fem.ElementTriP2),
+            3: (fem.MeshTet, fem.MeshTet2, fem.ElementTetP1, fem.ElementTetP2),
+        }
+        make, bent, *elements = kinds[self.d]
+        straight = make(mesh.x[corners].T.copy(), cells.T.copy())
+        size = len(corners) ** np.arange(self.d)[::-1]
+        known = size @ np.sort(straight.facets, axis=0)
+        order = np.argsort(known)
         place = np.full(len(mesh.x), -1)
-        place[corners] = np.arange(size)
-        ends = np.sort(place[mesh.edges], axis=1)
-        key = (known[0] * size + known[1])[order]
-        self.facets = order[np.searchsorted(key, ends[:, 0] * size + ends[:, 1])]
+        place[corners] = np.arange(len(corners))
+        ends = np.sort(place[mesh.faces], axis=1)
+        self.facets = order[np.searchsorted(known[order], ends @ size)]
         shape = straight
-        if degree == 2:
-            shape = fem.MeshTri2.from_mesh(straight)
+        if degree == 2 and len(mesh.curved):
+            shape = bent.from_mesh(straight)
             positions = shape.doflocs.copy()
-            positions[:, shape.dofs.facet_dofs[0, self.facets]] = mesh.middle.T
+            edges = straight.facets if self.d == 2 else straight.edges
+            known = size[-2:] @ np.sort(edges, axis=0)
+            order = np.argsort(known)
+            there = (place[mesh.curved] >= 0).all(axis=1)  # in order of corners too
+            asked = np.sort(place[mesh.curved[there]], axis=1) @ size[-2:]
+            edge = order[np.minimum(np.searchsorted(known[order], asked), len(order) - 1)]
+            own = known[edge] == asked
+            dofs = shape.dofs.facet_dofs if self.d == 2 else shape.dofs.edge_dofs
+            positions[:, dofs[0, edge[own]]] = mesh.middle[there][own].T
             shape = replace(shape, doflocs=positions)
         self.mesh, self.corners = mesh, corners
-        self.cells = np.full(len(mesh.triangles), -1)
-        self.cells[kept] = np.arange(len(triangles))
-        self.element = fem.ElementTriP2() if degree == 2 else fem.ElementTriP1()
+        self.cells = np.full(len(mesh.cells), -1)
+        self.cells[kept] = np.arange(len(cells))
+        self.element = elements[degree - 1]()
         self.order = 2 * degree + 2
         self.basis = fem.Basis(shape, self.element, intorder=self.order)
         self.x = np.asarray(self.basis.doflocs.T)
@@ -99,24 +133,21 @@ class Rim:
         """Nodes on a named part of the outline."""
         return self._nodes(self.facets[self.mesh.parts[part]])
 
-    def _assembled(self) -> list[sp.csr_array]:
-        """∫ ∂_a φ_i ∂_c φ_j for (a, c) = (1, 1), (2, 2), (1, 2), shape [n, n] each."""
-        squares = []
-        for a, c in ((0, 0), (1, 1), (0, 1)):
+    def _assembled(self) -> dict[tuple[int, int], sp.csr_array]:
+        """∫ ∂_a φ_i ∂_c φ_j for a ≤ c, shape [n, n] each."""
+        squares = {}
+        for a, c in itertools.combinations_with_replacement(range(self.d), 2):
             form = self._fem.BilinearForm(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
-            squares.append(sp.csr_array(form.assemble(self.basis)))
+            squares[a, c] = sp.csr_array(form.assemble(self.basis))
         return squares
 
     def stiffness(self, moduli: Moduli) -> sp.csr_array:
-        """K [TPa], shape [2 n, 2 n], linear in the moduli (B2)."""
-        first, second, mixed = self._squares
-        across = moduli.C12 * mixed + moduli.C44 * mixed.T
-        parts = (
-            sp.kron(moduli.C11 * first + moduli.C44 * second, _unit(0, 0)),
-            sp.kron(moduli.C11 * second + moduli.C44 * first, _unit(1, 1)),
-            sp.kron(across, _unit(0, 1)),
-            sp.kron(across.T, _unit(1, 0)),
-        )
+        """K [stress], shape [d n, d n], linear in the moduli (B2)."""
+        C, parts = moduli.tensor, []
+        for (a, c), square in self._squares.items():
+            parts.append(sp.kron(square, C[:, a, :, c]))
+            if a != c:
+                parts.append(sp.kron(square.T, C[:, c, :, a]))
         return sp.csr_array(sum(parts[1:], parts[0]))
 
     def edge_stiffness(self, part: str, size: float) -> sp.csr_array:
@@ -146,11 +177,11 @@ class Rim:
         return sp.csr_array(sum(parts[1:], parts[0]))
 
     def body_force(self, b: Field) -> np.ndarray:
-        """∫ b · φ [TPa Å], shape [n, 2], of a body force density [TPa/Å]."""
+        """∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
         return self._integrals(self.basis, lambda w: b(_points(w.x)))
 
     def traction(self, part: str, t: Traction) -> np.ndarray:
-        """∫ t · φ [TPa Å], shape [n, 2], of a force per area [TPa] on a part of the outline."""
+        """∫ t · φ [TPa Å], shape [n, d], of a force per area [TPa] on a part of the outline."""
         return self._integrals(self._facets(part), lambda w: t(_points(w.x), _points(w.n)))
 
     def _facets(self, part: str) -> Any:
@@ -160,22 +191,22 @@ class Rim:
 
     def _integrals(self, basis: Any, vectors: Callable[[Any], np.ndarray]) -> np.ndarray:
         columns = []
-        for a in (0, 1):
+        for a in range(self.d):
             form = self._fem.LinearForm(
                 lambda v, w, a=a: vectors(w)[:, a].reshape(w.x.shape[1:]) * v
             )
             columns.append(form.assemble(basis))
         return np.stack(columns, axis=1)
 
-    def probe(self, x: np.ndarray, triangles: np.ndarray) -> sp.csr_array:
+    def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
         """Matrix from values at the nodes to values at points, shape [m, n].
 
         Args:
-            x: positions [Å], shape [m, 2].
-            triangles: number of the mesh's triangle that holds each, one of the rim's.
+            x: positions [Å], shape [m, d].
+            holding: number of the mesh's cell that holds each, one of the rim's.
         """
-        cells = self.cells[triangles]
-        local = self.basis.mapping.invF(x.T[:, :, None], tind=cells)
+        cells = self.cells[holding]
+        local = self._places(x, cells)
         values, columns = [], []
         for k in range(self.basis.Nbfun):
             value = self.element.gbasis(self.basis.mapping, local, k, tind=cells)[0]
@@ -185,28 +216,43 @@ class Rim:
         entries = (np.concatenate(values), (rows, np.concatenate(columns)))
         return sp.csr_array(sp.coo_array(entries, shape=(len(x), len(self.x))))
 
+    def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Positions in the coordinates of their cells, shape [d, m, 1], by Newton's method.
+
+        A position next to a curved face may lie a little outside of the cell that held it.
+        """
+        mapping, goal = self.basis.mapping, x.T[:, :, None]
+        places = np.full(goal.shape, 1 / (self.d + 1))
+        for _ in range(MOST_STEPS):
+            left = goal - mapping.F(places, tind=cells)
+            step = np.einsum("ijkl,jkl->ikl", mapping.invDF(places, tind=cells), left)
+            places = places + step
+            if np.abs(step).max(initial=0.0) < FOUND:
+                return np.asarray(places)
+        raise InputError("mesh: expected curved cells that are one-to-one, some are folded")
+
     def stress(self, moduli: Moduli, u: np.ndarray) -> np.ndarray:
-        """σ [TPa] at the nodes, the mean over the elements that meet there, shape [n, 2, 2]."""
+        """σ [TPa] at the nodes, the mean over the elements that meet there, shape [n, d, d]."""
         places = np.asarray(self.element.doflocs).T
         basis = self._fem.Basis(
             self.basis.mesh, self.element, quadrature=(places, np.ones(places.shape[1]))
         )
-        rows = [basis.interpolate(np.ascontiguousarray(u[:, a])).grad for a in (0, 1)]
+        rows = [basis.interpolate(np.ascontiguousarray(u[:, a])).grad for a in range(self.d)]
         gradient = np.moveaxis(np.stack([np.asarray(row) for row in rows]), (0, 1), (-2, -1))
-        each = moduli.stress(gradient)  # [elements, places, 2, 2]
+        each = moduli.stress(gradient)  # [elements, places, d, d]
         owner = self.basis.element_dofs.T.ravel()
         count = np.bincount(owner, minlength=len(self.x))
-        flat = each.reshape(-1, 4)
+        flat = each.reshape(len(owner), -1)
         sums = [np.bincount(owner, column, len(self.x)) / count for column in flat.T]
-        return np.stack(sums, axis=1).reshape(-1, 2, 2)
+        return np.stack(sums, axis=1).reshape(-1, self.d, self.d)
 
 
 class RimProblem:
     """K u = f with some displacements given, factorised once.
 
     Args:
-        K: stiffness [TPa], shape [2 n, 2 n].
-        fixed: given displacements, shape [2 n] bool.
+        K: stiffness [TPa], shape [d n, d n].
+        fixed: given displacements, shape [d n] bool.
     """
 
     def __init__(self, K: sp.csr_array, fixed: np.ndarray) -> None:
@@ -217,13 +263,13 @@ class RimProblem:
         self.factors = splu(self.inside, permc_spec="MMD_AT_PLUS_A")
 
     def solve(self, f: np.ndarray, given: np.ndarray) -> np.ndarray:
-        """Displacement [Å] from a load [TPa Å] and what is given, each of shape [2 n]."""
+        """Displacement [Å] from a load [TPa Å] and what is given, each of shape [d n]."""
         u = given.copy()
         u[self.free] = self.factors.solve(f[self.free] - self.given @ given[~self.free])
         return u
 
     def solve_back(self, by_u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by f and by what is given, shape [2 n] each, of those by u."""
+        """Derivatives by f and by what is given, shape [d n] each, of those by u."""
         by_f, by_given = np.zeros_like(by_u), np.zeros_like(by_u)
         by_f[self.free] = self.factors.solve(by_u[self.free], trans="T")
         by_given[~self.free] = by_u[~self.free] - self.given.T @ by_f[self.free]
@@ -243,5 +289,5 @@ def _unit(a: int, c: int) -> sp.csr_array:
 
 
 def _points(field: Any) -> np.ndarray:
-    """[2, elements, places] as [n, 2]."""
-    return np.moveaxis(np.asarray(field), 0, -1).reshape(-1, 2)
+    """[d, elements, places] as [n, d]."""
+    return np.moveaxis(np.asarray(field), 0, -1).reshape(-1, len(field))

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from warp_peri.errors import InputError
-from warp_peri.statics.bulk import Bulk
+from warp_peri.statics.bulk import Bulk, PlacedBulk
 from warp_peri.statics.rim import RimProblem
 from warp_peri.statics.whole_body import WholeBody
 
@@ -23,7 +23,7 @@ GOAL = 0.5
 """Share of the tolerance that GMRES aims at."""
 
 Fields = tuple[np.ndarray, np.ndarray]
-"""Of the rim, shape [n, 2], and of the bulk's unknown nodes, shape [I, 2]."""
+"""Of the rim, shape [n, d], and of the bulk's unknown nodes, shape [I, d]."""
 
 
 @dataclass
@@ -59,7 +59,7 @@ class Schwarz:
     def __init__(
         self,
         rim: RimProblem,
-        bulk: Bulk,
+        bulk: Bulk | PlacedBulk,
         inner: np.ndarray,
         to_rim: sp.csr_array,
         to_bulk: sp.csr_array,
@@ -71,10 +71,10 @@ class Schwarz:
     def once(
         self, f: np.ndarray, given: np.ndarray, b: np.ndarray, side: np.ndarray, tolerance: float
     ) -> Fields:
-        """Displacement of the rim [n, 2] and the bulk [I, 2] for one of the inner side [G, 2]."""
+        """Displacement of the rim [n, d] and the bulk [I, d] for one of the inner side [G, d]."""
         given = given.copy()
         given[self.inner] = side
-        of_rim = self.rim.solve(f.ravel(), given.ravel()).reshape(-1, 2)
+        of_rim = self.rim.solve(f.ravel(), given.ravel()).reshape(given.shape)
         of_bulk = self.bulk.solve(b - self.bulk.pull(self.to_bulk @ of_rim), tolerance)
         return of_rim, of_bulk
 
@@ -85,24 +85,24 @@ class Schwarz:
 
         Returns:
             Derivatives by the loads, as of_rim and of_bulk, and by what is given on the rim,
-            shape [n, 2]; the inner side's are among these.
+            shape [n, d]; the inner side's are among these.
         """
         by_b = self.bulk.solve(by_bulk + self.to_rim.T @ side, tolerance)
         by_rim = by_rim - self.to_bulk.T @ self.bulk.push(by_b)
         by_f, by_given = self.rim.solve_back(by_rim.ravel())
-        return (by_f.reshape(-1, 2), by_b), by_given.reshape(-1, 2)
+        return (by_f.reshape(by_rim.shape), by_b), by_given.reshape(by_rim.shape)
 
     def solve(
         self, f: np.ndarray, given: np.ndarray, b: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, Exchange]:
-        """Displacement of rim [n, 2] and bulk [I, 2] that agree, and the record.
+        """Displacement of rim [n, d] and bulk [I, d] that agree, and the record.
 
         One exchange maps the inner side's displacement g to M g + r; GMRES solves (I − M) g = r.
 
         Args:
-            f: load on the rim [TPa Å], shape [n, 2].
-            given: displacement held on the rim [Å], shape [n, 2].
-            b: body force density on the unknown nodes [TPa/Å], shape [I, 2].
+            f: load on the rim [TPa Å], shape [n, d].
+            given: displacement held on the rim [Å], shape [n, d].
+            b: body force density on the unknown nodes [TPa/Å], shape [I, d].
             tolerance: of the mismatch.
 
         Raises InputError when they do not come to agree.
@@ -139,11 +139,11 @@ class Schwarz:
         """Derivatives by loads and by what is given, of ones by displacement (B12, B13).
 
         Args:
-            by_rim: by the rim's displacement, shape [n, 2].
-            by_bulk: by that of the bulk's unknown nodes, shape [I, 2].
+            by_rim: by the rim's displacement, shape [n, d].
+            by_bulk: by that of the bulk's unknown nodes, shape [I, d].
             tolerance: as for `solve`.
         """
-        side = np.zeros((len(self.inner), 2))
+        side = np.zeros((len(self.inner), by_rim.shape[1]))
         fields, by_given = self.once_back(by_rim, by_bulk, side, tolerance)
         nothing = np.zeros_like(by_rim), np.zeros_like(by_bulk)
         answers: list[np.ndarray] = [*fields, by_given]
@@ -193,7 +193,7 @@ def fixed_point(
     Args:
         exchange: M g and fields, all linear in g, to a relative accuracy.
         correct: nearly (I − M)⁻¹.
-        off: shape [G, 2].
+        off: shape [G, d].
         goal: largest norm of what is left.
 
     Returns:

@@ -11,15 +11,15 @@ from warp_peri.statics.rim import Rim, RimProblem
 
 
 class WholeBody:
-    """Linear elements on every triangle, factorised once.
+    """Linear elements on every cell, factorised once.
 
     Were the bulk elements of the same kind, one exchange would be g ↦ M g + r with a matrix M for
     which (I − M)⁻¹ is a solve of the whole body: `correct`. What is left for GMRES is the
     difference between the bulk and those elements.
 
     Args:
-        elements: all triangles of the body's mesh, of degree 1.
-        K: their stiffness [TPa], shape [2 P, 2 P].
+        elements: all cells of the body's mesh, of degree 1.
+        K: their stiffness [TPa], shape [d P, d P].
         loads: of the body.
         rim: its rim.
         depth: distance of the mesh's corners from the outline [Å], shape [P].
@@ -47,7 +47,8 @@ class WholeBody:
         inside = np.setdiff1d(rim.corners, side)
         shared, outer = inside[depth[inside] >= collar], inside[depth[inside] < collar]
         side, shared, self.outer = (
-            _pairs(elements.corner_nodes[corners]) for corners in (side, shared, outer)
+            _displacements(elements.corner_nodes[corners], rim.d)
+            for corners in (side, shared, outer)
         )
         shared = shared[~fixed.ravel()[shared]]
         K = sp.csr_array(K)
@@ -59,20 +60,20 @@ class WholeBody:
         self.trace = elements.probe(x, rim.mesh.holding(x))
 
     def guess(self) -> np.ndarray:
-        """Displacement of the rim's inner side [Å], shape [G, 2]."""
+        """Displacement of the rim's inner side [Å], shape [G, d]."""
         f = self.loads.on(self.elements)
-        u = self.problem.solve(f.ravel(), self.given.ravel()).reshape(-1, 2)
+        u = self.problem.solve(f.ravel(), self.given.ravel()).reshape(f.shape)
         return np.asarray(self.trace @ u)
 
     def correct(self, jump: np.ndarray) -> np.ndarray:
-        """(I − M)⁻¹ of these elements, of a jump of the inner side, both of shape [G, 2]."""
+        """(I − M)⁻¹ of these elements, of a jump of the inner side, both of shape [G, d]."""
         side = jump[self.rows].ravel()
         pull = -self.past @ side
         if self.overlap is not None:
             pull += self.to_outer @ self.overlap.solve(self.from_side @ side)
-        f = np.zeros(2 * len(self.elements.x))
+        f = np.zeros(self.elements.x.size)
         f[self.outer] = pull
-        u = self.problem.solve(f, np.zeros_like(f)).reshape(-1, 2)
+        u = self.problem.solve(f, np.zeros_like(f)).reshape(self.elements.x.shape)
         corrected: np.ndarray = jump + self.trace @ u
         return corrected
 
@@ -84,10 +85,10 @@ class WholeBody:
         if self.overlap is not None:
             side += self.from_side.T @ self.overlap.solve(self.to_outer.T @ u, trans="T")
         corrected = np.array(jump)
-        corrected[self.rows] += side.reshape(-1, 2)
+        corrected[self.rows] += side.reshape(-1, jump.shape[1])
         return corrected
 
 
-def _pairs(nodes: np.ndarray) -> np.ndarray:
-    """Both displacements of each node."""
-    return np.column_stack([2 * nodes, 2 * nodes + 1]).ravel()
+def _displacements(nodes: np.ndarray, d: int) -> np.ndarray:
+    """All displacements of each node."""
+    return np.asarray((d * nodes[:, None] + np.arange(d)).ravel())
