@@ -154,15 +154,18 @@ def adam_fit(
     for part in learned:
         part.requires_grad_()
     R = torch.from_numpy(np.asarray(reduced.R))
-    inside = lambda: 3 - torch.relu(3 - exponent) if learn_alpha else torch.ones_like(exponent)
+
+    def alpha() -> torch.Tensor:
+        return 3 - torch.relu(3 - exponent) if learn_alpha else torch.ones_like(exponent)
+
     optimizer = torch.optim.Adam(learned, lr=RATE)
     for _ in range(STEPS):
         optimizer.zero_grad()
-        loss = _products(reduced, R, inside(), torch.relu(D)).square().sum()
+        loss = _products(reduced, R, alpha(), torch.relu(D)).square().sum()
         loss.backward()
         optimizer.step()
     with torch.no_grad():
-        return float(inside()), torch.relu(D).numpy()
+        return float(alpha()), torch.relu(D).numpy()
 
 
 def kernel(alpha: float, D: np.ndarray, r: np.ndarray) -> np.ndarray:
