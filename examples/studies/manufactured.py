@@ -52,7 +52,7 @@ SPACINGS = (5.0, 2.5, 1.25)
 DEGREES = (0, 2, 4, 6, 8, 10, 15, 20)
 BY_ADAM = (0, 4, 10, 20)
 KERNEL_DEGREE = 10
-RATE, STEPS = 1e-3, 5_000
+RATE, STEPS = 1e-3, 2_000
 """Of Adam; the source prints neither for these tests."""
 QUADRATURE_DEGREES = {5.0: 5, 2.5: 11, 1.25: 13}
 """Highest odd degree up to 13 that the families of each spacing [Å] carry."""

@@ -61,6 +61,15 @@ def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatc
     assert "printed" in capsys.readouterr().out
 
 
+def test_the_shipped_weights_of_graphene_leave_what_the_page_says(graphene):
+    """Residuals alone, which need no solve."""
+    material = load(neural_operator.WEIGHTS / "graphene.json")
+    given = argparse.Namespace(json=True, solved=None)
+    sets = {"val": neural_sets.graphene(graphene)["val"]}
+    errors = neural_operator.errors_of(material, sets, given, solve=False)
+    assert errors["E_res"]["val"] == pytest.approx(0.0258, abs=1e-4)
+
+
 @pytest.mark.slow
 def test_the_shipped_weights_of_graphene(graphene):
     """Held to what docs/neural.md says of them; the training set by every tenth of its solves."""
