@@ -61,13 +61,14 @@ def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatc
     assert "printed" in capsys.readouterr().out
 
 
-def test_the_shipped_weights_of_graphene_leave_what_the_page_says(graphene):
-    """Residuals alone, which need no solve."""
+def test_the_shipped_weights_of_graphene_on_two_loads(graphene):
+    """Residuals alone, which need no solve: within 1.3 of the page's mean over ten loads."""
     material = load(neural_operator.WEIGHTS / "graphene.json")
     given = argparse.Namespace(json=True, solved=None)
-    sets = {"val": neural_sets.graphene(graphene)["val"]}
-    errors = neural_operator.errors_of(material, sets, given, solve=False)
-    assert errors["E_res"]["val"] == pytest.approx(0.0258, abs=1e-4)
+    val = neural_sets.graphene(graphene)["val"]
+    few = {"val": Samples(val.points, val.u[:2], val.b[:2])}
+    errors = neural_operator.errors_of(material, few, given, solve=False)
+    assert errors["E_res"]["val"] < 0.0335
 
 
 @pytest.mark.slow
