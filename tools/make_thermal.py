@@ -32,6 +32,7 @@ from tools.graphene import THICKNESS
 from tools.loads import Load
 from tools.long_wave import long_wave_constants
 from tools.make_graphene import (
+    SPACINGS,
     load_record,
     mass_density,
     on_nodes,
@@ -50,8 +51,6 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.samples import Samples
 
-SPACING = 5.0
-"""Of the nodes [Å]."""
 DATA = Path("data")
 
 Equilibria = Mapping[Piece, Mapping[Load, Sample]]
@@ -65,6 +64,7 @@ def make_thermal(
     reductions: Sequence[str] = REDUCTIONS,
     plans: Sequence[Plan] | None = None,
     cache: str | os.PathLike[str] | None = None,
+    fine: bool = False,
     jobs: int = -1,
     progress: bool = True,
 ) -> dict[tuple[str, float], Path]:
@@ -82,6 +82,7 @@ def make_thermal(
         plans: bodies, loads and seeds; all of the paper's by default.
         cache: folder of finished runs, and of the samples at 0 K that they start from; by default
             graphene_0K.cache in `out`.
+        fine: every set a second time, named with `_fine`, on nodes 2.5 Å apart.
         jobs: number of processes, −1 for one per core.
         progress: show a bar on stderr, with the time left.
 
@@ -108,7 +109,9 @@ def make_thermal(
         paths = {}
         for factor in factors:
             for reduction in reductions:
-                data = data_set(plans, runs, at_rest, bath, reduction=reduction, factor=factor)
+                data = data_set(
+                    plans, runs, at_rest, bath, reduction=reduction, factor=factor, fine=fine
+                )
                 data.provenance["truth"] = truth
                 path = out / file_name(bath.temperature, reduction, factor)
                 with locked(path):
@@ -130,8 +133,10 @@ def data_set(
     *,
     reduction: str,
     factor: float,
+    fine: bool = False,
 ) -> Dataset:
     """One reduction of the runs for one factor, on nodes."""
+    spacings = {end: h for end, h in SPACINGS.items() if fine or not end}
     sets: dict[str, Samples] = {}
     snr = {}
     for plan in plans:
@@ -140,16 +145,19 @@ def data_set(
         for group, loads in plan.groups.items():
             fields = reduced(plan, group, runs, rested, reduction=reduction, factor=factor)
             force = factor * np.stack([rested[load].force for load in loads])
-            points = on_nodes(body, reference, fields.displacement, force, spacing=SPACING)
-            points.arrays.update(load_record(body, loads))
-            points.arrays.update(snr=fields.snr, seed=fields.seed)
-            points.arrays["amplitude"] = np.array([factor * rested[x].amplitude for x in loads])
-            sets[group] = points
+            for end, spacing in spacings.items():
+                points = on_nodes(body, reference, fields.displacement, force, spacing=spacing)
+                points.arrays.update(load_record(body, loads))
+                points.arrays.update(snr=fields.snr, seed=fields.seed)
+                points.arrays["amplitude"] = np.array([factor * rested[x].amplitude for x in loads])
+                sets[group + end] = points
             snr[group] = float(fields.snr.mean())
         fluctuation = noise(plan, runs, reference, reduction=reduction, factor=factor)
-        sets["noise" if body.cells else "noise_test"] = on_nodes(
-            body, reference, fluctuation, np.zeros_like(fluctuation), spacing=SPACING
-        )
+        name = "noise" if body.cells else "noise_test"
+        for end, spacing in spacings.items():
+            sets[name + end] = on_nodes(
+                body, reference, fluctuation, np.zeros_like(fluctuation), spacing=spacing
+            )
     sheet, disk = (next(p.body for p in plans if bool(p.body.cells) == x) for x in (True, False))
     potential = Path(sheet.potential)
     provenance: dict[str, Any] = {
@@ -281,6 +289,7 @@ def argument_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--iota", type=float, default=bath.iota, help=f"of (2.10) (default: {bath.iota})"
     )
+    parser.add_argument("--fine", action="store_true", help="also on nodes 2.5 Å apart")
     parser.add_argument(
         "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
     )
@@ -304,6 +313,7 @@ def main(arguments: list[str] | None = None) -> int:
             factors=given.factors,
             reductions=given.reduction or REDUCTIONS,
             cache=given.cache,
+            fine=given.fine,
             jobs=given.jobs,
             progress=not given.quiet,
         )

@@ -16,6 +16,7 @@ import torch
 from examples.polymer_flow import relative
 from examples.prose import rows_of
 from examples.studies import paper_polymer_pictures as pictures
+from examples.studies import paper_polymer_walls as walls
 from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES
 from examples.studies.polymer_tables import MAXWELL, printed_shear
 from warp_peri.flow import (
@@ -83,6 +84,7 @@ def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str
         "forces": rows_of(force_rows(costs)),
         "costs": rows_of(cost_rows(costs)),
         "nuts": rows_of(sampled["rows"]),
+        "walls": rows_of(map(walls.row_of, kept("walls", walls.study))),
     }
 
 

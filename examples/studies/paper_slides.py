@@ -9,15 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from matplotlib.figure import Figure
+from scipy.spatial import ConvexHull, Voronoi
 
 import warp_peri
 from examples.graphene_report import save_figure
 from examples.prose import rows_of
 from examples.studies.manufactured import HORIZON, LAM, QUADRATURE_DEGREES, continuum_symbol
 from examples.studies.manufactured import MU as MANUFACTURED_MU
+from warp_peri.operator.matrices import Matrices, matrices
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import ball_integral
+from warp_peri.statics.direct import MatrixProblem
+from warp_peri.statics.staggered import derivatives, staggered, tensors
 
 NEEDED: dict[str, str] = {}
 TEMPLATE = Path(__file__).with_suffix(".md")
@@ -27,6 +32,8 @@ SLOPE = np.array([0.7, -0.4, 0.5])
 RADII = 0.3 * 0.75 ** np.arange(5)
 """Horizons of the pointwise rates; the nodes shrink with them."""
 MU, LENGTH = 0.8, 2.0
+STIFFER, CELLS, SEEDS = (3.0, 1e2, 1e4, 1e6), (8, 16, 32), range(5)
+"""λ/μ, nodes a side, and draws of the nodes of the nearly incompressible solid."""
 
 
 def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
@@ -40,6 +47,7 @@ def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str
         "rates": rows_of(map(rate_row, rates)),
         "nonlocal_limit": rows_of(nonlocal_limit["rows"]),
         "local_limit": rows_of(row["cells"] for row in local),
+        "incompressible": rows_of(map(incompressible_row, kept("incompressible", incompressible))),
     }
 
 
@@ -159,6 +167,87 @@ def fixed_ratio(lam: float) -> dict[str, Any]:
     order = float(-np.polyfit(np.log(cells), np.log(errors), 1)[0])
     name = "bond-based, λ = μ" if lam == MU else f"state-based, λ = {lam / MU:g}μ"
     return {"cells": [name, *(f"{e:.1e}" for e in errors), f"{order:.2f}"]}
+
+
+def scattered(cells: int, seed: int) -> tuple[Points, float]:
+    """Nodes shifted by up to 0.3 spacings along each axis, and a horizon of three spacings."""
+    h = LENGTH / cells
+    points = lattice(cells, 3.4 * h, LENGTH)
+    shift = np.random.default_rng(seed).uniform(-0.3 * h, 0.3 * h, points.x.shape)
+    return Points(points.x + shift, points.interior, 0.0), 3 * h
+
+
+def curl_and_pressure(x: np.ndarray, ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """u = curl cos x cos 2y + (μ/λ) ∇(sin x sin 2y), whose pressure stays finite, and its load."""
+    a, b = x.T
+    slope = np.stack([np.cos(a) * np.sin(2 * b), 2 * np.sin(a) * np.cos(2 * b)], axis=1)
+    curl = np.stack([-2 * np.cos(a) * np.sin(2 * b), np.sin(a) * np.cos(2 * b)], axis=1)
+    u = curl + slope / ratio
+    return u, 5 * MU * (u + (1 + 1 / ratio) * slope)
+
+
+def forms(model: warp_peri.Model, points: Points) -> dict[str, Callable[[], MatrixProblem]]:
+    """Ways to write the dilatational part; the deviatoric one is the same in all."""
+    inside = points.interior
+
+    def solid(change: Callable[[Matrices], Matrices]) -> MatrixProblem:
+        parts = change(matrices(model, points))
+        return MatrixProblem(parts.operator(model.lam, model.mu), inside)
+
+    def adjoint(parts: Matrices) -> Matrices:
+        """−Ψ is the adjoint of Φ in the areas of the nodes' cells."""
+        area = cell_areas(points.x)
+        rows = sp.diags_array(1 / np.repeat(area[inside], 2)) @ (
+            sp.csr_array(parts.phi.T)[np.repeat(inside, 2)] @ sp.diags_array(area)
+        )
+        return Matrices(parts.gamma, parts.phi, sp.csr_array(-rows))
+
+    def everywhere(parts: Matrices) -> Matrices:
+        """Derivatives exact for cubics, the dilatation at every interior node."""
+        x = points.x[inside]
+        return Matrices(parts.gamma, *tensors(derivatives(x, points.x), derivatives(x, x)))
+
+    return {
+        "as written (9)": lambda: solid(lambda parts: parts),
+        "force the adjoint of dilatation": lambda: solid(adjoint),
+        "moving least squares, θ at all nodes": lambda: solid(everywhere),
+        "the same, θ at half the nodes": lambda: staggered(model, points),
+    }
+
+
+def cell_areas(x: np.ndarray) -> np.ndarray:
+    """Areas of the Voronoi cells; of the outermost, whose cells do not close, their median."""
+    cells = Voronoi(x)
+    areas = np.full(len(x), np.nan)
+    for node, number in enumerate(cells.point_region):
+        if (corners := cells.regions[number]) and -1 not in corners:
+            areas[node] = ConvexHull(cells.vertices[corners]).volume
+    return np.where(areas < 4 * np.nanmedian(areas), areas, np.nanmedian(areas))
+
+
+def incompressible() -> list[dict[str, Any]]:
+    """Least and largest relative ℓ2 error over the draws, by form, λ/μ and number of nodes."""
+    found: dict[tuple[str, float], list[list[float]]] = {}
+    for ratio, number in product(STIFFER, CELLS):
+        errors: dict[str, list[float]] = {}
+        for seed in SEEDS:
+            points, horizon = scattered(number, seed)
+            model = warp_peri.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
+            u, b = curl_and_pressure(points.x, ratio)
+            for name, problem in forms(model, points).items():
+                solved = problem().solve(b[None], u[None])[0]
+                error = np.linalg.norm(solved - u) / np.linalg.norm(u[points.interior])
+                errors.setdefault(name, []).append(float(error))
+        for name, several in errors.items():
+            found.setdefault((name, ratio), []).append([min(several), max(several)])
+    return [{"form": name, "ratio": ratio, "errors": e} for (name, ratio), e in found.items()]
+
+
+def incompressible_row(found: dict[str, Any]) -> list[str]:
+    """A form at one λ/μ, and the order of its largest errors."""
+    order = -np.polyfit(np.log(CELLS), np.log([worst for _, worst in found["errors"]]), 1)[0]
+    errors = (f"{least:.1e} to {worst:.1e}" for least, worst in found["errors"])
+    return [found["form"], f"{found['ratio']:g}", *errors, f"{order:.1f}"]
 
 
 def draw(path: Path, rates: Sequence[dict[str, Any]]) -> None:

@@ -15,20 +15,24 @@ from tqdm import tqdm
 import warp_peri
 from examples.graphene_report import save_figure
 from examples.prose import rows_of
+from examples.studies import paper_you_thermal as thermal
 from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
 from tools.make_graphene import graphene_bodies
 from warp_peri import Bernstein
+from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
 from warp_peri.methods import TwoStage
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
-DATA = "data/graphene_0K.h5"
+DATA, CACHE = "data/graphene_0K.h5", "data/graphene_0K.cache"
 NEEDED = {
     DATA: "python examples/train_graphene.py",
     "runs/graphene_0K/model.json": "python examples/train_graphene.py",
     "runs/graphene_0K_sweep/sweep.json": "python examples/train_graphene.py --sweep",
     "runs/manufactured/manufactured.json": "python examples/studies/manufactured.py",
+    "runs/manufactured_adam/manufactured.json": "python examples/studies/manufactured.py "
+    "--quintic --adam --out runs/manufactured_adam",
 }
 TEMPLATE = Path(__file__).with_suffix(".md")
 SEEDS = range(5)
@@ -48,6 +52,7 @@ def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str
     data = warp_peri.load(runs.parent / DATA)
     trials = json.loads((runs / "graphene_0K_sweep" / "sweep.json").read_text(encoding="utf-8"))
     manufactured = json.loads((runs / "manufactured" / "manufactured.json").read_text("utf-8"))
+    adam = json.loads((runs / "manufactured_adam" / "manufactured.json").read_text("utf-8"))
     draw_atoms(figures / "you_2021_atoms.png", data)
     draw_fields(figures / "you_2021_fields.png", data)
     squares = kept("squares", lambda: both_metrics(runs, trials["trials"], data))
@@ -62,7 +67,24 @@ def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str
         ]
         for name, (bounds, conditions) in CHANGES.items()
     }
+    warm = kept("thermal", lambda: thermal.study(runs.parent / CACHE))
+    ratios = kept("ratios", lambda: thermal.ratios(runs.parent / CACHE))
+    cold = warp_peri.load(runs / "graphene_0K" / "model.json")
+    thermal.draw_kernels(figures / "you_2021_kernels.png", cold, warm["kernels"])
+    for name in ("fixed", "learned"):
+        picture = (runs / "manufactured_adam" / f"{name}_alpha.png").read_bytes()
+        with whole_file(figures / f"you_2021_{name}_alpha.png") as path:
+            path.write_bytes(picture)
+    a, c, middle = thermal.law_of_ratios()
     return {
+        "adam": rows_of(three_ways(manufactured, adam)),
+        "table_5": rows_of(table_5(warm["table_5"])),
+        "table_6_warm": rows_of(thermal.rows_of_table_6(warm["table_6"])),
+        "ratios": rows_of(thermal.rows_of_ratios(ratios)),
+        "ratio_noise": f"{a:.1f}",
+        "ratio_load": f"{c:.1f}",
+        "ratio_middle": f"{middle:.4f}",
+        **thermal.longer(warm["noise"]),
         "strains": rows_of(strains(data)),
         "manufactured": rows_of(consistency(manufactured, "fixed_alpha")),
         "learned_alpha": rows_of(consistency(manufactured, "learned_alpha")),
@@ -101,6 +123,40 @@ def consistency(found: Mapping[str, Any], name: str) -> list[list[str]]:
     for number, degree in enumerate(degrees):
         rows.append([f"M = {degree}", *(f"{loss[number]:.2e}" for loss in table["residual"])])
     return [*rows, ["error of K, M = 10", *(f"{e:.3f}" for e in table["kernel_error"])]]
+
+
+def three_ways(found: Mapping[str, Any], adam: Mapping[str, Any]) -> list[list[str]]:
+    """Losses of least squares, then of Adam with quintic weights, α held and learned."""
+    rows = []
+    names = ("fixed_alpha", "learned_alpha")
+    spacings = range(len(found["spacings"]))
+    for number, degree in enumerate(adam["degrees"]):
+        optimum = found["degrees"].index(degree)
+        both = [
+            (found[name]["residual"][h][optimum], adam[name]["residual"][h][number])
+            for h in spacings
+            for name in names
+        ]
+        rows.append([f"M = {degree}", *(f"{ours:.1e}, {theirs:.1e}" for ours, theirs in both)])
+    kernels = [
+        (found[name]["kernel_error"][h], adam[name]["kernel_error"][h])
+        for h in spacings
+        for name in names
+    ]
+    rows.append(["error of K, M = 10", *(f"{ours:.2f}, {theirs:.2f}" for ours, theirs in kernels)])
+    return rows
+
+
+def table_5(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Every fit at 300 K, each size of the loads followed by what is printed of it."""
+    return [
+        line
+        for row in rows
+        for line in (
+            [thermal.row_of_table_5(row)]
+            + [thermal.printed_row(row["factor"])] * (row["reduction"] == "iota")
+        )
+    ]
 
 
 def algorithm_1(data: Dataset, bounds: str, conditions: str, seed: int) -> dict[str, Any]:
@@ -278,15 +334,21 @@ def draw_atoms(path: Path, data: Dataset) -> None:
 
 
 def draw_fields(path: Path, data: Dataset) -> None:
-    """Figure 5: u₁ of a training, a validation and a test sample."""
-    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
+    """Figure 5: u₁ and b₁ of a training, a validation and a test sample."""
+    figure = Figure(figsize=(10.5, 6.4), layout="constrained")
     titles = {"train": "training", "val": "validation", "test": "disk"}
-    for ax, (name, title) in zip(figure.subplots(1, 3), titles.items()):
+    rows = figure.subplots(2, 3)
+    for column, (name, title) in zip(rows.T, titles.items()):
         samples = data[name]
         number = 8 if name == "train" else 0
-        x, u = samples.x[samples.interior], samples.u[number][samples.interior, 0]
-        limit = np.abs(u).max()
-        drawn = ax.tricontourf(*x.T, u, levels=21, cmap="RdBu_r", vmin=-limit, vmax=limit)
-        figure.colorbar(drawn, ax=ax, label="u₁ [Å]", shrink=0.8)
-        ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]", title=f"{title}, load {number}")
+        x = samples.x[samples.interior]
+        fields = {"u₁ [Å]": samples.u, "b₁ [TPa/Å]": np.asarray(samples.b)}
+        for ax, (label, field) in zip(column, fields.items()):
+            values = field[number][samples.interior, 0]
+            limit = np.abs(values).max()
+            drawn = ax.tricontourf(*x.T, values, levels=21, cmap="RdBu_r", vmin=-limit, vmax=limit)
+            figure.colorbar(drawn, ax=ax, label=label, shrink=0.8)
+            ax.set(
+                aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]", title=f"{title}, load {number}"
+            )
     save_figure(figure, path)

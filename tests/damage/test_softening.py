@@ -174,9 +174,9 @@ def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
 def test_the_large_plate_follows_from_the_small_ones_at_two_horizons(tmp_path, capsys):
     assert main(["--json", "--out", str(tmp_path)]) == 0
     numbers = json.loads(capsys.readouterr().out)
-    assert numbers["whole plate, mean error"] < 0.038
-    assert abs(numbers["peaks"]["L = 100"]["force error"]) < 0.04
-    assert abs(numbers["peaks"]["L = 100, horizon × 2"]["force error"]) < 0.05
+    assert numbers["whole plate, mean error"] < 0.0091
+    assert abs(numbers["peaks"]["L = 100"]["force error"]) < 0.027
+    assert abs(numbers["peaks"]["L = 100, horizon × 2"]["force error"]) < 0.047
     assert (tmp_path / "force.png").stat().st_size > 5000
 
 

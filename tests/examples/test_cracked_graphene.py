@@ -43,7 +43,7 @@ def test_two_cracks_off_the_middle_line_are_those_of_the_atoms(tmp_path, capsys)
     found = json.loads(out.out)
     assert status == 0
     assert found["by"] == "rows"
-    assert abs(found["error"]) < 0.03
+    assert abs(found["error"]) < 0.0091
 
 
 @pytest.mark.slow
@@ -52,7 +52,7 @@ def test_a_crack_at_an_angle_is_that_of_the_atoms(tmp_path, capsys):
     _, out = asked(capsys, tmp_path, *words)
     found = json.loads(out.out)
     assert found["by"] == "kinks"
-    assert abs(found["error"]) < 0.03
+    assert abs(found["error"]) < 0.0091
 
 
 @pytest.mark.slow

@@ -42,7 +42,7 @@ def test_a_sheet_is_learned_and_read(tmp_path):
         assert report[name]["seconds"] < 10
     assert report["guaranteed"]["disks"]["not_solved"] == 0
     assert report["guaranteed"]["disks"]["left_branch"] == 0
-    assert report["guaranteed"]["disks"]["E_u"] < 0.009
+    assert report["guaranteed"]["disks"]["E_u"] < 0.0009
     (fibre,) = (word for word in report["read out"]["material"] if word.startswith("fibre"))
     assert fibre.startswith("fibre_exponential at 90.0°")
     assert report["read out"]["material"]["neo_hookean"] == pytest.approx(0.0713, rel=0.02)
@@ -51,8 +51,8 @@ def test_a_sheet_is_learned_and_read(tmp_path):
 @pytest.mark.slow
 def test_a_leaflet_is_learned_from_displacement(tmp_path):
     report = run("leaflet.py", "--data", tmp_path / "data", "--out", tmp_path)
-    assert report["families"]["held out"] < 0.005
-    assert report["families"]["held out"] < report["rivals"]["Fung"]["held out"] / 6
+    assert report["families"]["held out"] < 0.00156
+    assert report["families"]["held out"] < report["rivals"]["Fung"]["held out"] / 20
     assert report["families"]["seconds"] < 180
     assert (tmp_path / "rose.png").exists()
 
@@ -63,8 +63,8 @@ def test_an_uneven_leaflet_is_told_from_its_material(tmp_path):
         "leaflet.py", "--uneven", "0.3", "--rivals", "neo-Hookean", "--data", tmp_path / "data",
         "--out", tmp_path,
     )  # fmt: skip
-    assert report["families, uneven"]["held out"] < report["families"]["held out"] / 4
-    assert report["families, uneven"]["held out"] < 0.005
+    assert report["families, uneven"]["held out"] < report["families"]["held out"] / 5.3
+    assert report["families, uneven"]["held out"] < 0.0034
     fibres = [word for word in report["families, uneven"]["material"] if word.startswith("fibre")]
     angles = sorted(float(word.split(" at ")[1].split("°")[0]) for word in fibres)
     np.testing.assert_allclose(angles, [115, 155], atol=1)

@@ -1,0 +1,90 @@
+"""Nearly incompressible solids on scattered points: θ at fewer nodes (theory.md, 48a–48b)."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
+from warp_peri.models.lps import Model
+from warp_peri.operator.matrices import Matrices, matrices
+from warp_peri.points.interpolation import mean_spacing
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.statics.direct import MatrixProblem
+
+APART = 1.3
+"""Least distance between two nodes with a dilatation, in spacings: about half of all nodes."""
+DEGREE, NEIGHBOURS = 3, 20
+"""Of the polynomials that derivatives are exact for, and how many nearest nodes they read."""
+SUPPORT = 1.05
+"""Radius of the weight over the distance of the farthest of these."""
+EXACT = 1e-6
+"""Largest error of a derivative of a monomial that weights may have."""
+
+
+def staggered(model: Model, points: PointsLike) -> MatrixProblem:
+    """Equilibrium on scattered points of the plane, whatever λ/μ: L = μ Γ − (λ−μ) G D (48a).
+
+    Γ is the model's own. D and G are the derivatives of its local limit, so that the answer tends
+    to linear elasticity as horizon and spacing shrink together; nothing is proven of L.
+    `staggered(model, points).solve(b, u)` takes loads [stress/length] and displacements [length]
+    of shape [S, N, 2] and gives displacements, those of the collar as they came.
+
+    Raises InputError for points in space, or fewer interior nodes than derivatives need.
+    """
+    nodes = nodes_of(points)
+    if nodes.dimension != 2:
+        raise InputError("points: expected points of the plane, got points in space")
+    few = thinned(nodes.x, np.flatnonzero(nodes.interior), APART * mean_spacing(nodes))
+    slopes = derivatives(nodes.x[few], nodes.x), derivatives(nodes.x[nodes.interior], nodes.x[few])
+    parts = Matrices(matrices(model, nodes).gamma, *tensors(*slopes))
+    return MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
+
+
+def tensors(
+    at_few: list[sp.csr_array], at_nodes: list[sp.csr_array]
+) -> tuple[sp.csr_array, sp.csr_array]:
+    """D, the divergence of displacements at some nodes, and G, a gradient at others (48a)."""
+    axes = np.eye(2)
+    D = sum(sp.kron(part, e[None]) for part, e in zip(at_few, axes))
+    G = sum(sp.kron(part, e[:, None]) for part, e in zip(at_nodes, axes))
+    return sp.csr_array(D), sp.csr_array(G)
+
+
+def thinned(x: np.ndarray, among: np.ndarray, apart: float) -> np.ndarray:
+    """Numbers of nodes of which no two are nearer than that, taken in their order."""
+    near = cKDTree(x[among]).query_ball_point(x[among], apart)
+    kept = np.zeros(len(among), bool)
+    for number, others in enumerate(near):
+        kept[number] = not kept[others].any()
+    return np.asarray(among[kept])
+
+
+def derivatives(y: np.ndarray, x: np.ndarray) -> list[sp.csr_array]:
+    """∂₁ and ∂₂ at y from values at x, exact for cubics (48b): two matrices of shape [Y, X].
+
+    Raises InputError for too few nodes, or nodes on a curve of the third degree.
+    """
+    if len(x) < NEIGHBOURS:
+        raise InputError(f"points: expected at least {NEIGHBOURS} nodes to read, got {len(x)}")
+    r, near = cKDTree(x).query(y, NEIGHBOURS)
+    radius = SUPPORT * r[:, -1, None]
+    s = (x[near] - y[:, None]) / radius[..., None]
+    weight = (1 - r / radius) ** 2
+    powers = np.array([p for p in product(range(DEGREE + 1), repeat=2) if sum(p) <= DEGREE])
+    P = np.prod(s[:, :, None] ** powers, axis=-1)
+    right = np.stack([(powers == e).all(axis=1) for e in ((1, 0), (0, 1))], axis=1).astype(float)
+    moments = np.einsum("yka,yk,ykb->yab", P, weight, P)
+    try:
+        answers = np.linalg.solve(moments, np.broadcast_to(right, (len(y), *right.shape)))
+        wrong = np.abs(moments @ answers - right).max()
+    except np.linalg.LinAlgError:
+        wrong = np.inf
+    if not wrong <= EXACT:
+        raise InputError("points: nodes to read lie on a curve of the third degree")
+    W = np.einsum("yka,yac,yk->cyk", P, answers, weight / radius)
+    row = NEIGHBOURS * np.arange(len(y) + 1)
+    return [sp.csr_array((w.ravel(), near.ravel(), row), shape=(len(y), len(x))) for w in W]
