@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
@@ -22,8 +21,7 @@ from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
-from warp_peri.statics.equilibrium import TOLERANCE
-from warp_peri.statics.settings import Krylov, Solver, refuse_solver
+from warp_peri.statics.settings import TOLERANCE, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 
@@ -121,14 +119,18 @@ class RowOperator:
 
         comm = self.points.comm
 
-        def dot(a: torch.Tensor, b: torch.Tensor) -> float:
-            along = (a.numpy() * b.numpy()).reshape(*a.shape[:2], -1).sum(axis=2)
+        def dot(a: np.ndarray, b: np.ndarray) -> float:
+            along = np.einsum("arn,arn->ar", *(f.reshape(*f.shape[:2], -1) for f in (a, b)))
             return float(total(comm, along.ravel()))
 
-        def largest(a: torch.Tensor) -> float:
-            return float(comm.allreduce(float(a.abs().max()), op=MPI.MAX))
+        def largest(a: np.ndarray) -> float:
+            return float(comm.allreduce(float(max(a.max(), -a.min())), op=MPI.MAX))
 
-        return Inner(dot, lambda a: dot(a, a) ** 0.5, largest)
+        def add(u: np.ndarray, step: float, p: np.ndarray) -> np.ndarray:
+            u += step * p
+            return u
+
+        return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
 
     def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
         """Displacement [n, d] with load b on the interior and u given elsewhere."""
@@ -136,13 +138,13 @@ class RowOperator:
         given = np.where(inside, 0.0, u)
         right = self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
         found, record = definite(
-            lambda p: torch.from_numpy(self.product(p.numpy())),
-            lambda r: torch.from_numpy(self.nearly_inverse(r.numpy())),
-            torch.from_numpy(right),
+            self.product,
+            self.nearly_inverse,
+            right,
             tolerance,
             inner=self.inner(),
         )
-        return given + np.where(inside, self.take_up(found.numpy()), 0.0), record
+        return given + np.where(inside, self.take_up(found), 0.0), record
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
