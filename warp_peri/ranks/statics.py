@@ -15,13 +15,13 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
-from warp_peri.ranks.convolution import Convolution, inverse_filter
+from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
-from warp_peri.statics.settings import TOLERANCE, Krylov, Solver, refuse_solver
+from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 
@@ -111,7 +111,7 @@ class RowOperator:
         self._H.start(r)
         long = self._coarse(self._between.restrict(r) * self._coarse.mask)
         z = self._between.prolong(long, self._box)
-        return np.asarray((z + self._H.finish()) * self.mask)
+        return np.asarray((LONG * z + self._H.finish()) * self.mask)
 
     def inner(self) -> Inner:
         """Scalar products and largest values over all ranks; sums of rows, then of all rows."""
@@ -134,27 +134,40 @@ class RowOperator:
 
     def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
         """Displacement [n, d] with load b on the interior and u given elsewhere."""
+        given, right = self.sides(b, u)
+        found, record = self.inverse(right, tolerance)
+        return given + self.take_up(found), record
+
+    def sides(self, b: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """u where it is given, zero elsewhere, [n, d]; the load in planes, less what that pulls."""
         inside = self.points.interior[:, None]
         given = np.where(inside, 0.0, u)
-        right = self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
-        found, record = definite(
-            self.product,
-            self.nearly_inverse,
-            right,
-            tolerance,
-            inner=self.inner(),
-        )
-        return given + np.where(inside, self.take_up(found), 0.0), record
+        return given, self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
+
+    def inverse(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+        """Planes, zero off the unknown nodes, with L of them as given there."""
+        return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
+
+
+def tensors_at(linear: Any, piece: Piece) -> Crystal:
+    """A linear solid or a crystal as tensors on a piece's lattice."""
+    law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
+    assert isinstance(law, Crystal)
+    return law
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
     """A Dirichlet problem on a lattice in rows; u and load are those of this rank's nodes.
 
+    A nonlinear solid is solved as in ranks.nonlinear.
+
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
     taken(options, "solve")
-    refuse_solver(solver, (Krylov,), "a body on ranks")
-    tolerance = solver.tolerance if isinstance(solver, Krylov) else TOLERANCE
+    bends = hasattr(material, "proven_strain")
+    kind = Newton if bends else Krylov
+    refuse_solver(solver, (kind,), f"a {'nonlinear' if bends else 'linear'} body on ranks")
+    tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
     piece = problem.points
     with agreed(piece.comm):
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
@@ -169,18 +182,28 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
                 f"b, u: expected shape {list(piece.x.shape)} of this rank's nodes, or of samples, "
                 f"got {list(b.shape)} and {list(u.shape)}"
             )
-        law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
-    operator = RowOperator(law, piece)
+        if getattr(solver, "eigenvalues", False):
+            raise InputError("eigenvalues: not on ranks; one process knows them")
+    if bends:
+        from warp_peri.ranks.nonlinear import RowNonlinear, warn_beyond
+
+        operator: Any = RowNonlinear(material, piece)
+    else:
+        with agreed(piece.comm):
+            law = tensors_at(linear, piece)
+        operator = RowOperator(law, piece)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
     found = [operator.solve(load, given, tolerance) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
+    if bends:
+        warn_beyond(list(records), operator.strain)
     return Solution(
         np.reshape([answer for answer, _ in found], u.shape),
         piece,
         operator,
         b[..., piece.interior, :],
-        "multigrid",
-        tuple(record.iterations for record in records),
+        records[0].method if bends else "multigrid",
+        tuple(record.solves if bends else record.iterations for record in records),
         operator.proven,
         details=records,
         measured=max(record.residual for record in records),
