@@ -7,6 +7,7 @@ linear solve is that of ranks.statics.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,8 +97,8 @@ class RowNonlinear:
             return np.asarray(np.linalg.lstsq(np.array(gram), np.array(beside), rcond=1e-12)[0])
 
         def found(force: Any, start: np.ndarray) -> tuple[np.ndarray, float]:
-            ways = {"norm": inner.norm, "fitted": fitted}
-            return anderson(lambda v: left(force, v), correction, start, tolerance, **ways)
+            step = partial(left, force)
+            return anderson(step, correction, start, tolerance, norm=inner.norm, fitted=fitted)
 
         v, record.residual = found(self.placed, correction(right / scale))
         if record.residual > tolerance and self.strain > 0:

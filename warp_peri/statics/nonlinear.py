@@ -300,9 +300,9 @@ def anderson(
     *,
     norm: Callable[[np.ndarray], float] = lambda field: float(np.linalg.norm(field)),
     fitted: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda differences, step: (
-        np.linalg.lstsq(
-            differences.reshape(-1, differences.shape[-1]), -step.ravel(), rcond=1e-12
-        )[0]
+        np.linalg.lstsq(differences.reshape(-1, differences.shape[-1]), -step.ravel(), rcond=1e-12)[
+            0
+        ]
     ),
 ) -> tuple[np.ndarray, float]:
     """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
