@@ -86,9 +86,9 @@ def rest(folder):
                        "residual": solution.residual, "left": left.max()}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", answer)
-    points = lattice((52, 52), H, inside, axis=0.0)
-    bent = wp.solve(nonlinear(), wp.Dirichlet(points, *small(points.x)))
-    answer = points.gather(bent.u)
+    sheet = lattice((52, 52), H, inside, axis=0.0)
+    bent = wp.solve(nonlinear(), wp.Dirichlet(sheet, *small(sheet.x)))
+    answer = sheet.gather(bent.u)
     found["nonlinear"] = {"u": digest(answer), "solves": bent.iterations[0],
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:

@@ -1,4 +1,4 @@
-"""Nodes of one body, each owned by one rank: rows of a lattice, boxes by bisection, or parts by METIS."""
+"""Nodes of one body, each owned by one rank: rows of a lattice, or parts by bisection or METIS."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Piece:
         number: of these nodes in the whole body, rising, shape [n].
         count: nodes of the whole body.
         grid: lattice steps from the corner of the whole body, shape [n, d].
-        rows: of a box in rows; None by bisection.
+        rows: of a box in rows; None of other parts.
         units, axis: as of Points.
     """
 
