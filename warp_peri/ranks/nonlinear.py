@@ -16,9 +16,9 @@ from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
+from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
-from warp_peri.ranks.statics import RowOperator, tensors_at
 from warp_peri.statics.nonlinear import ROUGH, NonlinearRecord, anderson, warn_beyond
 
 __all__ = ["RowNonlinear", "warn_beyond"]
