@@ -1,7 +1,7 @@
 """Nonlinear solids at rest on many ranks: the fixed point of statics.nonlinear, in rows.
 
 u ← u + L_lin⁻¹ (b − L u): a rank computes L u at its own nodes, from all that they feel, and the
-linear solve is that of ranks.statics.
+linear solve is that of ranks.linear.
 """
 
 from __future__ import annotations

@@ -32,8 +32,12 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
         linear = getattr(material, "linear", material)
-        if not hasattr(linear, "tensors") and not hasattr(linear, "influence"):
-            raise InputError("material: expected a linear solid or a crystal on ranks")
+        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
+        if not known or not (bends or linear is material):
+            raise InputError(
+                "material: expected a linear solid, a crystal, or one with third-order constants "
+                "on ranks"
+            )
         b, u = (np.asarray(field, dtype=float) for field in (problem.b, problem.u))
         if b.shape != u.shape or b.shape[-2:] != piece.x.shape or b.ndim not in (2, 3):
             raise InputError(
