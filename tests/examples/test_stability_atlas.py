@@ -21,7 +21,7 @@ DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
-    "larger-strains", "float32", "compression", "edges", "small-holes", "stretched", "uneven",
+    "larger-strains", "float32", "ranks", "compression", "edges", "small-holes", "stretched", "uneven",
     "predictions", "noise-of-its-own", "stretched-and-turned", "broken", "cracks-in-space",
     "stretch", "long-steps",
 )  # fmt: skip
