@@ -26,8 +26,8 @@ from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.points.points import Points
 from warp_peri.statics import nonlinear
 from warp_peri.statics.direct import RESIDUAL
-from warp_peri.statics.equilibrium import TOLERANCE
 from warp_peri.statics.lps import DIRECT
+from warp_peri.statics.settings import TOLERANCE
 
 SIDES = (10, 16, 24, 34, 48, 61, 100, 200)
 SHAPES = {"rectangle": "square", "disk": "disk", "L": "L"}

@@ -21,9 +21,9 @@ DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
-    "larger-strains", "float32", "compression", "edges", "small-holes", "stretched", "uneven",
-    "predictions", "noise-of-its-own", "stretched-and-turned", "broken", "cracks-in-space",
-    "stretch", "long-steps",
+    "larger-strains", "float32", "ranks", "compression", "edges", "small-holes", "stretched",
+    "uneven", "predictions", "noise-of-its-own", "stretched-and-turned", "broken",
+    "cracks-in-space", "stretch", "long-steps",
 )  # fmt: skip
 
 

@@ -10,12 +10,14 @@ import json
 import os
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.ranks import lattice, spread, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
@@ -40,6 +42,10 @@ def solid(dimension):
                     certified_on=(H,), dimension=dimension)  # fmt: skip
 
 
+def nonlinear():
+    return NonlinearModel(solid(2), -3.0, -2.0, 0.5)
+
+
 def inside(x):
     """A thick L in the plane, a ball in space, with room for a collar."""
     away = (x - CENTRE[x.shape[1]]) / H
@@ -56,6 +62,11 @@ def fields(x):
     waves = [np.sin(0.3 * x[:, 0] + a) * np.cos(0.2 * x[:, 1] - a) for a in range(x.shape[1])]
     u = np.stack(waves, axis=1)
     return 0.01 * u[:, ::-1], 0.1 * u
+
+
+def small(x):
+    """Of these the gradients reach 2 %."""
+    return tuple(0.4 * field for field in fields(x))
 
 
 def rest(folder):
@@ -75,6 +86,13 @@ def rest(folder):
                        "residual": solution.residual, "left": left.max()}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", answer)
+    sheet = lattice((52, 52), H, inside, axis=0.0)
+    bent = wp.solve(nonlinear(), wp.Dirichlet(sheet, *small(sheet.x)))
+    answer = sheet.gather(bent.u)
+    found["nonlinear"] = {"u": digest(answer), "solves": bent.iterations[0],
+                          "residual": bent.residual}  # fmt: skip
+    if comm.rank == 0:
+        np.save(folder / f"nonlinear_{comm.size}.npy", answer)
     found["refused"] = []
     wide = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (
@@ -155,7 +173,8 @@ if __name__ == "__main__":
     folder, by, steps, pause, *more = sys.argv[1:]
     found = {"crack": crack(Path(folder), by, steps, pause)}
     if pause == "0":
-        found["block"] = block(by)
+        metis = by == "bisection" and find_spec("pymetis")
+        found["block"] = block("metis" if metis else by)
     if "rest" in more:
         found |= rest(Path(folder))
     print(json.dumps(found), flush=True)

@@ -13,7 +13,17 @@ import pytest
 
 import warp_peri as wp
 from examples.large_plate import main as large_plate
-from tests.ranks.job import H, block, crack, fields, inside, solid, uneven
+from tests.ranks.job import (
+    H,
+    block,
+    crack,
+    fields,
+    inside,
+    nonlinear,
+    small,
+    solid,
+    uneven,
+)
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -92,6 +102,20 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimens
                      if dimension == 2 else None)  # fmt: skip
     answer = np.load(folder / f"{dimension}-D_2.npy")
     assert np.abs(answer - alone.u).max() <= 10 * tolerance * np.abs(alone.u).max()
+
+
+def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
+    found = [jobs[count]["nonlinear"] for count in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["residual"] <= 1e-8
+    x = H * np.argwhere(np.ones((52, 52)))
+    points = wp.Points(x, inside(x), H, axis=0.0)
+    problem = wp.Dirichlet(points, *small(x))
+    with pytest.warns(UserWarning, match="strain: solutions are proven unique"):
+        alone = wp.solve(nonlinear(), problem).u
+    answer = np.load(folder / "nonlinear_2.npy")
+    assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
+    assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):

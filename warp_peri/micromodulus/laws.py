@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
-from warp_peri.micromodulus.third_order_learning import ThirdOrderFit, fit_third_order
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+
+if TYPE_CHECKING:
+    from warp_peri.micromodulus.third_order_learning import ThirdOrderFit
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class Micromodulus:
         "auto" is "isotropic" here. A UserWarning says where training data reach beyond the proven
         strain.
         """
+        from warp_peri.micromodulus.third_order_learning import fit_third_order
+
         if not isinstance(smoothing, Smoothing):
             raise InputError(
                 f"smoothing: expected Smoothing(…) beside such tensors, got {smoothing!r:.60}"

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.coarse import Filter, multigrid, sine, torus_inverse
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 
 if TYPE_CHECKING:
+    import torch
+
     from warp_peri.micromodulus.operator import Operator
 
 METHODS = ("auto", "fft", "sine", "multigrid", "cg")
@@ -79,6 +80,8 @@ def solve(
 
 
 def _tensor(field: np.ndarray) -> torch.Tensor:
+    import torch
+
     return torch.from_numpy(np.ascontiguousarray(field, dtype=float))
 
 

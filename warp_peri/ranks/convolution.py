@@ -19,6 +19,9 @@ from warp_peri.ranks.processes import Comm
 
 WIDTH = {2: 32, 3: 12}
 """Half the width of the inverse filter [nodes]."""
+LONG = 0.7
+"""Share of the long waves' answer beside the filter's, which is alone right for short ones: with
+less than all of it the iterations grow by one or two, not three, from 128² to 2000²."""
 TORUS = 8
 """Widths of the torus that the filter is taken from."""
 
@@ -86,25 +89,48 @@ def inverse_filter(
     whose transform is not negative, it is positive whatever the symbol (theory.md, R2). Cut off
     without a window it would not be.
     """
+    width = WIDTH[steps.shape[1]]
+    torus, kernel = short_inverse(steps, tensors, elastic, width)
+    for window in (hann, bartlett):
+        stencil = cut(kernel, window)
+        if smallest(folded(stencil, torus)) > 0:
+            break
+    return width, lambda shape: folded(stencil, shape)
+
+
+def short_inverse(
+    steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray, width: int
+) -> tuple[tuple[int, ...], np.ndarray]:
+    """A torus of TORUS widths and the inverse's kernel there, [d (d + 1)/2, 2 width + 1, ...]."""
     d = steps.shape[1]
-    width = WIDTH[d]
     torus = (TORUS * width,) * d
     shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
     table = shifted_inverse(torus, steps, tensors, shift)
     axes = tuple(range(1, d + 1))
     kernel = scipy.fft.irfftn(table, s=torus, axes=axes)
-    kernel = np.roll(kernel, (width,) * d, axes)[:, *(slice(2 * width + 1),) * d]
-    away = np.abs(np.arange(-width, width + 1)) / (width + 1)
-    for window in ((1 + np.cos(np.pi * away)) / 2, 1 - away):
-        stencil = kernel.copy()
-        for axis in range(d):
-            stencil *= window.reshape([-1 if a == axis else 1 for a in range(d)])
-        if smallest(_folded(stencil, torus)) > 0:
-            break
-    return width, lambda shape: _folded(stencil, shape)
+    return torus, np.roll(kernel, (width,) * d, axes)[:, *(slice(2 * width + 1),) * d]
 
 
-def _folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
+def hann(away: np.ndarray) -> np.ndarray:
+    """Of distances in [0, 1)."""
+    return np.asarray((1 + np.cos(np.pi * away)) / 2)
+
+
+def bartlett(away: np.ndarray) -> np.ndarray:
+    """Of distances in [0, 1); its transform is not negative."""
+    return 1 - away
+
+
+def cut(kernel: np.ndarray, window: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """A kernel [c, 2w + 1, ...] times a window along each axis."""
+    d, width = kernel.ndim - 1, kernel.shape[1] // 2
+    along = window(np.abs(np.arange(-width, width + 1)) / (width + 1))
+    for axis in range(d):
+        kernel = kernel * along.reshape([-1 if a == axis else 1 for a in range(d)])
+    return kernel
+
+
+def folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
     """The symbol of a stencil [c, 2w + 1, ...] on a torus."""
     field = np.zeros((len(stencil), *torus))
     field[:, *(slice(n) for n in stencil.shape[1:])] = stencil

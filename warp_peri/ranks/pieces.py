@@ -1,4 +1,4 @@
-"""Nodes of one body, each owned by one rank: rows of a lattice, or boxes by recursive bisection."""
+"""Nodes of one body, each owned by one rank: rows of a lattice, or parts by bisection or METIS."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.launch import ranks_started
-from warp_peri.points.lattice import LATTICE_TOLERANCE
+from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks.processes import Comm, agreed, world
@@ -49,7 +49,7 @@ class Piece:
         number: of these nodes in the whole body, rising, shape [n].
         count: nodes of the whole body.
         grid: lattice steps from the corner of the whole body, shape [n, d].
-        rows: of a box in rows; None by bisection.
+        rows: of a box in rows; None of other parts.
         units, axis: as of Points.
     """
 
@@ -134,15 +134,17 @@ def spread(points: Points, by: str = "rows") -> Any:
 
     Args:
         points: a lattice along the axes, without a box, the same on every rank.
-        by: "rows" of the lattice, or "bisection" of boxes at the middle of their longest side.
+        by: "rows" of the lattice, "bisection" of boxes at the middle of their longest side, or
+            "metis", which cuts as few neighbours apart as it can (G. Karypis and V. Kumar, 1998).
 
-    Raises InputError for other points, and for more ranks than there are rows in blocks, or nodes.
+    Raises InputError for other points, for more ranks than there are rows in blocks, or nodes, and
+    for "metis" without pymetis.
     """
     if not ranks_started():
         return points
     comm = world()
-    if by not in ("rows", "bisection"):
-        raise InputError(f"by: expected rows or bisection, got {by!r}")
+    if by not in ("rows", "bisection", "metis"):
+        raise InputError(f"by: expected rows, bisection or metis, got {by!r}")
     if not points.is_plain_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
@@ -154,6 +156,8 @@ def spread(points: Points, by: str = "rows") -> Any:
         rows = _rows(comm, tuple((grid.max(axis=0) + 1).tolist()), None)
         first, last = rows.starts[comm.rank : comm.rank + 2]
         own = np.flatnonzero((grid[:, 0] >= first) & (grid[:, 0] < last))
+    elif by == "metis":
+        own = np.flatnonzero(comm.bcast(_by_metis(grid, comm.size)) == comm.rank)
     else:
         own = np.sort(_bisected(grid, np.arange(len(grid)), comm.size)[comm.rank])
     if min(comm.allgather(len(own))) == 0:
@@ -181,6 +185,18 @@ def _rows(comm: Comm, shape: tuple[int, ...], block: int | None) -> Rows:
         )
     starts = np.minimum(block * (blocks * np.arange(comm.size + 1) // comm.size), shape[0])
     return Rows(tuple(int(n) for n in shape), block, starts)
+
+
+def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:
+    """Number of the part that each node is in, shape [N]."""
+    try:
+        import pymetis
+    except ImportError:
+        raise InputError("by: metis needs pymetis: pip install 'warp_peri[metis]'") from None
+    along = np.eye(grid.shape[1], dtype=np.int64)
+    table = neighbour_table(grid, np.concatenate([along, -along]))
+    first = np.concatenate([[0], np.cumsum((table >= 0).sum(axis=1))])
+    return np.array(pymetis.part_graph(parts, xadj=first, adjncy=table[table >= 0])[1])
 
 
 def _bisected(grid: np.ndarray, nodes: np.ndarray, parts: int) -> list[np.ndarray]:

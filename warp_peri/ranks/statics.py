@@ -1,184 +1,71 @@
-"""A body at rest on many ranks: conjugate gradients with a windowed inverse and multigrid."""
+"""A body at rest on many ranks: which of its nodes' fields fit, and what solves it."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import torch
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
-from warp_peri.kernels.micromodulus.rows import rows as row_kernels
-from warp_peri.micromodulus.coarse import coarser
-from warp_peri.micromodulus.elements import q1_tensors
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.states import tensors_of
-from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
-from warp_peri.points.unit_names import check_same
-from warp_peri.ranks.convolution import Convolution, inverse_filter
-from warp_peri.ranks.multigrid import Between, cycle
-from warp_peri.ranks.pieces import Piece
-from warp_peri.ranks.processes import agreed, build
-from warp_peri.ranks.sums import total
-from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
-from warp_peri.statics.equilibrium import TOLERANCE
-from warp_peri.statics.settings import Krylov, Solver, refuse_solver
+from warp_peri.ranks.linear import RowOperator, tensors_at
+from warp_peri.ranks.processes import agreed
+from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
-
-
-class RowOperator:
-    """L of a lattice in rows, and what inverts it nearly.
-
-    Args:
-        law: certified tensors of the lattice's spacing.
-        piece: the nodes of this rank, in rows.
-
-    Raises InputError for a law without a proof, and interior nodes near the edge of the box.
-    """
-
-    def __init__(self, law: Crystal, piece: Piece) -> None:
-        if piece.rows is None:
-            raise InputError("points: expected a lattice in rows for a body at rest on ranks")
-        comm, rows, d = piece.comm, piece.rows, piece.dimension
-        self.law, self.points, self.dimension = law, piece, d
-        first, last = rows.starts[comm.rank : comm.rank + 2]
-        box = (int(last - first), *rows.shape[1:])
-        self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
-        self._box, self.reach = box, int(np.abs(law.steps).max())
-        self.mask = np.zeros(box, bool)
-        self.mask.flat[self._place[piece.interior]] = True
-        with agreed(comm):
-            self._check()
-        build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
-        tensors = law.tensors * law.spacing**2
-        scale = law.spacing**-2
-        self._L = Convolution(
-            comm, rows, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
-        )
-        width, symbol = inverse_filter(law.steps, tensors, law.tensor())
-        self._H = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
-        self._between = Between(comm, rows.starts)
-        few = coarser(self.mask)
-        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        self._coarse = cycle(comm, *near, few, self._between.coarse)
-
-    def _check(self) -> None:
-        piece, law = self.points, self.law
-        assert piece.rows is not None
-        check_same(law.units, piece.units)
-        if self.proven is None:
-            raise InputError("material: expected one that is proven stable on the lattice")
-        if abs(law.spacing / piece.spacing - 1) > 1e-6:
-            raise InputError(
-                f"spacing: the law is for {law.spacing:g}, the points have {piece.spacing:g}"
-            )
-        inside = piece.grid[piece.interior]
-        most = np.array(piece.rows.shape) - 1
-        if len(inside) and min(inside.min(), (most - inside).min()) < self.reach:
-            raise InputError(
-                f"points: expected {self.reach} nodes around the interior, whose displacement is "
-                f"given, in a box of {piece.rows.shape}"
-            )
-
-    @property
-    def proven(self) -> str | None:
-        """What is proven of the law, in one sentence."""
-        proof = self.law.certificate
-        if proof is None or not proof.holds:
-            return None
-        return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
-
-    def lay_out(self, values: np.ndarray) -> np.ndarray:
-        """Vectors of the nodes [n, d] in planes [d, rows, ...]."""
-        field = np.zeros((self.dimension, int(np.prod(self._box))))
-        field[:, self._place] = values.T
-        return field.reshape(self.dimension, *self._box)
-
-    def take_up(self, field: np.ndarray) -> np.ndarray:
-        """Planes at the nodes of this rank, [n, d]."""
-        return np.ascontiguousarray(field.reshape(self.dimension, -1)[:, self._place].T)
-
-    def product(self, field: np.ndarray) -> np.ndarray:
-        """L of planes, at the unknown nodes."""
-        return np.asarray(self._L(field) * self.mask)
-
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
-        pulled: np.ndarray = self.take_up(self.product(self.lay_out(u)))[self.points.interior]
-        return pulled
-
-    def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
-        """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""
-        self._H.start(r)
-        long = self._coarse(self._between.restrict(r) * self._coarse.mask)
-        z = self._between.prolong(long, self._box)
-        return np.asarray((z + self._H.finish()) * self.mask)
-
-    def inner(self) -> Inner:
-        """Scalar products and largest values over all ranks; sums of rows, then of all rows."""
-        from mpi4py import MPI
-
-        comm = self.points.comm
-
-        def dot(a: torch.Tensor, b: torch.Tensor) -> float:
-            along = (a.numpy() * b.numpy()).reshape(*a.shape[:2], -1).sum(axis=2)
-            return float(total(comm, along.ravel()))
-
-        def largest(a: torch.Tensor) -> float:
-            return float(comm.allreduce(float(a.abs().max()), op=MPI.MAX))
-
-        return Inner(dot, lambda a: dot(a, a) ** 0.5, largest)
-
-    def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
-        """Displacement [n, d] with load b on the interior and u given elsewhere."""
-        inside = self.points.interior[:, None]
-        given = np.where(inside, 0.0, u)
-        right = self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
-        found, record = definite(
-            lambda p: torch.from_numpy(self.product(p.numpy())),
-            lambda r: torch.from_numpy(self.nearly_inverse(r.numpy())),
-            torch.from_numpy(right),
-            tolerance,
-            inner=self.inner(),
-        )
-        return given + np.where(inside, self.take_up(found.numpy()), 0.0), record
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
     """A Dirichlet problem on a lattice in rows; u and load are those of this rank's nodes.
 
+    A nonlinear solid is solved as in ranks.nonlinear.
+
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
     taken(options, "solve")
-    refuse_solver(solver, (Krylov,), "a body on ranks")
-    tolerance = solver.tolerance if isinstance(solver, Krylov) else TOLERANCE
+    bends = hasattr(material, "proven_strain")
+    kind = Newton if bends else Krylov
+    refuse_solver(solver, (kind,), f"a {'nonlinear' if bends else 'linear'} body on ranks")
+    tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
     piece = problem.points
     with agreed(piece.comm):
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
         linear = getattr(material, "linear", material)
-        if not hasattr(linear, "tensors") and not hasattr(linear, "influence"):
-            raise InputError("material: expected a linear solid or a crystal on ranks")
+        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
+        if not known or not (bends or linear is material):
+            raise InputError(
+                "material: expected a linear solid, a crystal, or one with third-order constants "
+                "on ranks"
+            )
         b, u = (np.asarray(field, dtype=float) for field in (problem.b, problem.u))
         if b.shape != u.shape or b.shape[-2:] != piece.x.shape or b.ndim not in (2, 3):
             raise InputError(
                 f"b, u: expected shape {list(piece.x.shape)} of this rank's nodes, or of samples, "
                 f"got {list(b.shape)} and {list(u.shape)}"
             )
-        law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
-    operator = RowOperator(law, piece)
+        if getattr(solver, "eigenvalues", False):
+            raise InputError("eigenvalues: not on ranks; one process knows them")
+    if bends:
+        from warp_peri.ranks.nonlinear import RowNonlinear, warn_beyond
+
+        operator: Any = RowNonlinear(material, piece)
+    else:
+        with agreed(piece.comm):
+            law = tensors_at(linear, piece)
+        operator = RowOperator(law, piece)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
     found = [operator.solve(load, given, tolerance) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
+    if bends:
+        warn_beyond(list(records), operator.strain)
     return Solution(
         np.reshape([answer for answer, _ in found], u.shape),
         piece,
         operator,
         b[..., piece.interior, :],
-        "multigrid",
-        tuple(record.iterations for record in records),
+        records[0].method if bends else "multigrid",
+        tuple(record.solves if bends else record.iterations for record in records),
         operator.proven,
         details=records,
         measured=max(record.residual for record in records),

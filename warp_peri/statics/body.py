@@ -31,45 +31,15 @@ from warp_peri.statics.bulk import MARGIN, Bulk, PlacedBulk, bulk_points, cubic,
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
+from warp_peri.statics.settings import Coupling as Coupling
 from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.statics.whole_body import WholeBody
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.lattice import LARGEST
 
+UNTOLD = Coupling()
 OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0
 """Overlap of rim and bulk where none is given: in horizons, of a crystal in spacings."""
-TOLERANCE = 1e-8
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """How rim and bulk meet.
-
-    Attributes:
-        spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
-        overlap: width of what both solve for [Å]; None for two horizons, of a crystal four
-            spacings.
-        degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
-        tolerance: of the mismatch on the rim's inner side.
-
-    Raises InputError for lengths that are not > 0, another degree, or a tolerance outside (0, 1).
-    """
-
-    spacing: float | None = None
-    overlap: float | None = None
-    degree: int = 2
-    tolerance: float = TOLERANCE
-
-    def __post_init__(self) -> None:
-        for name, expected, value, largest in (
-            ("spacing", "a lattice spacing > 0", self.spacing, np.inf),
-            ("overlap", "a length > 0", self.overlap, np.inf),
-            ("tolerance", "a number between 0 and 1", self.tolerance, 1.0),
-        ):
-            if value is not None and not (is_number(value) and 0 < value < largest):
-                raise InputError(f"{name}: expected {expected}, got {value!r}")
-        if self.degree not in (1, 2):
-            raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +147,7 @@ def solve_body(
     traction: Mapping[str, Traction | ArrayLike] | None = None,
     b: Field | None = None,
     edge: Mapping[str, float] | None = None,
-    coupling: Coupling = Coupling(),
+    coupling: Coupling = UNTOLD,
     allow_uncertified: bool = False,
 ) -> BodySolution:
     """A body in equilibrium, its outline held in part, pulled in part, free elsewhere (B1–B7).

@@ -14,10 +14,11 @@ from warp_peri.models.lps import Model
 from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes
-from warp_peri.statics.body import TOLERANCE, BodySolution
+from warp_peri.statics.body import BodySolution
 from warp_peri.statics.body_loads import loads_on
 from warp_peri.statics.rim import Field, Moduli, Traction
 from warp_peri.statics.schwarz import Schwarz
+from warp_peri.statics.settings import TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)

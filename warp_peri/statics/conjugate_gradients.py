@@ -3,34 +3,44 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NamedTuple
-
-import torch
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from warp_peri.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
 
 MOST_ITERATIONS = 1500
 RESTARTS = 2
 """Times that a solve goes on from where the true residual was found too large."""
-Field = Callable[[torch.Tensor], torch.Tensor]
+Field = Callable[[Any], Any]
+"""Of tensors to tensors, or of arrays to arrays."""
 
 
 class Inner(NamedTuple):
-    """Of fields: their scalar product, the norm, and the largest absolute value."""
+    """Of fields: scalar product, norm, largest absolute value; u += a p in place of (u, a, p)."""
 
-    dot: Callable[[torch.Tensor, torch.Tensor], float]
-    norm: Callable[[torch.Tensor], float]
-    largest: Callable[[torch.Tensor], float]
+    dot: Callable[[Any, Any], float]
+    norm: Callable[[Any], float]
+    largest: Callable[[Any], float]
+    add: Callable[[Any, float, Any], Any]
 
 
 def _dot(a: torch.Tensor, b: torch.Tensor) -> float:
-    return float(torch.dot(a.flatten(), b.flatten()))
+    return float(a.flatten().dot(b.flatten()))
 
 
-HERE = Inner(_dot, lambda a: float(a.norm()), lambda a: float(a.abs().max()) if a.numel() else 0.0)
-"""Of fields that this process has the whole of."""
+HERE = Inner(
+    _dot,
+    lambda a: float(a.norm()),
+    lambda a: float(a.abs().max()) if a.numel() else 0.0,
+    lambda u, a, p: u.add_(p, alpha=a),
+)
+"""Of tensors that this process has the whole of."""
 
 
 @dataclass
@@ -49,20 +59,20 @@ class SolveRecord:
 def definite(
     product: Field,
     precondition: Field,
-    right: torch.Tensor,
+    right: Any,
     tolerance: float,
     *,
     begin: Field | None = None,
     inner: Inner = HERE,
     where: str = "",
     hint: str = "",
-) -> tuple[torch.Tensor, SolveRecord]:
+) -> tuple[Any, SolveRecord]:
     """u with L u = right to a true relative residual, and its record.
 
     Args:
         product: L of a field.
         precondition: z ≈ L⁻¹ r, in memory of its own.
-        right: of any shape, on the processor.
+        right: of any shape, on the processor; a tensor, or what else `inner` is for.
         tolerance: of ‖L u − right‖ / ‖right‖.
         begin: where a search for L u = r starts; zero by default.
         inner: how fields are measured.
@@ -71,14 +81,10 @@ def definite(
     Raises InputError when a direction has no positive energy, or the search stalls above the
     tolerance.
     """
-    # On shared cores torch's threads wait for one another at every small operation (3 to 20
-    # times as long in all); transforms and kernels, most of the work, have their own.
-    count = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
+    with _one_thread():
         record = SolveRecord()
         largest = inner.largest(right)
-        u = torch.zeros_like(right)
+        u = right - right  # zeros
         if largest == 0:
             return u, record
         right = right / largest  # squares of very small and very large loads are no numbers
@@ -93,8 +99,6 @@ def definite(
                 return u * largest, record
             if record.iterations >= MOST_ITERATIONS:
                 break
-    finally:
-        torch.set_num_threads(count)
     raise InputError(
         f"the solve stalled: residual {record.residual:.1e} of the right-hand side after "
         f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator{where} is "
@@ -102,23 +106,40 @@ def definite(
     )
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """On shared cores torch's threads wait for one another at every small operation (3 to 20 times
+    as long in all); transforms and kernels, most of the work, have their own.
+    """
+    torch = sys.modules.get("torch")  # not loaded for threads alone: ranks do without
+    if torch is None:
+        yield
+        return
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(count)
+
+
 def _descend(
     product: Field,
     precondition: Field,
-    r: torch.Tensor,
+    r: Any,
     goal: float,
     record: SolveRecord,
-    start: torch.Tensor | None,
+    start: Any,
     inner: Inner,
     where: str,
-) -> torch.Tensor:
+) -> Any:
     """Until the recursive residual meets the goal."""
-    u, r = torch.zeros_like(r), r.clone()
+    u, r = r - r, 1 * r
     if start is not None:
         u = start
         r -= product(u)
     z = precondition(r)
-    p, rz = z.clone(), inner.dot(r, z)
+    p, rz = 1 * z, inner.dot(r, z)
     while inner.norm(r) > goal and record.iterations < MOST_ITERATIONS:
         q = product(p)
         energy = inner.dot(p, q)
@@ -128,11 +149,11 @@ def _descend(
             )
         record.iterations += 1
         step = rz / energy
-        u.add_(p, alpha=step)
-        r.sub_(q, alpha=step)
+        inner.add(u, step, p)
+        inner.add(r, -step, q)
         z = precondition(r)
         last, rz = rz, inner.dot(r, z)
-        p = z.add_(p, alpha=rz / last)
+        p = inner.add(z, rz / last, p)
     return u
 
 
@@ -172,6 +193,8 @@ def polak_ribiere(
     nothing is kept. The force need not have an energy; the search then may end before a zero, and
     it ends where a step leads to no number.
     """
+    import torch
+
     left = -unbalanced(u)
     first = float(left.detach().norm())
     record = Descent(0, 1.0, first == 0)

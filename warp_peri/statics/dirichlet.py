@@ -16,6 +16,7 @@ from warp_peri.operator.stencil import smallest_ratio
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 from warp_peri.statics.domain import Domain
 from warp_peri.statics.preconditioners import Preconditioner, additive, nothing, sine, torus_inverse
+from warp_peri.statics.settings import PRECONDITIONERS
 from warp_peri.statics.strip import Strip
 
 STRIP, EDGE = 2, 3
@@ -23,13 +24,9 @@ STRIP, EDGE = 2, 3
 SINGULAR = 1e-13
 """A bound of the smallest eigenvalue below this fraction of the largest is no bound."""
 
-PRECONDITIONERS: dict[str, Callable[[Domain, torch.Tensor], Preconditioner]] = {
-    "multigrid": additive,
-    "sine": sine,
-    "strip": torus_inverse,
-    "fft": torus_inverse,
-    "cg": nothing,
-}
+_MADE: dict[str, Callable[[Domain, torch.Tensor], Preconditioner]] = dict(
+    zip(PRECONDITIONERS, (additive, sine, torus_inverse, torus_inverse, nothing))
+)
 
 
 class Dirichlet:
@@ -51,7 +48,7 @@ class Dirichlet:
         self.scale = float(A[0, 0, A.shape[-1] // 2, A.shape[-1] // 2])
         self.symbol = domain.torus.symbol(A)
         self.check_definite()
-        self.filtered = PRECONDITIONERS[method](domain, A)
+        self.filtered = _MADE[method](domain, A)
         width = {"strip": STRIP * (A.shape[-1] // 2), "multigrid": EDGE}.get(method, 0)
         self.strip = Strip(domain, A, width) if width else None
 

@@ -28,11 +28,9 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.dirichlet import PRECONDITIONERS, Dirichlet
+from warp_peri.statics.dirichlet import Dirichlet
 from warp_peri.statics.domain import Domain, domain
-
-TOLERANCE = 1e-8
-"""Of iterative solves: true residual over right-hand side."""
+from warp_peri.statics.settings import PRECONDITIONERS, TOLERANCE
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""

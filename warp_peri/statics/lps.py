@@ -27,9 +27,9 @@ from warp_peri.points.strain import largest_strain, lattice_strain
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.equilibrium import TOLERANCE, Inverse, equilibrium, iterated_inverse
+from warp_peri.statics.equilibrium import Inverse, equilibrium, iterated_inverse
 from warp_peri.statics.scattered import ThroughLattice
-from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
+from warp_peri.statics.settings import TOLERANCE, Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.transfer.operator import LPSOperator

@@ -297,6 +297,13 @@ def anderson(
     correction: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     tolerance: float,
+    *,
+    norm: Callable[[np.ndarray], float] = lambda field: float(np.linalg.norm(field)),
+    fitted: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda differences, step: (
+        np.linalg.lstsq(differences.reshape(-1, differences.shape[-1]), -step.ravel(), rcond=1e-12)[
+            0
+        ]
+    ),
 ) -> tuple[np.ndarray, float]:
     """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
 
@@ -305,6 +312,8 @@ def anderson(
         correction: the step that answers a residual.
         start: a field.
         tolerance: of the residual's norm.
+        norm: of a field.
+        fitted: how much of differences [..., k] comes closest to minus a step, shape [k].
 
     Returns:
         The field of the smallest residual, and that residual's norm.
@@ -315,7 +324,7 @@ def anderson(
     waited = 0
     for _ in range(MOST_STEPS):
         residual = left(u)
-        size = float(np.linalg.norm(residual))
+        size = norm(residual)
         waited = 0 if size < best[1] else waited + 1
         if size < best[1]:
             best = (u, size)
@@ -328,9 +337,7 @@ def anderson(
         if len(steps) > 1:
             by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
             by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
-            flat = by_step.reshape(-1, by_step.shape[-1])
-            mix = np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
-            u = u + (by_step + by_field) @ mix
+            u = u + (by_step + by_field) @ fitted(by_step, steps[-1])
     return best
 
 

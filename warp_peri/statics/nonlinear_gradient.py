@@ -18,9 +18,8 @@ from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import nonlinear_force
 from warp_peri.operator.tangent import TangentMatrices
 from warp_peri.points.samples import PointsLike
-from warp_peri.statics.equilibrium import TOLERANCE
 from warp_peri.statics.nonlinear import PlacedThirdOrder
-from warp_peri.statics.settings import Newton
+from warp_peri.statics.settings import TOLERANCE, Newton
 
 
 class _Equilibrium(torch.autograd.Function):

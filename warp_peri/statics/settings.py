@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.points.arrays import is_number
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.statics.dirichlet import PRECONDITIONERS
-from warp_peri.statics.equilibrium import TOLERANCE
+
+TOLERANCE = 1e-8
+"""Of iterative solves: true residual over right-hand side."""
+PRECONDITIONERS = ("multigrid", "sine", "strip", "fft", "cg")
+"""Of conjugate gradients on lattices, by name."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,37 @@ class Newton:
 
     def __post_init__(self) -> None:
         check_tolerance(self.tolerance)
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """How rim and bulk meet.
+
+    Attributes:
+        spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
+        overlap: width of what both solve for [Å]; None for two horizons, of a crystal four
+            spacings.
+        degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
+        tolerance: of the mismatch on the rim's inner side.
+
+    Raises InputError for lengths that are not > 0, another degree, or a tolerance outside (0, 1).
+    """
+
+    spacing: float | None = None
+    overlap: float | None = None
+    degree: int = 2
+    tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        for name, expected, value, largest in (
+            ("spacing", "a lattice spacing > 0", self.spacing, np.inf),
+            ("overlap", "a length > 0", self.overlap, np.inf),
+            ("tolerance", "a number between 0 and 1", self.tolerance, 1.0),
+        ):
+            if value is not None and not (is_number(value) and 0 < value < largest):
+                raise InputError(f"{name}: expected {expected}, got {value!r}")
+        if self.degree not in (1, 2):
+            raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
 
 
 Solver: TypeAlias = Direct | Krylov | Newton | None

@@ -1,0 +1,153 @@
+"""A linear body at rest on many ranks: conjugate gradients, a windowed inverse and multigrid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.kernels.micromodulus.rows import rows as row_kernels
+from warp_peri.micromodulus.coarse import coarser
+from warp_peri.micromodulus.elements import q1_tensors
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.states import tensors_of
+from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
+from warp_peri.points.unit_names import check_same
+from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
+from warp_peri.ranks.multigrid import Between, cycle
+from warp_peri.ranks.pieces import Piece
+from warp_peri.ranks.processes import agreed, build
+from warp_peri.ranks.sums import total
+from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
+
+
+class RowOperator:
+    """L of a lattice in rows, and what inverts it nearly.
+
+    Args:
+        law: certified tensors of the lattice's spacing.
+        piece: the nodes of this rank, in rows.
+
+    Raises InputError for a law without a proof, and interior nodes near the edge of the box.
+    """
+
+    def __init__(self, law: Crystal, piece: Piece) -> None:
+        if piece.rows is None:
+            raise InputError("points: expected a lattice in rows for a body at rest on ranks")
+        comm, rows, d = piece.comm, piece.rows, piece.dimension
+        self.law, self.points, self.dimension = law, piece, d
+        first, last = rows.starts[comm.rank : comm.rank + 2]
+        box = (int(last - first), *rows.shape[1:])
+        self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
+        self._box, self.reach = box, int(np.abs(law.steps).max())
+        self.mask = np.zeros(box, bool)
+        self.mask.flat[self._place[piece.interior]] = True
+        with agreed(comm):
+            self._check()
+        build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
+        tensors = law.tensors * law.spacing**2
+        scale = law.spacing**-2
+        self._L = Convolution(
+            comm, rows, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
+        )
+        width, symbol = inverse_filter(law.steps, tensors, law.tensor())
+        self._H = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
+        self._between = Between(comm, rows.starts)
+        few = coarser(self.mask)
+        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
+        self._coarse = cycle(comm, *near, few, self._between.coarse)
+
+    def _check(self) -> None:
+        piece, law = self.points, self.law
+        assert piece.rows is not None
+        check_same(law.units, piece.units)
+        if self.proven is None:
+            raise InputError("material: expected one that is proven stable on the lattice")
+        if abs(law.spacing / piece.spacing - 1) > 1e-6:
+            raise InputError(
+                f"spacing: the law is for {law.spacing:g}, the points have {piece.spacing:g}"
+            )
+        inside = piece.grid[piece.interior]
+        most = np.array(piece.rows.shape) - 1
+        if len(inside) and min(inside.min(), (most - inside).min()) < self.reach:
+            raise InputError(
+                f"points: expected {self.reach} nodes around the interior, whose displacement is "
+                f"given, in a box of {piece.rows.shape}"
+            )
+
+    @property
+    def proven(self) -> str | None:
+        """What is proven of the law, in one sentence."""
+        proof = self.law.certificate
+        if proof is None or not proof.holds:
+            return None
+        return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
+
+    def lay_out(self, values: np.ndarray) -> np.ndarray:
+        """Vectors of the nodes [n, d] in planes [d, rows, ...]."""
+        field = np.zeros((self.dimension, int(np.prod(self._box))))
+        field[:, self._place] = values.T
+        return field.reshape(self.dimension, *self._box)
+
+    def take_up(self, field: np.ndarray) -> np.ndarray:
+        """Planes at the nodes of this rank, [n, d]."""
+        return np.ascontiguousarray(field.reshape(self.dimension, -1)[:, self._place].T)
+
+    def product(self, field: np.ndarray) -> np.ndarray:
+        """L of planes, at the unknown nodes."""
+        return np.asarray(self._L(field) * self.mask)
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
+        pulled: np.ndarray = self.take_up(self.product(self.lay_out(u)))[self.points.interior]
+        return pulled
+
+    def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
+        """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""
+        self._H.start(r)
+        long = self._coarse(self._between.restrict(r) * self._coarse.mask)
+        z = self._between.prolong(long, self._box)
+        return np.asarray((LONG * z + self._H.finish()) * self.mask)
+
+    def inner(self) -> Inner:
+        """Scalar products and largest values over all ranks; sums of rows, then of all rows."""
+        from mpi4py import MPI
+
+        comm = self.points.comm
+
+        def dot(a: np.ndarray, b: np.ndarray) -> float:
+            along = np.einsum("arn,arn->ar", *(f.reshape(*f.shape[:2], -1) for f in (a, b)))
+            return float(total(comm, along.ravel()))
+
+        def largest(a: np.ndarray) -> float:
+            return float(comm.allreduce(float(max(a.max(), -a.min())), op=MPI.MAX))
+
+        def add(u: np.ndarray, step: float, p: np.ndarray) -> np.ndarray:
+            u += step * p
+            return u
+
+        return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
+
+    def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
+        """Displacement [n, d] with load b on the interior and u given elsewhere."""
+        given, right = self.sides(b, u)
+        found, record = self.inverse(right, tolerance)
+        return given + self.take_up(found), record
+
+    def sides(self, b: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """u where it is given, zero elsewhere, [n, d]; the load in planes, less what that pulls."""
+        inside = self.points.interior[:, None]
+        given = np.where(inside, 0.0, u)
+        return given, self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
+
+    def inverse(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+        """Planes, zero off the unknown nodes, with L of them as given there."""
+        return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
+
+
+def tensors_at(linear: Any, piece: Piece) -> Crystal:
+    """A linear solid or a crystal as tensors on a piece's lattice."""
+    law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
+    assert isinstance(law, Crystal)
+    return law

@@ -1,0 +1,117 @@
+"""Nonlinear solids at rest on many ranks: the fixed point of statics.nonlinear, in rows.
+
+u ← u + L_lin⁻¹ (b − L u): a rank computes L u at its own nodes, from all that they feel, and the
+linear solve is that of ranks.linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.families import HORIZON_TOLERANCE
+from warp_peri.points.points import Points
+from warp_peri.ranks.halo import NodeHalo
+from warp_peri.ranks.linear import RowOperator, tensors_at
+from warp_peri.ranks.pieces import Piece
+from warp_peri.ranks.processes import agreed
+from warp_peri.statics.nonlinear import ROUGH, NonlinearRecord, anderson, warn_beyond
+
+__all__ = ["RowNonlinear", "warn_beyond"]
+
+
+class RowNonlinear:
+    """L of a nonlinear solid on a lattice in rows, and where it balances a load.
+
+    Args:
+        material: certified on the lattice, or on another.
+        piece: the nodes of this rank, in rows.
+
+    Raises InputError as `material.on` and RowOperator do, and for a rank without interior nodes.
+    """
+
+    def __init__(self, material: Any, piece: Piece) -> None:
+        comm = piece.comm
+        self.points = piece
+        self.halo = halo = NodeHalo(piece, 2 * material.horizon * (1 + HORIZON_TOLERANCE))
+        inside = np.zeros(len(halo.x), bool)
+        inside[halo.own] = piece.interior
+        with agreed(comm):
+            if not inside.any():
+                raise InputError("ranks: a rank has no interior node of the solid; take fewer")
+            here = Points(halo.x, inside, piece.spacing, units=piece.units, axis=piece.axis)
+            self.placed = material.on(here)
+            law = tensors_at(self.placed.model.linear, piece)
+        for turn in (comm.rank == 0, comm.rank != 0):  # one compiles
+            if turn:
+                self.placed(np.zeros_like(halo.x))
+            comm.Barrier()
+        self.linear = RowOperator(law, piece)
+        self.strain = float(self.placed.model.proven_strain(piece.spacing))
+        self.proven = f"no other solution has |H| ≤ {self.strain:.2%}" if self.strain > 0 else None
+
+    def around(self, u: np.ndarray) -> np.ndarray:
+        """u [n, d] on all nodes that this rank feels."""
+        field = np.zeros_like(self.halo.x)
+        field[self.halo.own] = u
+        self.halo.exchange(field)
+        return field
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
+        return np.asarray(self.placed(self.around(u)))
+
+    def solve(
+        self, b: np.ndarray, u: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, NonlinearRecord]:
+        """Displacement [n, d] with load b on the interior and u given elsewhere, and the record.
+
+        Raises InputError where the fixed point does not come there, plain or clipped (N13–N15).
+        """
+        record, rows, inside = NonlinearRecord(), self.linear, self.points.interior
+        inner = rows.inner()
+        given, right = rows.sides(b, u)
+        scale = inner.norm(right)
+        if scale == 0:
+            record.residual, record.unique = 0.0, self.strain > 0
+            return given, record
+
+        def left(force: Callable[[np.ndarray], np.ndarray], v: np.ndarray) -> np.ndarray:
+            unbalanced = np.zeros_like(given)
+            pulled = np.asarray(force(self.around(given + rows.take_up(v))))
+            unbalanced[inside] = (b[inside] - pulled) / scale
+            return rows.lay_out(unbalanced)
+
+        def correction(residual: np.ndarray) -> np.ndarray:
+            record.solves += 1
+            return rows.inverse(residual * scale, ROUGH)[0]
+
+        def fitted(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
+            columns = np.moveaxis(differences, -1, 0)
+            gram = [[inner.dot(a, c) for c in columns] for a in columns]
+            beside = [-inner.dot(a, step) for a in columns]
+            return np.asarray(np.linalg.lstsq(np.array(gram), np.array(beside), rcond=1e-12)[0])
+
+        def found(force: Any, start: np.ndarray) -> tuple[np.ndarray, float]:
+            step = partial(left, force)
+            return anderson(step, correction, start, tolerance, norm=inner.norm, fitted=fitted)
+
+        v, record.residual = found(self.placed, correction(right / scale))
+        if record.residual > tolerance and self.strain > 0:
+            record.method = "clipped"
+            v, _ = found(self.placed.clipped(self.strain), correction(right / scale))
+            record.residual = inner.norm(left(self.placed, v))
+        if not record.residual <= tolerance:
+            raise InputError(
+                f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "
+                f"after {record.solves} linear solves; one process also tries Newton's method"
+            )
+        answer = given + rows.take_up(v)
+        own = float(self.placed.largest_gradient(self.around(answer)))
+        record.largest_gradient = max(self.points.comm.allgather(own))
+        record.unique = record.largest_gradient <= self.strain
+        return answer, record
