@@ -22,8 +22,8 @@ NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
     "larger-strains", "float32", "compression", "edges", "small-holes", "stretched", "uneven",
-    "predictions", "noise-of-its-own", "stretched-and-turned", "broken", "cracks-in-space",
-    "stretch", "long-steps",
+    "noisy-strains", "predictions", "noise-of-its-own", "stretched-and-turned", "broken",
+    "cracks-in-space", "stretch", "long-steps",
 )  # fmt: skip
 
 
