@@ -121,6 +121,9 @@ def structure(x: np.ndarray) -> Energy:
     return plane_stress_hgo(1.0, ensemble(x[0], x[1], abs(x[2]), abs(x[3])))
 
 
+ANYWHERE = np.random.default_rng(0).uniform((-1, -1, 0, -1, -1.5), (1, 1, 2.5, 1.5, 1.5), (10, 5))
+"""More starts of the invariant-based sheet, whose fits end in different places."""
+
 RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequence[float]]]] = {
     "neo-Hookean": (neo_hookean, [[]]),
     "Fung": (
@@ -131,7 +134,7 @@ RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequen
     "HGO, two families": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
     "invariant-based": (
         invariants,
-        [[0.5, 0.5, 1.5, 1.0, -0.7], [0.5, 0.5, 1.5, 1.0, 0.7]],
+        [[0.5, 0.5, 1.5, 1.0, -0.7], [0.5, 0.5, 1.5, 1.0, 0.7], *ANYWHERE],
     ),
     "structure-informed": (structure, [[-0.7, 0.4, 2.0, 1.0], [0.7, 0.4, 2.0, 1.0]]),
     "neo-Hookean, uneven": (uneven, [[0.0, 0.0, 0.0, 0.0]]),

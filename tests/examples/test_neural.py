@@ -92,11 +92,9 @@ def test_the_shipped_weights_of_graphene(graphene):
 SHEET = {
     3: {"E_res": (0.0358, 0.0336, 0.0640), "E_u": (0.0030, 0.0024, 0.0048)},
     4: {"E_res": (0.0420, 0.0411, 0.0798), "E_u": (0.0023, 0.0025, 0.0046)},
-    5: {"E_res": (0.0629, 0.0653, 0.0778), "E_u": (0.0027, 0.0036, 0.0028)},
+    5: {"E_res": (0.0410, 0.0396, 0.0440), "E_u": (0.0017, 0.0018, 0.0017)},
 }
 """What docs/neural.md says of validation, test and disks, at each horizon."""
-SOLVED = {3: 25, 4: 25, 5: 10}
-"""Samples of a set that the page's E_u is over."""
 
 
 @pytest.mark.slow
@@ -107,7 +105,7 @@ def test_the_shipped_weights_of_the_sheet(reach, tmp_path):
     assert material.widths == {"influence": (256, 512), "state": (512, 512)}
     sets = neural_sets.hgo(tmp_path / "hgo", reach, mirror=False, jobs=1, progress=False)
     del sets["train"]
-    given = argparse.Namespace(json=True, solved=SOLVED[reach])
+    given = argparse.Namespace(json=True, solved=None)
     errors = neural_operator.errors_of(material, sets, given, solve=True)
     for kind, told in SHEET[reach].items():
         for name, value in zip(sets, told, strict=True):

@@ -22,7 +22,7 @@ NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
     "larger-strains", "float32", "ranks", "compression", "edges", "small-holes", "stretched",
-    "uneven", "predictions", "noise-of-its-own", "stretched-and-turned", "broken",
+    "uneven", "noisy-strains", "predictions", "noise-of-its-own", "stretched-and-turned", "broken",
     "cracks-in-space", "stretch", "long-steps",
 )  # fmt: skip
 
