@@ -44,7 +44,7 @@ def learned(name: str) -> wp.atoms.LearnedCrystal:
     """One crystal."""
     atoms, calculator, potential, options = CASES[name]
     made = wp.atoms.named_calculator(calculator, atoms.get_chemical_symbols(), potential)
-    return wp.atoms.from_atoms(atoms, made, **options)
+    return wp.from_atoms(atoms, made, **options)
 
 
 def row(name: str) -> str:
