@@ -123,9 +123,7 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
 
 def test_loads_give_the_law_that_phonons_give():
     calculator = lammps_calculator("tersoff", ["C"], TERSOFF)
-    found = wp.from_atoms(
-        ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35
-    )
+    found = wp.from_atoms(ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35)
     assert off(found) < 0.01
 
 
@@ -145,6 +143,18 @@ def test_an_unstable_structure_is_refused_with_its_worst_wave():
 def test_what_is_no_crystal_is_refused(atoms, what):
     with pytest.raises(wp.InputError, match=what):
         at_rest(atoms, LennardJones())
+
+
+@pytest.mark.parametrize(
+    ("element", "what"), [("Fe", "no forces for Fe .*No EMT-potential"), ("Al", None)]
+)
+def test_what_a_calculator_lacks_and_how_far_a_cell_went_are_said(element, what):
+    far = ase.build.bulk(element, "fcc", a=5.0)
+    if what:
+        with pytest.raises(wp.InputError, match=what):
+            at_rest(far, EMT())
+    else:
+        assert at_rest(far, EMT()).said["relaxed"].endswith("strains of -20.1% to -20.1%")
 
 
 def test_a_sheet_across_a_face_is_put_together_and_a_wide_cell_made_small():

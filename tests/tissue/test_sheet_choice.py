@@ -58,7 +58,7 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
     assert found["material"] == "Mooney-Rivlin"
     assert "exactly singular" in found["passed_over"][0]
     assert found["lengths"] == "mm"
-    assert found["stresses"].startswith("in MPa")
+    assert found["stresses"].startswith("are in MPa")
     assert any(words.startswith("deviations") for words in found["words"])
     assert (tmp_path / "out" / "Mooney-Rivlin.json").exists()
     assert "Mooney-Rivlin" in (tmp_path / "out" / "material.feb").read_text()

@@ -153,7 +153,7 @@ def dic(command: ArgumentParser) -> None:
         "--stress",
         type=float,
         help="mean nominal stress [MPa] in the last frame: pull over width and thickness; without "
-        "it stresses are in units of the sheet's own initial stiffness",
+        "it stresses are scaled to a stiffness of one at rest",
     )
     command.add_argument("--along", choices=("x", "y"), default="x", help="of that stress")
     command.add_argument(

@@ -18,9 +18,10 @@ from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL
 from warp_peri.sources.dic import frames_of_folder, noise_of
 
-NO_FORCE = "in units of the sheet's own initial stiffness; no force is known (--stress sets it)"
-STEP, PRINTED = 0.025, 4
-"""Of the stretch in curves; every fourth of them is printed."""
+NO_FORCE = "are scaled: C11 + C22 + C66 at rest is 1, no force is known (--stress gives one)"
+UNSAID = "as in the tables; no unit was said"
+STEP, PRINTED, ROWS = 0.025, 4, 8
+"""Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
 
 def run_dic(given: argparse.Namespace) -> dict[str, Any]:
@@ -60,7 +61,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             scale = float(np.linalg.norm(material.coefficients))
             scale /= float(np.linalg.norm(choice.material.coefficients))
         warp_peri.save(given.out / "material.json", material)
-        told = NO_FORCE if given.stress is None else "in MPa, by the stress that was given"
+        told = NO_FORCE if given.stress is None else "are in MPa, by the stress that was given"
         words = [*in_words(material), *_beside(choice.best.fit, material)]
         words.append(f"stresses and coefficients {told}")
         try:
@@ -74,12 +75,13 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             f"{a:g} deg": scale * np.array(choice.curves(stretches, np.radians(a)))
             for a in (0, 45, 90)
         }
-        _write_curves(given.out, stretches, curves, "initial stiffness" if scale == 1.0 else "MPa")
+        each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
+        _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
         result = {
             "frames": len(frames),
             "interior": int(frames.interior.sum()),
             "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
-            "lengths": frames.points.units[0] if length_known else "the tables' own, no unit was said",
+            "lengths": frames.points.units[0] if length_known else UNSAID,
             "stresses": told,
             "material": choice.best.name,
             "words": words,
@@ -91,7 +93,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             "tension_with_90_percent_band": {
                 f"along {name}": {
                     f"stretch {stretches[n]:g}": [float(value) for value in np.array(curve)[:, n]]
-                    for n in range(PRINTED - 1, len(stretches), PRINTED)
+                    for n in range(each - 1, len(stretches), each)
                 }
                 for name, curve in curves.items()
             },
