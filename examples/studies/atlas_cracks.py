@@ -18,6 +18,7 @@ from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.solid import BrittleSolid, positive_kernel
 from warp_peri.damage.stability import check_breakable, negative_eigenvalues
 from warp_peri.points.families import bond_classes
+from warp_peri.points.unit_names import REDUCED
 
 SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 
@@ -170,7 +171,7 @@ def edge_tips(
     errors, shifts = {}, {}
     figure, ax = plt.subplots(figsize=(5.5, 3.6), layout="constrained")
     for color, ratio in enumerate(ratios):
-        model = Model(1.0, 1.0, 1.0, np.ones(1), ratio, units="reduced")
+        model = Model(1.0, 1.0, 1.0, np.ones(1), ratio, units=REDUCED)
         shifts[ratio] = tip_shift(model, 1.0)
         for name, by, style in (("as cut", 0.0, "o-"), ("shifted", shifts[ratio], "s--")):
             off = [100 * (edge_crack(model, n, 0.5, by) - 1) for n in lengths]
@@ -178,7 +179,8 @@ def edge_tips(
             ax.plot(lengths, off, style, color=f"C{color}", label=f"δ = {ratio:g}h, {name}")
     ax.axhline(0, color="0.7")
     ax.set(xlabel="length of the crack / h", ylabel="error of G [%]", xscale="log")
-    ax.set_xticks(lengths, [str(n) for n in lengths], minor=False)
+    ax.set_xticks(lengths, [str(n) for n in lengths])
+    ax.minorticks_off()
     ax.legend(frameon=False)
     middle = lengths.index(13) if 13 in lengths else 0
     plain, shifted = (errors[f"{ratios[-2]:g}h, {name}"][middle] for name in ("as cut", "shifted"))
@@ -191,8 +193,8 @@ def edge_tips(
         number=f"G of an edge crack {plain:.1f} % off as cut, {shifted:.1f} % with `tip_shift`, "
         f"{lengths[middle]} spacings long in half a strip at δ = {ratios[-2]:g}h",
         text="Bonds across the tip's last row are whole, and yet the crack opens there. So it acts as if it were "
-        f"longer, by {min(shifts.values()):.2f} to {max(shifts.values()):.2f} spacings for δ = {ratios[0]:g}h to "
-        f"{ratios[-1]:g}h, and G is too large where little of the strip is left. `tip_shift` finds the length once "
+        f"longer, by {', '.join(f'{s:.2f}' for s in shifts.values())} spacings for δ = "
+        f"{', '.join(f'{r:g}' for r in ratios)}h, and G is off where little of the strip is left. `tip_shift` finds the length once "
         "for a solid and its lattice (C25); `energy_release(…, shift=…)` takes it off. Edges that are too soft are "
         "left, and at δ = 2h, where the two errors cancel, the shift makes G worse "
         "([table](cracks.md#a-crack-of-your-own)). Nobody is warned of the tip: the error is that of the nodes, and "

@@ -98,7 +98,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
                 for name, curve in curves.items()
             },
         }
-        result = finite(result)
+        result = dict(finite(result))
         write_json(given.out / "dic.json", result)
         keep(given, given.out / "dic.toml")
     return result

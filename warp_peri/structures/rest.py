@@ -130,8 +130,8 @@ def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
         widest = max(gap(atoms, a) for a in range(3))
         if widest >= WIDE:
             warnings.warn(
-                f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a sheet "
-                f"has {VACUUM:g} Å of vacuum or more",
+                f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
+                f"sheet has {VACUUM:g} Å of vacuum or more",
                 stacklevel=4,
             )
         ready.pbc = True
