@@ -42,7 +42,7 @@ CASES: dict[str, tuple[Any, str, str | None, dict[str, Any]]] = {
         ase.build.mx2("WSe2", a=3.3, thickness=3.3, vacuum=10), "lammps:sw/mod", "tmd.sw.mod", {}
     ),
 }  # fmt: skip
-"""Structure, calculator, potential and options; SiC, Au, GaN and WSe2 were chosen before they were tried."""
+"""Structure, calculator, potential, options; SiC, Au, GaN, WSe2 were chosen before being tried."""
 
 
 def learned(name: str) -> wp.atoms.LearnedCrystal:

@@ -23,7 +23,7 @@ from warp_peri.cli.main import main
 
 NOT_HERE = {
     r"(make|pip|source|python3 -m venv|\.venv/bin/pip) ": "sets up an environment",
-    r"(\.venv/bin/)?python examples/": "a script of minutes: a test imports it, or it stands in UNTRIED",
+    r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
 }
 UNTRIED = {
