@@ -23,7 +23,7 @@ NAMES = (
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
     "larger-strains", "float32", "compression", "edges", "small-holes", "stretched", "uneven",
     "predictions", "noise-of-its-own", "stretched-and-turned", "broken", "cracks-in-space",
-    "stretch", "long-steps",
+    "stretch", "edge-tips", "long-steps",
 )  # fmt: skip
 
 
