@@ -1,4 +1,4 @@
-"""Structures to laws: nine crystals by LAMMPS and ASE's EMT, each through one call.
+"""Structures to laws: thirteen crystals by LAMMPS and ASE's EMT, each through one call.
 
 python examples/structures.py            a table
 python examples/structures.py --picture runs/atoms.png
@@ -36,15 +36,20 @@ CASES: dict[str, tuple[Any, str, str | None, dict[str, Any]]] = {
     "Al": (ase.build.bulk("Al"), EMT, None, {}),
     "Cu, EMT": (ase.build.bulk("Cu"), EMT, None, {}),
     "Ni": (ase.build.bulk("Ni"), EMT, None, {}),
+    "Au": (ase.build.bulk("Au"), EMT, None, {}),
+    "GaN": (ase.build.bulk("GaN", "wurtzite", a=3.19, c=5.2), "lammps:sw", "GaN.sw", {}),
+    "WSe2": (
+        ase.build.mx2("WSe2", a=3.3, thickness=3.3, vacuum=10), "lammps:sw/mod", "tmd.sw.mod", {}
+    ),
 }  # fmt: skip
-"""Structure, calculator, potential and options; silicon carbide was chosen before it was tried."""
+"""Structure, calculator, potential, options; SiC, Au, GaN, WSe2 were chosen before being tried."""
 
 
 def learned(name: str) -> wp.atoms.LearnedCrystal:
     """One crystal."""
     atoms, calculator, potential, options = CASES[name]
     made = wp.atoms.named_calculator(calculator, atoms.get_chemical_symbols(), potential)
-    return wp.atoms.from_atoms(atoms, made, **options)
+    return wp.from_atoms(atoms, made, **options)
 
 
 def row(name: str) -> str:

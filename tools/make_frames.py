@@ -55,9 +55,9 @@ def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
     line = PIXELS * np.arange(NODES)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     frames = [pull(Rubber(), PROTOCOLS[n], LEVELS, TRAVEL)[0] for n in USED]
-    for number, u in enumerate(np.concatenate(frames) * PIXELS / SPACING):
-        table = np.hstack([x, u + noise * rng.standard_normal(u.shape)])
-        rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in table)
+    for number, field in enumerate(np.concatenate(frames) * PIXELS / SPACING):
+        table = np.hstack([x, field + noise * rng.standard_normal(field.shape)])
+        rows = "\n".join(f"{a:g},{b:g},{u:.3f},{v:.3f}" for a, b, u, v in table)
         write_text(folder / f"frame{number:02d}.csv", f"x,y,u,v\n{rows}\n")
 
 

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from warp_peri import shapes as shapes
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
-    from warp_peri.choice import choose_model
     from warp_peri.damage.problems import Cracked
     from warp_peri.dressed.laws import Dressed
     from warp_peri.dynamics.motion import Motion
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from warp_peri.statics.settings import Direct, Krylov, Newton
     from warp_peri.statics.solution import Solution
     from warp_peri.storage import load, save
+    from warp_peri.structures.learn import from_atoms
 
 __version__ = "0.1.0"
 
@@ -78,10 +78,10 @@ __all__ = [
     "Solution",
     "ThirdOrder",
     "certify",
-    "choose_model",
     "diagnose",
     "evaluate",
     "fit",
+    "from_atoms",
     "load",
     "move",
     "predict",
@@ -90,7 +90,6 @@ __all__ = [
 ]
 
 _NAMES = {
-    "choice": ("choose_model",),
     "damage.problems": ("Cracked",),
     "dressed.laws": ("Dressed",),
     "dynamics.motion": ("Motion",),
@@ -112,6 +111,7 @@ _NAMES = {
     "statics.settings": ("Direct", "Krylov", "Newton"),
     "statics.solution": ("Solution",),
     "storage": ("load", "save"),
+    "structures.learn": ("from_atoms",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = (
@@ -137,7 +137,7 @@ _MODULES = (
 _NOW = {
     "BodySolution": "Solution, whose details it is",
     "Certificate": "what certify(…) returns",
-    "Choice": "what choose_model(…) returns",
+    "Choice": "what choice.choose_model(…) returns",
     "Conditions": "methods.Conditions",
     "Constrained": "methods.Constrained",
     "Coupling": "statics.body.Coupling, in Body(…, coupling=…)",
@@ -158,6 +158,7 @@ _NOW = {
     "ThroughLattice": "model.on(points) of scattered points",
     "TwoStage": "methods.TwoStage",
     "body_gradient": "statics.body_gradient.body_gradient(solution.details, …)",
+    "choose_model": "choice.choose_model",
     "coarse_grain": "atoms.coarse_grain",
     "critical_time_step": "proofs.critical_time_step",
     "dumps": "atoms",

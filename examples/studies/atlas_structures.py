@@ -18,7 +18,7 @@ def narrow_supercells() -> Entry:
     """Moduli of copper from supercells of several widths, and simple cubic copper."""
     off = {}
     for n in REPEATS:
-        found = warp_peri.atoms.from_atoms(ase.build.bulk("Cu"), EMT(), supercell=(n, n, n))
+        found = warp_peri.from_atoms(ase.build.bulk("Cu"), EMT(), supercell=(n, n, n))
         assert found.strained is not None
         law, true = voigt(found.tensor), voigt(found.strained)
         off[n**3] = float(100 * np.abs(law - true).max() / np.abs(true).max())
@@ -37,4 +37,4 @@ def narrow_supercells() -> Entry:
 
 def simple_cubic() -> None:
     """Copper on a lattice that is no minimum of its energy."""
-    warp_peri.atoms.from_atoms(ase.build.bulk("Cu", "sc", a=2.4), EMT(), supercell=(4, 4, 4))
+    warp_peri.from_atoms(ase.build.bulk("Cu", "sc", a=2.4), EMT(), supercell=(4, 4, 4))

@@ -96,6 +96,7 @@ def entries(data: warp_peri.Dataset, cache: Path, steps: int) -> dict[str, Calla
         "broken": lambda: atlas_cracks.broken_kernels(model()),
         "cracks-in-space": atlas_cracks.in_space,
         "stretch": atlas_cracks.misjudged_stretch,
+        "edge-tips": atlas_cracks.edge_tips,
         "long-steps": atlas_cracks.long_steps,
     }
 

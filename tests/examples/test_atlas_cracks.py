@@ -3,7 +3,13 @@
 import matplotlib.pyplot as plt
 import pytest
 
-from examples.studies.atlas_cracks import broken_kernels, in_space, long_steps, misjudged_stretch
+from examples.studies.atlas_cracks import (
+    broken_kernels,
+    edge_tips,
+    in_space,
+    long_steps,
+    misjudged_stretch,
+)
 from tests.support.problems import kernel
 
 
@@ -29,6 +35,17 @@ def test_kernels_that_change_sign_break_in_space_too():
 def test_steps_beyond_the_bound_grow():
     entry = long_steps(60)
     assert entry.values["growth"]["1.1"] > 1e3 > 10 > entry.values["growth"]["0.98"]
+    plt.close(entry.figure)
+
+
+@pytest.mark.slow
+def test_a_shifted_tip_is_nearer_at_three_spacings():
+    entry = edge_tips((6, 13), (2.0, 3.0, 4.0))
+    errors = entry.values["errors"]
+    for ratio in ("3h", "4h"):
+        both = zip(errors[f"{ratio}, as cut"], errors[f"{ratio}, shifted"])
+        assert all(0 < shifted < 0.7 * plain for plain, shifted in both)
+    assert "three lengths or more" in entry.seen[0]
     plt.close(entry.figure)
 
 

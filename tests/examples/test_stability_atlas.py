@@ -23,7 +23,7 @@ NAMES = (
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
     "larger-strains", "float32", "ranks", "compression", "edges", "small-holes", "stretched",
     "uneven", "noisy-strains", "predictions", "noise-of-its-own", "stretched-and-turned", "broken",
-    "cracks-in-space", "stretch", "long-steps",
+    "cracks-in-space", "stretch", "edge-tips", "long-steps",
 )  # fmt: skip
 
 

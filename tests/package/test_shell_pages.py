@@ -4,8 +4,11 @@ What is typed as `warp-peri …` runs through the command's own `main`. What doe
 in NOT_HERE with its reason; what a page takes as the reader's own is made in GIVEN.
 """
 
+import ast
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import meshio
@@ -16,14 +19,23 @@ import warp_peri as wp
 from examples import own_material
 from tests.package.test_pages import PAGES, ROOT, home  # noqa: F401 (a fixture)
 from tests.support.plates import plate
-from tools.make_frames import write_frames
 from warp_peri.cli.main import main
 
 NOT_HERE = {
     r"(make|pip|source|python3 -m venv|\.venv/bin/pip) ": "sets up an environment",
-    r"(\.venv/bin/)?python examples/": "a script of minutes; tests/examples runs it, here its name",
+    r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
 }
+UNTRIED = {
+    "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
+    "structures": "twelve crystals; tests/structures runs two of them by the same call",
+    "predict": "75 scenes; what it calls is tested in tests/prediction",
+    "polymer_protocols": "tables of minutes; what it calls is tested in tests/flow",
+    "polymer_tables": "tables of minutes; what it calls is tested in tests/flow",
+    "speed_accuracy": "times of an hour; tests/learning/test_choice reads what it shipped",
+    "which_law": "a table of times; its laws are those of tests/conformance",
+}
+"""Scripts that no test runs, and why; here only their --help."""
 CHEAP = ("influence", "export")
 """Pages whose commands take a second; the others are slow."""
 
@@ -58,6 +70,32 @@ def test_scripts_that_pages_type_are_there_with_their_options():
                 source = (ROOT / script[1]).read_text(encoding="utf-8")
                 for option in re.findall(r"--[a-z-]+", script[2]):
                     assert f'"{option}"' in source, f"{name}: {line}"
+
+
+def scripts():
+    """Paths of the scripts of examples/ that pages type."""
+    typed = [
+        re.match(r"(?:\.venv/bin/)?python (examples/\S+)", x) for y in TYPED.values() for x in y
+    ]
+    return sorted({found[1] for found in typed if found})
+
+
+def test_scripts_that_pages_type_are_run_by_a_test_or_say_why_not():
+    named = set()
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("examples"):
+                named |= {node.module.split(".")[-1], *(alias.name for alias in node.names)}
+            elif isinstance(node, ast.Constant) and re.fullmatch(r"\w+\.py", str(node.value)):
+                named.add(Path(node.value).stem)
+    assert {Path(script).stem for script in scripts()} - named == set(UNTRIED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", [path for path in scripts() if Path(path).stem in UNTRIED])
+def test_scripts_that_no_test_runs_start(script):
+    line = [sys.executable, script, "--help"]
+    assert subprocess.run(line, cwd=ROOT, capture_output=True, check=False).returncode == 0
 
 
 def of_atoms(folder):
@@ -100,10 +138,6 @@ def of_own_data(folder):
     own_material.make_dumps(folder)
 
 
-def of_tissue(folder):
-    write_frames(folder / "FOLDER")
-
-
 GIVEN = {
     "atoms": of_atoms,
     "bodies": of_bodies,
@@ -111,7 +145,6 @@ GIVEN = {
     "gallery": of_gallery,
     "influence": of_any,
     "own_data": of_own_data,
-    "tissue": of_tissue,
 }
 
 

@@ -12,8 +12,8 @@ import pytest
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve
-from warp_peri import Bernstein, Dataset, InputError, Model, choose_model, evaluate
-from warp_peri.choice import Scene, shipped_table
+from warp_peri import Bernstein, Dataset, InputError, Model, evaluate
+from warp_peri.choice import Scene, choose_model, shipped_table
 from warp_peri.cli.main import main
 from warp_peri.errors import exit_status
 from warp_peri.learning.fit import learn as fit

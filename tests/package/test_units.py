@@ -11,8 +11,8 @@ from tests.support.problems import kernel, lattice, manufactured, smooth
 from tests.support.sheets import hgo_dictionary, square
 from tests.support.solving import solve_nonlinear
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Bernstein, InputError, Samples, choose_model, diagnose, evaluate
-from warp_peri.choice import Scene
+from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
+from warp_peri.choice import Scene, choose_model
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear

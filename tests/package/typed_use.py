@@ -203,7 +203,7 @@ def main(folder: Path) -> None:
     print(model.on(wide).model.horizon)
     coarse(test.x, test.x[test.interior])
     scene = Scene(size=(100.0, 100.0), shortest_wave=50.0)
-    choice = assert_type(warp_peri.choose_model(tolerance=0.05, scene=scene), Choice)
+    choice = assert_type(warp_peri.choice.choose_model(tolerance=0.05, scene=scene), Choice)
     print(assert_type(choice.method, str))
     try:
         warp_peri.load(folder / "none.json")

@@ -54,7 +54,7 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
 
 
 def test_any_calculator_of_ase_does():
-    found = wp.atoms.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
+    found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
     assert off(found) < 0.005
     assert found.material.units == ("m", "Pa")
     assert found.material.moduli()["C11"] == pytest.approx(53.3e9, rel=0.01)
@@ -115,7 +115,7 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
         keep_alive=True,
         log_file=None,
     )
-    found = wp.atoms.from_atoms(ase.build.bulk("MgO", "rocksalt", a=4.2), calculator)
+    found = wp.from_atoms(ase.build.bulk("MgO", "rocksalt", a=4.2), calculator)
     C = 1e3 * voigt(found.tensor)
     assert (C[0, 0], C[0, 1]) == pytest.approx((392.963, 164.309), rel=5e-3)  # strains of a period
     assert "Born charges" in found.said["force constants"]
@@ -123,16 +123,14 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
 
 def test_loads_give_the_law_that_phonons_give():
     calculator = lammps_calculator("tersoff", ["C"], TERSOFF)
-    found = wp.atoms.from_atoms(
-        ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35
-    )
+    found = wp.from_atoms(ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35)
     assert off(found) < 0.01
 
 
 def test_an_unstable_structure_is_refused_with_its_worst_wave():
     square = ase.build.bulk("Cu", "sc", a=2.4)
     with pytest.raises(wp.InputError, match=r"imaginary phonon, the worst of .*i THz at k = \["):
-        wp.atoms.from_atoms(square, EMT(), supercell=(4, 4, 4))
+        wp.from_atoms(square, EMT(), supercell=(4, 4, 4))
 
 
 @pytest.mark.parametrize(
@@ -145,6 +143,18 @@ def test_an_unstable_structure_is_refused_with_its_worst_wave():
 def test_what_is_no_crystal_is_refused(atoms, what):
     with pytest.raises(wp.InputError, match=what):
         at_rest(atoms, LennardJones())
+
+
+@pytest.mark.parametrize(
+    ("element", "what"), [("Fe", "no forces for Fe .*No EMT-potential"), ("Al", None)]
+)
+def test_what_a_calculator_lacks_and_how_far_a_cell_went_are_said(element, what):
+    far = ase.build.bulk(element, "fcc", a=5.0)
+    if what:
+        with pytest.raises(wp.InputError, match=what):
+            at_rest(far, EMT())
+    else:
+        assert at_rest(far, EMT()).said["relaxed"].endswith("strains of -20.1% to -20.1%")
 
 
 def test_a_sheet_across_a_face_is_put_together_and_a_wide_cell_made_small():

@@ -1,6 +1,7 @@
 """A sheet's material chosen by frames left out; what fails is passed over; tension with a band."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import warp_peri as wp
 from tests.support.sheets import NEAREST, square, waves
 from tools import make_frames
 from warp_peri.cli.main import main
+from warp_peri.sources.dic import frames_of_folder
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, sheet_choice, uniaxial
 
 C1, C2 = 0.35, 0.15
@@ -51,16 +53,24 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
 
     monkeypatch.setattr(sheet_choice, "fit_displacement", broken)
     line = ["dic", str(folder), "--even", "--out", str(tmp_path / "out"), "--json"]
-    assert main(line) == 0
+    assert main([*line, "--stress", "0.3", "--pixel", "0.012"]) == 2  # in which unit?
+    assert main([*line, "--stress", "0.3"]) == 0
     found = json.loads((tmp_path / "out" / "dic.json").read_text())
     assert found["material"] == "Mooney-Rivlin"
     assert "exactly singular" in found["passed_over"][0]
-    assert found["units"] == ["mm", "MPa"]
+    assert found["lengths"] == "mm"
+    assert found["stresses"].startswith("are in MPa")
+    assert any(words.startswith("deviations") for words in found["words"])
     assert (tmp_path / "out" / "Mooney-Rivlin.json").exists()
     assert "Mooney-Rivlin" in (tmp_path / "out" / "material.feb").read_text()
     material = wp.load(tmp_path / "out" / "material.json")
+    frames = frames_of_folder(folder, 7, radius=0.0)
+    stress = material.on(frames.points).stress(frames.u[-1])
+    assert stress[:, 0, 0].mean() == pytest.approx(0.3)
     shape = uniaxial(material, [1.4])[0] / uniaxial(material, [1.05])[0]
     assert shape == pytest.approx(tension(1.4) / tension(1.05), rel=0.01)
+    middle, low, high = found["tension_with_90_percent_band"]["along 0 deg"]["stretch 1.1"]
+    assert low <= middle <= high
     table = np.loadtxt(tmp_path / "out" / "curves.csv", delimiter=",", skiprows=1)
     assert (table[:, 2] <= table[:, 1]).all()
 
@@ -73,12 +83,19 @@ def test_fewer_frames_than_four_are_refused():
 
 @pytest.mark.slow
 def test_a_rubber_sheet_of_elements_pulls_as_it_should(tmp_path):
-    """Frames of finite elements with noise of 0.02 pixels: tension at stretch 1.4 within 1 %."""
+    """The shipped frames of elements, noise of 0.02 pixels: tension at stretch 1.4 within 1 %."""
+    shipped = Path(__file__).parents[2] / "examples" / "frames"
     make_frames.write_frames(tmp_path / "frames")
-    line = ["dic", str(tmp_path / "frames"), "--pixel", "0.012mm", "--count", "12"]
+    for path in (tmp_path / "frames").iterdir():
+        again, there = (
+            np.loadtxt(p / path.name, delimiter=",", skiprows=1) for p in (path.parent, shipped)
+        )
+        np.testing.assert_allclose(again, there, atol=2e-3)  # written to 1e-3 pixels
+    line = ["dic", str(shipped), "--pixel", "0.012mm", "--fibres", "0"]
     assert main([*line, "--out", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "dic.json").read_text())
     assert found["material"].startswith("Mooney-Rivlin")
+    assert "no force is known" in found["stresses"]
     pull = uniaxial(wp.load(tmp_path / "out" / "material.json"), [1.01, 1.4])
     true = [(s - s**-2) * (make_frames.C1 + make_frames.C2 / s) for s in (1.01, 1.4)]
     assert pull[1] / pull[0] == pytest.approx(true[1] / true[0], rel=0.01)

@@ -150,6 +150,13 @@ def dic(command: ArgumentParser) -> None:
     command.add_argument("--smooth", type=float, default=0.0, help="radius of fits, in spacings")
     command.add_argument("--fibres", type=int, default=0, help="directions that are tried too")
     command.add_argument(
+        "--stress",
+        type=float,
+        help="mean nominal stress [MPa] in the last frame: pull over width and thickness; without "
+        "it stresses are scaled to a stiffness of one at rest",
+    )
+    command.add_argument("--along", choices=("x", "y"), default="x", help="of that stress")
+    command.add_argument(
         "--even", action="store_true", help="do not try a thickness that varies over the sheet"
     )
 

@@ -44,6 +44,8 @@ SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
 
 TYPED_BOX = 1e-3
+WIDTH = 100
+"""Of a line: words that are longer stand one in a line."""
 """Relative difference of a typed period from that of the dump."""
 
 
@@ -425,7 +427,9 @@ def lines_of(result: Result, indent: str = "") -> Sequence[str]:
             lines.append(f"{indent}{key}: {value:.6g}")
         elif isinstance(value, list):
             shown = ", ".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in value)
-            lines.append(f"{indent}{key}: {shown}")
+            long = len(shown) > WIDTH and all(isinstance(v, str) for v in value)
+            words = [f"{indent}{key}:", *(f"{indent}  {v}" for v in value)]
+            lines += words if long else [f"{indent}{key}: {shown}"]
         else:
             lines.append(f"{indent}{key}: {value}")
     return lines

@@ -13,15 +13,28 @@ import numpy as np
 import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import locked, whole_file, write_json, write_text
+from warp_peri.files.atomic import finite, locked, whole_file, write_json, write_text
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import USUAL
 from warp_peri.sources.dic import frames_of_folder, noise_of
+
+NO_FORCE = "are scaled: C11 + C22 + C66 at rest is 1, no force is known (--stress gives one)"
+UNSAID = "as in the tables; no unit was said"
+STEP, PRINTED, ROWS = 0.025, 4, 8
+"""Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
 
 def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     """Frames → material.json, curves.csv, curves.png and every candidate's file, in a folder."""
     from warp_peri.tissue import choose_sheet, in_words, save_febio
 
+    if given.stress is not None and not 0 < given.stress < np.inf:
+        raise InputError(f"stress: expected a number > 0 [MPa], got {given.stress}")
+
     frames = frames_of_folder(given.folder, given.count, pixel=given.pixel, radius=given.smooth)
+    length_known = frames.points.units != USUAL  # what frames without a unit are taken for
+    if given.stress is not None and not length_known:
+        raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
     failed: list[str] = []
 
     def done(candidate: Any) -> None:
@@ -42,23 +55,34 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         choice = choose_sheet(
             frames, fibres=given.fibres, uneven=not given.even, done=done, progress=not given.json
         )
-        material = choice.material
+        material, scale = choice.material, 1.0
+        if given.stress is not None:
+            material = _scaled(choice.best.fit, frames, given)
+            scale = float(np.linalg.norm(material.coefficients))
+            scale /= float(np.linalg.norm(choice.material.coefficients))
         warp_peri.save(given.out / "material.json", material)
-        words = in_words(material)
+        told = NO_FORCE if given.stress is None else "are in MPa, by the stress that was given"
+        words = [*in_words(material), *_beside(choice.best.fit, material)]
+        words.append(f"stresses and coefficients {told}")
         try:
             save_febio(material, given.out / "material.feb")
             words.append("material.feb carries all but the deviations and the thickness")
         except InputError as error:
             words.append(f"no file for FEBio: {error}")
         top = max(1.05, material.stretch or 1.2)
-        stretches = np.linspace(1.0, top, 25)[1:]
-        curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
-        _write_curves(given.out, stretches, curves)
+        stretches = np.arange(1.0, top + 1e-9, STEP)[1:]
+        curves = {
+            f"{a:g} deg": scale * np.array(choice.curves(stretches, np.radians(a)))
+            for a in (0, 45, 90)
+        }
+        each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
+        _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
         result = {
             "frames": len(frames),
             "interior": int(frames.interior.sum()),
             "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
-            "units": list(material.units),
+            "lengths": frames.points.units[0] if length_known else UNSAID,
+            "stresses": told,
             "material": choice.best.name,
             "words": words,
             "held_out_E_u": {
@@ -66,13 +90,47 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             },
             "passed_over": failed,
             "largest_stretch": float(material.stretch or np.nan),
+            "tension_with_90_percent_band": {
+                f"along {name}": {
+                    f"stretch {stretches[n]:g}": [float(value) for value in np.array(curve)[:, n]]
+                    for n in range(each - 1, len(stretches), each)
+                }
+                for name, curve in curves.items()
+            },
         }
+        result = dict(finite(result))
         write_json(given.out / "dic.json", result)
         keep(given, given.out / "dic.toml")
     return result
 
 
-def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any]) -> None:
+def _beside(fit: Any, material: Any) -> list[str]:
+    """What is in a sheet beside its material: deviations, which are the lattice's, a thickness."""
+    own = slice(material.dictionary.first_deviation, material.dictionary.first_term)
+    numbers = ", ".join(f"{value:.4g}" for value in material.coefficients[own])
+    lines = [f"deviations, which belong to the lattice: {numbers}"]
+    if fit.thickness is not None:
+        pairs = zip(fit.thickness.names, fit.thickness.numbers)
+        shown = ", ".join(f"{name}: {value:.4g}" for name, value in pairs)
+        lines.append(f"logarithm of the thickness, positions from -1 to 1: {shown}")
+    return lines
+
+
+def _scaled(fit: Any, frames: Samples, given: argparse.Namespace) -> Any:
+    """The material whose mean stress in the last frame is the one that was given."""
+    from warp_peri.tissue import scaled_by_force
+
+    return scaled_by_force(
+        fit.material,
+        Samples(frames.points, frames.u[-1:]),
+        np.array([given.stress]),
+        width=1.0,
+        axis="xy".index(given.along),
+        thickness=None if fit.thickness is None else fit.thickness.at(frames.x),
+    )
+
+
+def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], unit: str) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3.6), layout="constrained")
@@ -83,7 +141,7 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any]) -
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
         columns += [middle, low, high]
         names += [f"P {name}", f"low {name}", f"high {name}"]
-    axes.set(xlabel="stretch", ylabel="nominal stress / initial stiffness")
+    axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]")
     axes.legend(frameon=False, title="tension along")
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=110)

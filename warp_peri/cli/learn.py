@@ -47,7 +47,7 @@ def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any
     calculator = warp_peri.atoms.named_calculator(
         given.calculator, structure.get_chemical_symbols(), given.potential
     )
-    return warp_peri.atoms.from_atoms(
+    return warp_peri.from_atoms(
         structure,
         calculator,
         source=given.source,

@@ -49,5 +49,5 @@ def run_plan(given: argparse.Namespace) -> dict[str, Any]:
         scene = Scene(**typed)
     else:
         raise InputError("plan: expected a data file, or --size and --shortest-wave")
-    choice = warp_peri.choose_model(tolerance=given.tolerance, scene=scene)
+    choice = warp_peri.choice.choose_model(tolerance=given.tolerance, scene=scene)
     return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}

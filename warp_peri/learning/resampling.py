@@ -21,6 +21,8 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
 LEAST_LOADS, DRAWS = 4, 40
+ONE_DEVIATION = (0.1587, 0.8413)
+"""Of normal numbers, the parts below minus and plus one standard deviation."""
 REDRAWN = 0.2
 """Of the draws, that may determine no law and are drawn again."""
 
@@ -35,6 +37,8 @@ class Resampled:
         materials: one of each choice.
         loads: how many there were.
         spread: what the materials' standard deviation is multiplied by.
+        drawn: whether they are draws. Their deviation then is half of what lies between 16 and
+            84 % of them: a draw that hardly determines a law does not widen the band.
         knows: what the bands hold and what they do not, in a sentence.
     """
 
@@ -42,11 +46,15 @@ class Resampled:
     loads: int
     spread: float
     knows: str
+    drawn: bool = False
 
     def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
         """Standard deviation of anything a material determines, of the shape of the quantity."""
         values = np.array([np.asarray(quantity(material)) for material in self.materials])
-        return np.asarray(self.spread * values.std(axis=0))
+        if not self.drawn:
+            return np.asarray(self.spread * values.std(axis=0))
+        low, high = np.quantile(values, ONE_DEVIATION, axis=0)
+        return np.asarray(self.spread * (high - low) / 2)
 
     def band(
         self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: float = 0.9
@@ -115,14 +123,14 @@ def resample_loads(
     if leave_one_out:
         spread, how = float(np.sqrt(count - 1)), "each load left out in turn"
     else:
-        spread = float(np.sqrt(count / (count - 1) * draws / (draws - 1)))
+        spread = float(np.sqrt(count / (count - 1)))
         how = f"{draws} choices of the loads with repetition"
         how += f" ({again} more told of no law)" if again else ""
     knows = (
         f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
         "loads share"
     )
-    return Resampled(materials, count, spread, knows)
+    return Resampled(materials, count, spread, knows, drawn=not leave_one_out)
 
 
 def _chosen(samples: Samples, choice: np.ndarray) -> Samples:

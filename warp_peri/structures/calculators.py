@@ -42,7 +42,7 @@ def named_calculator(
         for part in path.split("."):
             made = getattr(made, part)
         calculator = made(*arguments, **options)
-    except (ImportError, AttributeError, SyntaxError, ValueError, TypeError) as error:
+    except Exception as error:  # constructors raise whatever they miss
         raise InputError(
             'calculator: expected lammps:"pair_style …" or module:Class(arguments), as '
             f"ase.calculators.emt:EMT, got {name!r} ({error})"

@@ -35,6 +35,8 @@ from warp_peri.structures.waves import Loads, wave_loads
 
 REACH = {2: 3.0, 3: 6**0.5}
 """Horizons over the spacing: 28 bonds in the plane, 80 in space."""
+WIDEST = {2: 20.0, 3: 6.0}
+"""Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
 SIZES, DIRECTIONS = 80, 60
@@ -243,9 +245,9 @@ def from_atoms(
     if source not in ("phonons", "loads"):
         raise InputError(f"source: expected phonons or loads, got {source!r}")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
+    h = _spacing(spacing, reference.spacing, reference.dimension)
     constants, taken = force_constants(reference, calculator, supercell)
     said = reference.said | {"force constants": taken}
-    h = reference.spacing if spacing is None else spacing
     strained = strained_moduli(reference, calculator)
     samples = None
     if source == "loads":
@@ -272,10 +274,21 @@ def from_force_constants(
     Raises InputError for a crystal with imaginary phonons.
     """
     check_phonons(atoms)
-    if spacing is None:
-        cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
-        spacing = usual_spacing(cell, atoms.dimension == 2)
-    return _learned(atoms, spacing, horizon, symmetry, check_units(units), {}, None, None)
+    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
+    h = _spacing(spacing, usual_spacing(cell, atoms.dimension == 2), atoms.dimension)
+    return _learned(atoms, h, horizon, symmetry, check_units(units), {}, None, None)
+
+
+def _spacing(asked: float | None, usual: float, dimension: int) -> float:
+    """The usual one, or what is asked for; InputError for one that is no length or too wide."""
+    if asked is None:
+        return usual
+    if not 0 < asked <= WIDEST[dimension] * usual:
+        raise InputError(
+            f"spacing: expected a length up to {WIDEST[dimension] * usual:.3g} Å, "
+            f"{WIDEST[dimension]:g} times the usual one of this crystal, got {asked}"
+        )
+    return asked
 
 
 def _learned(

@@ -47,7 +47,8 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     try:
         found: Any = phonopy.load(file, **beside, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into
-        raise InputError(f"{path}: phonopy does not read it ({error})") from None
+        hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
+        raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
     units: Any = vars(calculator)["get_calculator_physical_units"](found.calculator)
     if units.distance_to_A != 1 or units.force_constants_unit != "eV/angstrom^2":
         raise InputError(

@@ -17,9 +17,12 @@ from ase.stress import voigt_6_to_full_3x3_stress
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import group_of_structure
 from warp_peri.points.unit_names import STRESSES
+from warp_peri.structures.lammps import LammpsError
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
+WIDE = 5.0
+"""A gap [Å] that is no vacuum yet, and wide for a solid."""
 HEIGHT = 40.0
 """Of the box around a sheet, beside the sheet itself [Å]."""
 USUAL_RADIUS = 2.0
@@ -28,6 +31,8 @@ QUIET, STEPS = 1e-5, 1000
 """Forces [eV/Å] that a structure is relaxed to, and the steps that it may take."""
 RESIDUAL_FORCE, RESIDUAL_STRESS = 1e-3, 1e-4
 """Forces [eV/Å] and stress [TPa] that are taken for none."""
+MOVED = 0.01
+"""Strain by which the cell may relax without a word."""
 VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 ON_SITES = 1e-4
@@ -85,6 +90,8 @@ def at_rest(
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
     cell = _smallest(cell, flat)
     cell.calc = calculator
+    before = np.array(cell.cell)
+    _check_forces(cell)
     _relax(cell, flat, held)
     size, rule = thickness, "as given"
     if flat and size is None:
@@ -95,6 +102,9 @@ def at_rest(
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
         + f" Å, {len(cell)} atoms",
     }
+    strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
+    if np.abs(strain).max() > MOVED:
+        said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
         said["thickness"] = f"{size:.4g} Å, {rule}"
         said["bending"] = "not in the law: it moves a sheet in its plane only"
@@ -117,6 +127,13 @@ def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
     ready.set_constraint()
     ready.calc = None
     if not empty:
+        widest = max(gap(atoms, a) for a in range(3))
+        if widest >= WIDE:
+            warnings.warn(
+                f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
+                f"sheet has {VACUUM:g} Å of vacuum or more",
+                stacklevel=4,
+            )
         ready.pbc = True
         return _turned(ready), False
     first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
@@ -205,6 +222,17 @@ def _smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
     return ase.Atoms(small[2], positions=x, cell=edges, pbc=True)
 
 
+def _check_forces(cell: ase.Atoms) -> None:
+    """Raise InputError for a calculator that gives no forces; LAMMPS has words of its own."""
+    try:
+        cell.get_forces(apply_constraint=False)
+    except LammpsError:
+        raise
+    except Exception as error:  # calculators raise whatever they run into
+        kinds, kind = ", ".join(sorted(set(cell.get_chemical_symbols()))), type(error).__name__
+        raise InputError(f"calculator: it gives no forces for {kinds} ({kind}: {error})") from None
+
+
 def _relax(cell: ase.Atoms, flat: bool, held: set[str]) -> None:
     free = [name not in held and not (flat and "z" in name) for name in VOIGT]
     try:
@@ -212,7 +240,7 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str]) -> None:
         done = BFGS(moving, logfile=None).run(fmax=QUIET, steps=STEPS)
     except NotImplementedError as error:
         raise InputError(
-            f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold=all"
+            f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold all"
         ) from None
     force = float(np.abs(cell.get_forces(apply_constraint=False)).max())
     if not done and force > RESIDUAL_FORCE:

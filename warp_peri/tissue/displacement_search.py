@@ -150,12 +150,13 @@ class Search:
         return self.scaled(least.x / length)
 
     def descended(
-        self, c: np.ndarray, most_steps: int, tolerance: float, progress: bool
+        self, c: np.ndarray, most_steps: int, tolerance: float, progress: bool | str
     ) -> DisplacementFit:
         """The whole search from coefficients c."""
         self.begin(c)
         damping, history = 1e-3, [self.rms]
-        bar = tqdm(range(most_steps), desc="Gauss-Newton", disable=not progress, leave=False)
+        name = progress if isinstance(progress, str) else "Gauss-Newton"
+        bar = tqdm(range(most_steps), desc=name, disable=not progress, leave=False)
         for _ in bar:
             before = self.loss
             damping = self.step(damping)

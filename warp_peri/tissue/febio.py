@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
-from warp_peri.tissue.solid import HyperelasticSolid, Term
+from warp_peri.tissue.solid import FIBRES, HyperelasticSolid, Term
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}
@@ -108,9 +108,12 @@ def in_words(solid: HyperelasticSolid) -> list[str]:
     for term, value in material_terms(solid):
         if term.kind in values:
             values[term.kind] = float(value)
-        elif value > 0 and term.kind == "fibre_exponential":
-            angle = np.rad2deg(np.mod(term.angle, np.pi))
-            lines.append(f"fibres at {angle:.1f}°: k1 = {value:.4g}, k2 = {term.exponent:.3g}")
+        elif value > 0 and term.kind in FIBRES:
+            angle, exponent = np.rad2deg(np.mod(term.angle, np.pi)), f"{term.exponent:.3g}"
+            k1 = f"{value:.4g}"
+            power = term.kind == "fibre_power"
+            said = f"{k1}, power {exponent}" if power else f"k1 = {k1}, k2 = {exponent}"
+            lines.append(f"fibres at {angle:.1f}°: {said}")
     C1, C2 = values["plane_stress"], values["mooney"]
     if C1 or C2:
         words = f"incompressible matrix: shear modulus {2 * (C1 + C2):.4g}"

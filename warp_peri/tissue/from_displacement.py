@@ -47,7 +47,7 @@ def fit_displacement(
     thickness: int = 0,
     most_steps: int = 15,
     tolerance: float = 1e-4,
-    progress: bool = False,
+    progress: bool | str = False,
 ) -> DisplacementFit:
     """Learn from displacement on a lattice whose collar is data and whose interior carries no load.
 
@@ -62,7 +62,7 @@ def fit_displacement(
             0 for an even sheet.
         most_steps: of Gauss and Newton.
         tolerance: ends when a step lowers the loss by less than this fraction.
-        progress: show a bar on stderr.
+        progress: show a bar on stderr; a text is its name.
 
     Warns where deviations come out so stiff that they, and not a material, explain the frames.
     Raises InputError for frames with loads, affine frames, a frame at rest, energies that guarantee

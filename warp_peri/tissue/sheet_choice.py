@@ -106,7 +106,7 @@ def choose_sheet(
         fibres: directions of fibres that are tried too; 0 for none.
         uneven: whether each is tried with a thickness that varies, too.
         done: called with each candidate as it ends.
-        progress: show a bar for each fit.
+        progress: show a bar for each fit, with the candidate's name.
 
     A candidate that fails is passed over and says why. Raises InputError for fewer than four
     frames, or where every candidate fails.
@@ -130,7 +130,8 @@ def choose_sheet(
         rest = Samples(train.points, np.delete(train.u, left, axis=0))
         degree = 0 if best.thickness is None else UNEVEN
         try:
-            others.append(_fit(rest, best.material.dictionary, degree, best, progress))
+            name = f"{tried[0].name}, band {left + 1} of {len(train)}"
+            others.append(_fit(rest, best.material.dictionary, degree, best, progress and name))
         except Exception:  # a frame without which nothing is found gives no band
             continue
     return SheetChoice(tried, others)
@@ -151,7 +152,7 @@ def _tried(
     name: str, train: Samples, test: Samples, dictionary: Dictionary, degree: int, progress: bool
 ) -> Candidate:
     try:
-        fit = _fit(train, dictionary, degree, None, progress)
+        fit = _fit(train, dictionary, degree, None, progress and name)
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
         errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness)
     except Exception as error:  # solvers below run into anything; the others go on
@@ -166,7 +167,7 @@ def _fit(
     dictionary: Dictionary,
     degree: int,
     near: DisplacementFit | None,
-    progress: bool,
+    progress: bool | str,
 ) -> DisplacementFit:
     return fit_displacement(
         train,
