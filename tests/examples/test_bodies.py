@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from examples import hole_against_atoms, plate_with_hole
+from examples import crystal_body, hole_against_atoms, plate_with_hole
 from warp_peri import Bernstein, Model
 from warp_peri.learning.fit import learn as fit
 from warp_peri.points.dataset_file import load_dataset
@@ -41,3 +41,13 @@ def test_holes_and_strips_of_atoms(graphene, tmp_path, capsys):
     holes = [row for name, row in numbers["cases"].items() if "hole" in name]
     assert all(row["error_with_edge"] < row["error"] for row in holes)
     assert (tmp_path / "errors.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_block_of_copper_with_a_void(tmp_path, capsys):
+    assert crystal_body.main(["--out", str(tmp_path / "stress.png"), "--json"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["exchanges"] <= 9
+    assert numbers["mismatch"] <= 1e-8
+    assert numbers["peak_over_tension"] == pytest.approx(1.98, rel=0.02)
+    assert (tmp_path / "stress.png").stat().st_size > 10_000

@@ -8,11 +8,13 @@ import warnings
 from pathlib import Path
 from typing import assert_type
 
+import ase
 import numpy as np
 import torch
 
 import warp_peri
 from warp_peri import methods, proofs, transfers
+from warp_peri.atoms import LearnedCrystal
 from warp_peri.choice import Choice, Scene
 from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.nonlinear import NonlinearFit
@@ -209,6 +211,11 @@ def main(folder: Path) -> None:
         warp_peri.load(folder / "none.json")
     except warp_peri.InputError as error:
         print(error)
+
+
+def from_structure(atoms: ase.Atoms, calculator: object) -> None:
+    """A crystal of someone's own; calculators have no types."""
+    print(assert_type(warp_peri.from_atoms(atoms, calculator), LearnedCrystal))
 
 
 if __name__ == "__main__":
