@@ -18,7 +18,7 @@ from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.answer import WORDS, Answer, combined
 from warp_peri.prediction.members import Factors
-from warp_peri.prediction.placed import BEYOND, ROUGH, Parts, PlacedMembers
+from warp_peri.prediction.placed import BEYOND, GROWN, ROUGH, Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
 SOLVED, SHARE = 0.03, 0.3
@@ -163,7 +163,7 @@ def _on_coarse(
     while True:
         size = float(np.linalg.norm(u[inside])) or 1.0
         left, missed = coarse.correction(load - placed.rich(u))
-        moved = float(np.linalg.norm(left)) / size
+        moved = GROWN * float(np.linalg.norm(left)) / size
         bent = float(np.linalg.norm((first - u)[inside] - left)) / size
         parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
         parts["waves"] = float(np.hypot(parts["waves"], missed / size))
