@@ -132,7 +132,7 @@ def test_bad_input_is_named(change, message):
 
 def test_a_cell_without_volume_is_named():
     flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
-    with pytest.raises(InputError, match="cells: number 0 has no volume"):
+    with pytest.raises(InputError, match="tetrahedra: number 0 has no volume"):
         make_tetrahedra(flat, [[0, 1, 2, 3]])
 
 

@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
-from warp_peri.points.tetrahedra import FLAT, REST, Tetrahedra, make_tetrahedra
+from warp_peri.points.tetrahedra import REST, Tetrahedra, checked_cells, make_tetrahedra
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,22 +117,7 @@ def make_mesh(
     Raises InputError for triangles without area, corners out of range, an edge of more than two
     triangles, and named edges that are not of the outline.
     """
-    x = checked("x", x, float)
-    t = np.asarray(triangles)
-    whole = t.ndim == 2 and t.shape[1] == 3 and len(t) > 0 and t.dtype.kind in "iu"
-    if x.ndim != 2 or x.shape[1] != 2 or not whole:
-        raise InputError(
-            f"mesh: expected corners [P, 2] and triangles [T, 3], got {list(x.shape)} and "
-            f"{list(t.shape)}"
-        )
-    if t.min() < 0 or t.max() >= len(x):
-        raise InputError(f"triangles: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
-    sides = x[t[:, 1:]] - x[t[:, :1]]
-    area = np.linalg.det(sides) / 2
-    longest = np.hypot(*np.moveaxis(sides, -1, 0)).max(axis=1)
-    if not (np.abs(area) > FLAT * longest**2).all():
-        worst = int(np.argmin(np.abs(area) / longest**2))
-        raise InputError(f"triangles: number {worst} has no area")
+    x, t, area = checked_cells(x, triangles, 2)
     t = np.where((area < 0)[:, None], t[:, ::-1], t)
     every = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
     pairs = np.sort(every, axis=1)

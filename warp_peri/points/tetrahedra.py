@@ -97,6 +97,34 @@ class Tetrahedra:
         return middle, np.linalg.inv(sides), classes
 
 
+KINDS = {2: ("triangles", "area", 2), 3: ("tetrahedra", "volume", 6)}
+
+
+def checked_cells(
+    x: ArrayLike, cells: ArrayLike, d: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners [P, d], cells [T, d + 1] and their sizes [T], negative where turned over.
+
+    Raises InputError for other shapes, corners out of range and cells of no size.
+    """
+    name, measure, parts = KINDS[d]
+    x, t = checked("x", x, float), np.asarray(cells)
+    whole = t.ndim == 2 and t.shape[1] == d + 1 and len(t) > 0 and t.dtype.kind in "iu"
+    if x.ndim != 2 or x.shape[1] != d or not whole:
+        raise InputError(
+            f"mesh: expected corners [P, {d}] and {name} [T, {d + 1}], got {list(x.shape)} and "
+            f"{list(t.shape)}"
+        )
+    if t.min() < 0 or t.max() >= len(x):
+        raise InputError(f"{name}: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
+    sides = x[t[:, 1:]] - x[t[:, :1]]
+    size = np.linalg.det(sides) / parts
+    share = np.abs(size) / np.linalg.norm(sides, axis=2).max(axis=1) ** d
+    if not (share > FLAT).all():
+        raise InputError(f"{name}: number {int(np.argmin(share))} has no {measure}")
+    return x, t, np.asarray(size)
+
+
 def make_tetrahedra(
     x: ArrayLike,
     cells: ArrayLike,
@@ -114,25 +142,13 @@ def make_tetrahedra(
     Raises InputError for cells without volume, corners out of range, a face of more than two
     cells, and named faces that are not of the surface.
     """
-    x, t = checked("x", x, float), np.asarray(cells)
-    whole = t.ndim == 2 and t.shape[1] == 4 and len(t) > 0 and t.dtype.kind in "iu"
-    if x.ndim != 2 or x.shape[1] != 3 or not whole:
-        raise InputError(
-            f"mesh: expected corners [P, 3] and tetrahedra [T, 4], got {list(x.shape)} and "
-            f"{list(t.shape)}"
-        )
-    if t.min() < 0 or t.max() >= len(x):
-        raise InputError(f"cells: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
-    sides = x[t[:, 1:]] - x[t[:, :1]]
-    share = np.abs(np.linalg.det(sides)) / np.linalg.norm(sides, axis=2).max(axis=1) ** 3
-    if not (share > FLAT).all():
-        raise InputError(f"cells: number {int(np.argmin(share))} has no volume")
+    x, t, _ = checked_cells(x, cells, 3)
     used, numbered = np.unique(t, return_inverse=True)
     x, t = x[used], numbered.reshape(-1, 4)
     every = np.sort(t[:, OPPOSITE].reshape(-1, 3), axis=1)
     faces, count = np.unique(every, axis=0, return_counts=True)
     if count.max() > 2:
-        raise InputError("cells: expected one or two at each face, some face has more")
+        raise InputError("tetrahedra: expected one or two at each face, some face has more")
     faces = faces[count == 1]
     number = {key: n for n, key in enumerate(map(tuple, faces.tolist()))}
     place = dict(zip(used.tolist(), range(len(used))))
