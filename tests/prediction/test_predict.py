@@ -221,6 +221,8 @@ def test_wrong_input_is_refused(family):
         wp.predict(family.rich, given)
     with pytest.raises(wp.InputError, match="tolerance: expected a fraction > 0, or None, got 0"):
         wp.predict(family, given, 0)
+    with pytest.raises(wp.InputError, match="predict: fine: not among the options of a"):
+        wp.predict(family, given, fine=True)
     with pytest.raises(wp.InputError, match="predict: expected a problem"):
         wp.predict(family, points)
     with pytest.raises(wp.InputError, match="at least four samples"):

@@ -181,11 +181,14 @@ class NonlinearModel:
             },
         )
 
-    def on(self, points: PointsLike, **options: Any) -> PlacedThirdOrder:
+    def on(
+        self, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
+    ) -> PlacedThirdOrder:
         """The model on a lattice, its linear part transferred; as PlacedThirdOrder."""
         from warp_peri.statics.nonlinear import PlacedThirdOrder
 
-        return PlacedThirdOrder(self, points, **options)
+        asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+        return PlacedThirdOrder(self, points, **asked)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as JSON, whole or not at all."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.contract import placed
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -73,7 +74,8 @@ class PlacedMembers:
         self.family, self.points, self.options = family, nodes, options
         linear = getattr(family.rich, "linear", family.rich)
         scattered = nodes.spacing == 0
-        self.rich = (linear if scattered else family.rich).on(nodes, **options)
+        rich = linear if scattered else family.rich
+        self.rich = placed(rich, nodes, verb="predict", has="straight", **options)
         self.nonlinear = hasattr(self.rich, "straight")
 
     def straight(self, u: np.ndarray) -> np.ndarray:
@@ -85,9 +87,8 @@ class PlacedMembers:
         """The second member's linear part and the halves, placed when they are first asked for."""
         second, halves = self.family.second, self.family.halves
         rich = halves if self.nonlinear else tuple(getattr(m, "linear", m) for m in halves)
-        placed = [one.on(self.points, **self.options) for one in (second, *rich)]
-        straight = getattr(placed[0], "straight", placed[0])
-        return straight, placed[1], placed[2]
+        one, *both = [each.on(self.points, **self.options) for each in (second, *rich)]
+        return getattr(one, "straight", one), both[0], both[1]
 
     @cached_property
     def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
