@@ -164,7 +164,8 @@ def _on_coarse(
         size = float(np.linalg.norm(u[inside])) or 1.0
         left, missed = coarse.correction(load - placed.rich(u))
         moved = GROWN * float(np.linalg.norm(left)) / size
-        bent = float(np.linalg.norm((first - u)[inside] - left)) / size
+        moves = (first - u)[inside] - left if taken else left
+        bent = float(np.linalg.norm(moves)) / size
         parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
         parts["waves"] = float(np.hypot(parts["waves"], missed / size))
         answers = tolerance is not None and _size(parts) <= tolerance

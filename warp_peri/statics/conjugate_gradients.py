@@ -138,9 +138,11 @@ def _descend(
     if start is not None:
         u = start
         r -= product(u)
-    z = precondition(r)
-    p, rz = 1 * z, inner.dot(r, z)
+    p, last = None, 1.0
     while inner.norm(r) > goal and record.iterations < MOST_ITERATIONS:
+        z = precondition(r)
+        rz = inner.dot(r, z)
+        p = 1 * z if p is None else inner.add(z, rz / last, p)
         q = product(p)
         energy = inner.dot(p, q)
         if not (energy > 0 and rz > 0):
@@ -148,12 +150,9 @@ def _descend(
                 f"the operator{where} is indefinite: a direction has the energy {energy:.1e}"
             )
         record.iterations += 1
-        step = rz / energy
+        step, last = rz / energy, rz
         inner.add(u, step, p)
         inner.add(r, -step, q)
-        z = precondition(r)
-        last, rz = rz, inner.dot(r, z)
-        p = inner.add(z, rz / last, p)
     return u
 
 
