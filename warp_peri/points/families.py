@@ -31,6 +31,9 @@ HORIZON_TOLERANCE = 1e-6
 spacing has a tolerance of its own, 1 + twice this."""
 
 COLLAR = "interior nodes need complete families out to twice the horizon"
+ROUNDING = 1e-12
+"""Weights below this, relative to the largest, are zero."""
+
 LARGEST_REACH = {2: 100, 3: 20}
 """Largest horizon in spacings, by dimension: a family of 31 000 or 33 000 bonds."""
 
@@ -158,6 +161,9 @@ def _bond_classes(spacing: float, horizon: float, degree: int, dimension: int) -
     bond_class = np.cumsum(new) - 1
     weights = quadrature_weights(spacing * steps, horizon, degree=degree)
     weight = np.bincount(bond_class, weights) / np.bincount(bond_class)
+    # At δ = 2h the farthest bonds have none. Rounding gives them a sign that hangs on the machine,
+    # and a negative weight is refused where bonds break.
+    weight[np.abs(weight) < ROUNDING * np.abs(weight).max()] = 0.0
     r = spacing * np.hypot.reduce(orbit[new].astype(float), axis=1)
     return BondClasses(spacing, horizon, steps, bond_class, r, weight)
 
