@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
+from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
@@ -76,6 +77,8 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
         ax.plot(steps, residual, style, color=f"C{number}", label=name, markersize=5)
         begin = int(steps[-1])
     ax.set_yscale("log")
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))  # "4", not a power of ten
     ax.set_xlabel("steps (Adam epochs, then rounds of cutting planes)")
     ax.set_ylabel("relative misfit of the training set [%]")
     ax.legend(frameon=False)
