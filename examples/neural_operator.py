@@ -181,7 +181,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     report["solved"] = given.solved
     report["printed"] = PRINTED.get(name.replace("_mirror", "").replace("_", " "), {})
     if given.rivals:
-        report["rivals"] = rivals_of(given.experiment, sets, given.reach)
+        solve = not given.no_solve
+        report["rivals"] = rivals_of(given.experiment, sets, given.reach, solve=solve)
     write_json(given.out / f"{name}_errors.json", finite(plain(report)))
     return report
 

@@ -114,7 +114,7 @@ class Body:
         from warp_peri.statics.body import solve_body
 
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
-            offered(material, "influence", "solve", "a linear material for a Body")
+            offered(material, "solid", "solve", "a linear material for a Body")
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(

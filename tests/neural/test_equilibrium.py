@@ -155,3 +155,11 @@ def test_what_is_refused():
     _, placed, u = problem()
     with pytest.raises(InputError, match="b: expected shape"):
         Equilibrium(placed).solve(np.zeros(3), u)
+    for load, given, words in (
+        (u[:3], u, "expected shape"),
+        (np.stack([u, u]), u, "expected shape"),
+        (np.nan * u, u, "expected finite"),
+        (u, np.nan * u, "expected finite"),
+    ):
+        with pytest.raises(InputError, match=words):
+            placed.rest(load, given)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+import warp_peri as wp
 from tests.support.problems import ell, lattice
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
@@ -313,6 +314,14 @@ def test_files_that_are_not_believed(tmp_path):
         save(small(), tmp_path / "m.h5")
 
 
+def test_what_a_material_says_of_itself():
+    text = repr(small("proportional", units=("mm", "MPa")))
+    assert "3 mm, in mm and MPa" in text
+    assert "ω(ξ), force state in proportion to e" in text
+    assert str(small().numbers()) in repr(small())
+    assert "<table>" in small()._repr_html_()
+
+
 def test_curves_are_the_networks():
     curves = small().curves(strain=0.05, lengths=3)
     assert curves.omega.shape == (len(curves.xi),)
@@ -347,5 +356,7 @@ def test_points_and_fields_that_are_refused():
     scattered = Points(points.x, points.interior, 0.0)
     with pytest.raises(InputError, match="lattice"):
         small().on(scattered)
+    with pytest.raises(InputError, match="a linear material for a Body"):
+        wp.solve(small(), wp.Body(None, {}))
     with pytest.raises(InputError, match="complete families"):
         small().on(Points(points.x, np.ones(len(points.x), bool), 1.0))
