@@ -135,6 +135,21 @@ def test_momenta_are_balanced(form):
     assert abs(total.sum(axis=0)).max() < ROUNDING * abs(total).max() * len(x)
 
 
+def test_there_need_be_no_energy_and_no_one_solution():
+    """The tangent at a field is not symmetric, nor is that at rest always definite."""
+    points = lattice(3, HORIZON)
+    inner = np.repeat(points.interior, 2)
+    placed = small().on(points)
+    J = matrix(placed.tangent(torch.tensor(random_field(points)))).toarray()[:, inner]
+    assert abs(J - J.T).max() > 1e-3 * abs(J).max()
+    signs = set()
+    for seed in range(6):
+        at_rest = small(seed=seed).on(points).tangent(torch.zeros(len(points.x), 2).double())
+        eigenvalues = np.linalg.eigvals(matrix(at_rest).toarray()[:, inner]).real
+        signs.add(bool(eigenvalues.min() > 0))
+    assert False in signs
+
+
 def test_a_finer_lattice_has_the_same_response():
     """The operator is an integral: sums over lattices differ by what enters and leaves the ball."""
     material = small()
