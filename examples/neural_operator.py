@@ -175,7 +175,9 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         shipped = WEIGHTS / f"{name}.json"
         if shipped.exists():
             material = load(shipped)
-            report["epochs"] = material.provenance["epochs"]
+            made = material.provenance
+            report["epochs"] = made["epochs"]
+            report["seconds_an_epoch"] = made["seconds"] / made["epochs"]
     draw(material, given.out / f"{name}.png")
     report["weights"] = material.numbers()
     report |= errors_of(material, sets, given, solve=not given.no_solve)

@@ -68,7 +68,7 @@ def test_what_the_command_tells_by_default(tmp_path, capsys, monkeypatch):
     law = Operator(3.0, (4, 4), (8, 8), proportional=True).double()
     b = np.zeros_like(u)
     b[:, points.interior] = law.on(points)(u)
-    law.provenance = {"epochs": 7}
+    law.provenance = {"epochs": 7, "seconds": 14}
     save(law, tmp_path / "graphene.json")
     sets = {name: Samples(points, u, b) for name in ("train", "val", "disks")}
     small = {"horizon": 3.0, "influence": (4, 4), "state": (8, 8)}
@@ -86,6 +86,7 @@ def test_what_the_command_tells_by_default(tmp_path, capsys, monkeypatch):
     told = {"E_res", "E_u", "epochs", "weights", "seconds_an_epoch", "rivals", "fresh", "printed"}
     assert told <= report.keys()
     assert report["epochs"] == 7
+    assert report["seconds_an_epoch"] == 2
     assert max(report["E_u"].values()) < 1e-6
     assert neural_operator.main([*asked, "--no-rivals", "--no-solve"]) == 0
     assert not {"rivals", "E_u"} & json.loads(capsys.readouterr().out).keys()
