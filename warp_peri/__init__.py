@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from warp_peri.problems import Body, Dirichlet, Periodic
     from warp_peri.solving import move, solve
     from warp_peri.stability.certificate import certify
-    from warp_peri.statics.settings import Direct, Krylov, Newton, PolakRibiere
+    from warp_peri.statics.settings import Direct, Krylov, Newton
     from warp_peri.statics.solution import Solution
     from warp_peri.storage import load, save
     from warp_peri.structures.learn import from_atoms
@@ -74,7 +74,6 @@ __all__ = [
     "Newton",
     "Periodic",
     "Points",
-    "PolakRibiere",
     "Samples",
     "Solution",
     "ThirdOrder",
@@ -109,7 +108,7 @@ _NAMES = {
     "problems": ("Body", "Dirichlet", "Periodic"),
     "solving": ("move", "solve"),
     "stability.certificate": ("certify",),
-    "statics.settings": ("Direct", "Krylov", "Newton", "PolakRibiere"),
+    "statics.settings": ("Direct", "Krylov", "Newton"),
     "statics.solution": ("Solution",),
     "storage": ("load", "save"),
     "structures.learn": ("from_atoms",),

@@ -18,7 +18,9 @@ def test_a_neighbour_is_a_better_start_and_units_of_length_do_not_matter():
     u = 0.01 * points.x * (1 + 0.1 * np.sin(points.x)) * np.array([1.0, 1.02, 1.04])[:, None, None]
     solve = {
         start: wp.solve(
-            material, wp.Dirichlet(points, None, u), solver=wp.PolakRibiere(1e-9, start=start)
+            material,
+            wp.Dirichlet(points, None, u),
+            solver=wp.methods.PolakRibiere(1e-9, start=start),
         )
         for start in (None, "previous")
     }
@@ -30,7 +32,9 @@ def test_a_neighbour_is_a_better_start_and_units_of_length_do_not_matter():
     assert sum(near[1:]) < sum(far[1:])
     other, small = material.in_units(("m", "Pa")), 1e-10
     there = wp.Points(small * points.x, points.interior, small, units=("m", "Pa"))
-    tiny = wp.solve(other, wp.Dirichlet(there, None, small * u), solver=wp.PolakRibiere(1e-9))
+    tiny = wp.solve(
+        other, wp.Dirichlet(there, None, small * u), solver=wp.methods.PolakRibiere(1e-9)
+    )
     assert tiny.iterations == far
     np.testing.assert_allclose(tiny.u / small, solve[None].u, atol=1e-9)
 
@@ -40,7 +44,7 @@ def test_a_scalar_field():
     phi = np.sin(points.x[:, 0])
     conductor = wp.diffusion.Conductor(horizon=3.0)
     problem = wp.Dirichlet(points, None, np.stack([phi, 2 * phi]))
-    found = wp.solve(conductor, problem, solver=wp.PolakRibiere(), kappa=1.0)
+    found = wp.solve(conductor, problem, solver=wp.methods.PolakRibiere(), kappa=1.0)
     np.testing.assert_allclose(found.u, wp.solve(conductor, problem, kappa=1.0).u, atol=1e-7)
 
 
@@ -50,7 +54,7 @@ def test_scattered_points():
     x = wide.x + 0.1 * noise(wide)
     scattered = wp.Points(x, wide.interior, 0.0)
     problem = wp.Dirichlet(scattered, None, 0.01 * np.sin(x))
-    found = wp.solve(solid(), problem, solver=wp.PolakRibiere(1e-10, most=3000))
+    found = wp.solve(solid(), problem, solver=wp.methods.PolakRibiere(1e-10, most=3000))
     exact = wp.solve(solid(), problem)
     np.testing.assert_allclose(found.u, exact.u, atol=1e-7 * abs(exact.u).max())
 
@@ -60,8 +64,10 @@ def test_a_search_that_is_stopped_is_no_answer():
     samples = manufactured(material, points, 2)
     problem = wp.Dirichlet(points, samples.loads, samples.u)
     with pytest.raises(wp.InputError, match=r"sample 0: no equilibrium .* after 3 steps"):
-        wp.solve(material, problem, solver=wp.PolakRibiere(most=3))
-    rest = wp.solve(material, wp.Dirichlet(points, None, 0 * samples.u), solver=wp.PolakRibiere())
+        wp.solve(material, problem, solver=wp.methods.PolakRibiere(most=3))
+    rest = wp.solve(
+        material, wp.Dirichlet(points, None, 0 * samples.u), solver=wp.methods.PolakRibiere()
+    )
     assert rest.iterations == (0, 0)
     assert rest.residual == 0
 
@@ -75,8 +81,8 @@ def test_what_is_refused():
         ({"start": "next"}, "start: expected 'previous'"),
     ):
         with pytest.raises(wp.InputError, match=words):
-            wp.PolakRibiere(**asked)
-    asked = wp.PolakRibiere()
+            wp.methods.PolakRibiere(**asked)
+    asked = wp.methods.PolakRibiere()
     for b, given, words in (
         (u[:3], u, "b, u: expected shape"),
         (None, u[:3], "b, u: expected shape"),
@@ -87,7 +93,7 @@ def test_what_is_refused():
             wp.solve(material, wp.Dirichlet(points, b, given), solver=asked)
     problem = wp.Dirichlet(points, u, u)
     with pytest.raises(wp.InputError, match="start: expected shape"):
-        wp.solve(material, problem, solver=wp.PolakRibiere(start=u[:3]))
+        wp.solve(material, problem, solver=wp.methods.PolakRibiere(start=u[:3]))
     with pytest.raises(wp.InputError, match="parameters"):
         wp.solve(material, problem, solver=asked, parameters=material.solid)
     with pytest.raises(wp.InputError, match="solver: expected"):
