@@ -2,8 +2,8 @@
 
 With the widths, horizons and losses of Jafarzadeh et al. 2024. By default: the errors of the
 weights that lie beside this file and of other materials learned from the same data, and one minute
-of a training from a fresh start. With --epochs a
-training that can be stopped and goes on. Weights, picture and errors are written to --out.
+of a training from a fresh start. With --epochs a training that can be stopped and goes on. Weights,
+picture and errors are written to --out.
 """
 
 from __future__ import annotations
