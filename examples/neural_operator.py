@@ -1,8 +1,9 @@
 """The peridynamic neural operator's three experiments: graphene, an anisotropic sheet, a leaflet.
 
 With the widths, horizons and losses of Jafarzadeh et al. 2024. By default: the errors of the
-weights that lie beside this file, and one minute of a training from a fresh start. With --epochs a
-training that can be stopped and goes on. Weights, picture and errors are written to --out.
+weights that lie beside this file and of other materials learned from the same data, and one minute
+of a training from a fresh start. With --epochs a training that can be stopped and goes on. Weights,
+picture and errors are written to --out.
 """
 
 from __future__ import annotations
@@ -174,14 +175,17 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         shipped = WEIGHTS / f"{name}.json"
         if shipped.exists():
             material = load(shipped)
-            report["epochs"] = material.provenance["epochs"]
+            made = material.provenance
+            report["epochs"] = made["epochs"]
+            report["seconds_an_epoch"] = made["seconds"] / made["epochs"]
     draw(material, given.out / f"{name}.png")
     report["weights"] = material.numbers()
     report |= errors_of(material, sets, given, solve=not given.no_solve)
     report["solved"] = given.solved
     report["printed"] = PRINTED.get(name.replace("_mirror", "").replace("_", " "), {})
-    if given.rivals:
-        report["rivals"] = rivals_of(given.experiment, sets, given.reach)
+    if given.rivals or (given.rivals is None and not given.epochs):
+        solve = not given.no_solve
+        report["rivals"] = rivals_of(given.experiment, sets, given.reach, solve=solve)
     write_json(given.out / f"{name}_errors.json", finite(plain(report)))
     return report
 
@@ -242,7 +246,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--no-solve", action="store_true", help="E_res alone")
     parser.add_argument("--solved", type=int, help="E_u over so many samples of a set, not all")
-    parser.add_argument("--rivals", action="store_true", help="fit the other materials too")
+    parser.add_argument(
+        "--rivals", action=argparse.BooleanOptionalAction,
+        help="fit the other materials too; by default beside the shipped weights",
+    )  # fmt: skip
     parser.add_argument("--data", type=Path, default=ROOT / "data")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural")
     parser.add_argument("--quiet", action="store_true", help="no bar of the training")

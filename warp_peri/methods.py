@@ -1,4 +1,7 @@
-"""How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
+"""How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`.
+
+And PolakRibiere, a solver that needs no more of a law than its force.
+"""
 
 from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.resampling import Resampled, resample_loads
@@ -8,11 +11,13 @@ from warp_peri.models.smoothing import Smoothing
 from warp_peri.models.solid import Solid
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.conditions import Conditions
+from warp_peri.statics.settings import PolakRibiere
 
 __all__ = [
     "Conditions",
     "Constrained",
     "Optimum",
+    "PolakRibiere",
     "Resampled",
     "Smoothing",
     "Solid",

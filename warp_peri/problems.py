@@ -16,7 +16,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.statics.rim import Field, Traction
-from warp_peri.statics.settings import Coupling, refuse_solver
+from warp_peri.statics.settings import Coupling, PolakRibiere, refuse_solver
 from warp_peri.statics.solution import Solution
 
 GIVEN = ("displacement", "traction", "b", "edge", "coupling")
@@ -42,6 +42,11 @@ class Dirichlet:
         """The material at rest."""
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
+        if isinstance(solver, PolakRibiere):
+            from warp_peri.statics.descent import at_rest
+
+            taken(extra, "solve", at_rest)
+            return at_rest(operator, self.b, self.u, solver)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
         return operator.rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
 
@@ -109,7 +114,7 @@ class Body:
         from warp_peri.statics.body import solve_body
 
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
-            offered(material, "influence", "solve", "a linear material for a Body")
+            offered(material, "solid", "solve", "a linear material for a Body")
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(

@@ -22,7 +22,8 @@ def solve(
         material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
             points are solved on again.
         problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
-        solver: Direct(…), Krylov(…) or Newton(…); chosen when not given.
+        solver: Direct(…), Krylov(…) or Newton(…), as the law has them, chosen when not given; or
+            methods.PolakRibiere(…), of a Dirichlet problem of any law.
         options: transfer=False refuses points that the material itself holds no certificate for;
             allow_uncertified=True takes its own numbers there, with a warning; parameters=Solid(…)
             of tensors, of a linear solid, which the answer is then differentiable in.

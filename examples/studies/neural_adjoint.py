@@ -26,7 +26,7 @@ import warp_peri as wp
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
 from warp_peri.neural.equilibrium import Equilibrium
-from warp_peri.statics.conjugate_gradients import Descent, polak_ribiere
+from warp_peri.statics.descent import Descent, polak_ribiere
 
 WEIGHTS = ROOT / "examples" / "neural_weights" / "leaflet.json"
 SPACING, SIDE, STRETCH = 0.05, 16, 0.2

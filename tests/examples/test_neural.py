@@ -14,8 +14,9 @@ from examples.neural_sets import mirrored
 from examples.studies.neural_speed import plain
 from tests.support.problems import lattice
 from tools.make_hgo import SQUARES, square_points
-from warp_peri.neural.file import load
+from warp_peri.neural.file import load, save
 from warp_peri.neural.material import Operator
+from warp_peri.neural.training import Training
 from warp_peri.points.samples import Samples
 
 
@@ -59,6 +60,36 @@ def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatc
     assert material.provenance["epochs"] == report["epochs"] == 2
     assert neural_operator.main(asked[:-1]) == 0
     assert "printed" in capsys.readouterr().out
+
+
+def test_what_the_command_tells_by_default(tmp_path, capsys, monkeypatch):
+    points = lattice(4, 3.0)
+    u = 0.02 * np.sin(points.x + np.arange(4)[:, None, None])
+    law = Operator(3.0, (4, 4), (8, 8), proportional=True).double()
+    b = np.zeros_like(u)
+    b[:, points.interior] = law.on(points)(u)
+    law.provenance = {"epochs": 7, "seconds": 14}
+    save(law, tmp_path / "graphene.json")
+    sets = {name: Samples(points, u, b) for name in ("train", "val", "disks")}
+    small = {"horizon": 3.0, "influence": (4, 4), "state": (8, 8)}
+    start = neural_operator.Experiment(small, Training(epochs=3, batch=2))
+    for name, value in (
+        ("sets_of", lambda given: sets),
+        ("experiment", lambda name, reach: start),
+        ("rivals_of", lambda *given, solve: {"linear solid": {"E_u": {}}}),
+        ("WEIGHTS", tmp_path),
+    ):
+        monkeypatch.setattr(neural_operator, name, value)
+    asked = ["graphene", "--out", str(tmp_path), "--json"]
+    assert neural_operator.main(asked) == 0
+    report = json.loads(capsys.readouterr().out)
+    told = {"E_res", "E_u", "epochs", "weights", "seconds_an_epoch", "rivals", "fresh", "printed"}
+    assert told <= report.keys()
+    assert report["epochs"] == 7
+    assert report["seconds_an_epoch"] == 2
+    assert max(report["E_u"].values()) < 1e-6
+    assert neural_operator.main([*asked, "--no-rivals", "--no-solve"]) == 0
+    assert not {"rivals", "E_u"} & json.loads(capsys.readouterr().out).keys()
 
 
 def test_the_shipped_weights_of_graphene_on_two_loads(graphene):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from examples import train_graphene
-from examples.studies import influence_shapes, manufactured, pno_graphene, speed_chart
+from examples.studies import influence_shapes, manufactured, neural_monotone, speed_chart
 from warp_peri.learning.sweep import sweep
 from warp_peri.points.dataset_file import load_dataset
 
@@ -64,7 +64,7 @@ def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_pa
 
 def test_the_monotone_rival_is_the_derivative_of_a_convex_energy():
     torch.manual_seed(0)
-    net = pno_graphene.Monotone((8, 8), (6, 6)).double()
+    net = neural_monotone.Monotone((8, 8), (6, 6)).double()
     r = torch.linspace(5.0, 20.0, 12, dtype=torch.float64)
 
     def force(e):

@@ -10,17 +10,12 @@ import pytest
 
 pytest.importorskip("skfem")
 
-import torch
 
 from examples.leaflet import arguments, blank, measured
 from examples.leaflet_pictures import draw
-from examples.studies import pno_training
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
-from examples.studies.pno_rival import PeridynamicOperator, on_grid
-from examples.studies.pno_training import Setting, train
 from tests.support.sheets import hgo_dictionary, square
 from tools.hyperelastic_energies import plane_stress_hgo
-from tools.make_hgo import square_points
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.solid import HyperelasticSolid
 
@@ -130,63 +125,6 @@ def test_an_uneven_sheet_is_seen_as_one():
     np.testing.assert_allclose(numbers, truth, atol=0.02)
     still = window.solve(make(0 * truth), even)
     np.testing.assert_allclose(still, even[window.nodes[window.free]], atol=1e-8)
-
-
-def test_the_network_sees_no_turn_and_no_shift():
-    torch.manual_seed(1)
-    model = PeridynamicOperator(8, 8)
-    x = square_points().x.reshape(21, 21, 2)
-    u = torch.tensor(0.1 * np.sin(3 * x)).float()[None]
-    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
-    y = torch.tensor(x).float() + u[0]
-    turned = (y @ torch.tensor(turn).float().T - torch.tensor(x).float())[None] + 0.3
-    with torch.no_grad():
-        force, after = model(u), model(turned)
-    assert torch.allclose(
-        after, force @ torch.tensor(turn).float().T, atol=1e-4 * force.abs().max()
-    )
-
-
-def test_training_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    points = square_points()
-    u = torch.tensor(0.1 * np.sin(3 * points.x).reshape(1, 21, 21, 2)).float()
-    fields = (u, torch.ones(1, 9, 9, 2))
-    setting, minutes = Setting((4, 4), 1e-3), 0.01
-    monkeypatch.setattr(pno_training, "EVERY", 0.0)
-    made = []
-
-    def make(*widths):
-        made.append(PeridynamicOperator(*widths))
-        if len(made) == 1:
-            calls = iter(range(12))
-            forward = made[0].forward
-
-            def stopped(u):
-                if next(calls, None) is None:
-                    raise KeyboardInterrupt
-                return forward(u)
-
-            monkeypatch.setattr(made[0], "forward", stopped)
-        return made[-1]
-
-    options = {"folder": tmp_path, "quiet": True}
-    with pytest.raises(KeyboardInterrupt):
-        train(make, fields, fields, setting, minutes, **options)
-    (path,) = tmp_path.glob("*.pt")
-    before = torch.load(path, weights_only=True)
-    assert 0 < before["epochs"] < 12
-    _, record = train(make, fields, fields, setting, minutes, **options)
-    assert record["epochs"] > before["epochs"]
-    assert record["seconds"] >= 60 * minutes
-    assert train(make, fields, fields, setting, minutes, **options)[1] == record
-
-
-def test_fields_on_the_grid():
-    points = square_points()
-    samples = Samples(points, points.x[None], np.ones((1, *points.x.shape)))
-    field, load = on_grid(samples)
-    assert tuple(field.shape) == (1, 21, 21, 2)
-    assert tuple(load.shape) == (1, 9, 9, 2)
 
 
 def test_pictures_are_drawn(tmp_path):

@@ -10,7 +10,7 @@ from tests.support.problems import lattice
 from warp_peri.errors import InputError
 from warp_peri.neural.equilibrium import Equilibrium
 from warp_peri.neural.material import Operator
-from warp_peri.statics.conjugate_gradients import polak_ribiere
+from warp_peri.statics.descent import polak_ribiere
 
 HORIZON = 3.0
 
@@ -151,27 +151,15 @@ def test_factors_survive_other_numbers():
     np.testing.assert_allclose(found.u, fresh.u, atol=1e-9)
 
 
-def test_conjugate_gradients_on_another_law():
-    """The search knows no law: the linear solid's operator does as well."""
-    from tests.support.problems import kernel
-    from warp_peri.operator.lps import NodeOperator
-
-    points = lattice(4, 3.0)
-    operator = NodeOperator(kernel("positive", 3.0), points, allow_uncertified=True)
-    u = torch.tensor(0.01 * np.random.default_rng(5).normal(size=points.x.shape))
-    rows = torch.tensor(np.flatnonzero(points.interior))
-    wanted = u[rows].clone()
-    load = torch.as_tensor(operator(u.numpy()))
-
-    def left(inner):
-        return torch.as_tensor(operator(u.index_copy(0, rows, inner).numpy())) - load
-
-    inner, record = polak_ribiere(left, torch.zeros_like(wanted), tolerance=1e-10, most=200)
-    assert record.converged
-    torch.testing.assert_close(inner, wanted, rtol=0, atol=1e-9)
-
-
 def test_what_is_refused():
     _, placed, u = problem()
     with pytest.raises(InputError, match="b: expected shape"):
         Equilibrium(placed).solve(np.zeros(3), u)
+    for load, given, words in (
+        (u[:3], u, "expected shape"),
+        (np.stack([u, u]), u, "expected shape"),
+        (np.nan * u, u, "expected finite"),
+        (u, np.nan * u, "expected finite"),
+    ):
+        with pytest.raises(InputError, match=words):
+            placed.rest(load, given)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+import warp_peri as wp
 from tests.support.problems import ell, lattice
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
@@ -132,6 +133,21 @@ def test_momenta_are_balanced(form):
     torus = Points(x, np.ones(81, bool), 1.0, box=(9.0, 9.0))
     total = small(form).on(torus)(random_field(torus))
     assert abs(total.sum(axis=0)).max() < ROUNDING * abs(total).max() * len(x)
+
+
+def test_there_need_be_no_energy_and_no_one_solution():
+    """The tangent at a field is not symmetric, nor is that at rest always definite."""
+    points = lattice(3, HORIZON)
+    inner = np.repeat(points.interior, 2)
+    placed = small().on(points)
+    J = matrix(placed.tangent(torch.tensor(random_field(points)))).toarray()[:, inner]
+    assert abs(J - J.T).max() > 1e-3 * abs(J).max()
+    signs = set()
+    for seed in range(6):
+        at_rest = small(seed=seed).on(points).tangent(torch.zeros(len(points.x), 2).double())
+        eigenvalues = np.linalg.eigvals(matrix(at_rest).toarray()[:, inner]).real
+        signs.add(bool(eigenvalues.min() > 0))
+    assert False in signs
 
 
 def test_a_finer_lattice_has_the_same_response():
@@ -313,6 +329,14 @@ def test_files_that_are_not_believed(tmp_path):
         save(small(), tmp_path / "m.h5")
 
 
+def test_what_a_material_says_of_itself():
+    text = repr(small("proportional", units=("mm", "MPa")))
+    assert "3 mm, in mm and MPa" in text
+    assert "ω(ξ), force state in proportion to e" in text
+    assert str(small().numbers()) in repr(small())
+    assert "<table>" in small()._repr_html_()
+
+
 def test_curves_are_the_networks():
     curves = small().curves(strain=0.05, lengths=3)
     assert curves.omega.shape == (len(curves.xi),)
@@ -347,5 +371,7 @@ def test_points_and_fields_that_are_refused():
     scattered = Points(points.x, points.interior, 0.0)
     with pytest.raises(InputError, match="lattice"):
         small().on(scattered)
+    with pytest.raises(InputError, match="a linear material for a Body"):
+        wp.solve(small(), wp.Body(None, {}))
     with pytest.raises(InputError, match="complete families"):
         small().on(Points(points.x, np.ones(len(points.x), bool), 1.0))

@@ -92,12 +92,33 @@ def test_checkpoints_of_other_trainings(tmp_path):
     path = tmp_path / "run.ckpt"
     settings = Training(epochs=1, batch=2)
     train(student(), loads(0), loads(1), settings, checkpoint=path, progress=False)
+
+    def goes_on(material, samples, training=settings):
+        train(material, samples, loads(1), training, checkpoint=path, progress=False)
+
     with pytest.raises(InputError, match="batch"):
-        train(student(), loads(0), loads(1), Training(epochs=2, batch=3), checkpoint=path,
-              progress=False)  # fmt: skip
-    path.write_bytes(b"no checkpoint")
-    with pytest.raises(InputError, match="expected a checkpoint"):
-        train(student(), loads(0), loads(1), settings, checkpoint=path, progress=False)
+        goes_on(student(), loads(0), Training(epochs=2, batch=3))
+    with pytest.raises(InputError, match=r"influence \[8, 8\], expected \[8, 9\]"):
+        goes_on(Operator(HORIZON, (8, 9), (16, 16), strain=0.2).double(), loads(0))
+    with pytest.raises(InputError, match="the checkpoint has samples"):
+        goes_on(student(), loads(3))
+    with pytest.raises(InputError, match="the checkpoint has precision"):
+        goes_on(student().float(), loads(0))
+    whole = path.read_bytes()
+    for content in (b"no checkpoint", whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="expected a checkpoint"):
+            goes_on(student(), loads(0))
+    for state in ({"a": 1}, [1, 2]):
+        torch.save(state, path)
+        with pytest.raises(InputError, match="expected a checkpoint"):
+            goes_on(student(), loads(0))
+
+
+def test_a_training_that_diverges_is_told():
+    settings = Training(epochs=2, rate=1e200, cells=0)
+    with pytest.raises(InputError, match="no look found a finite error"):
+        train(student(), loads(0), loads(1), settings, progress=False)
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any, overload
 
-from warp_peri.contract import offered
+from warp_peri.contract import offered, taken
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import learn, learn_third_order
 from warp_peri.learning.methods import Bernstein, Kernel, Method
@@ -159,6 +160,7 @@ def fit(samples: Any, law: Any = None, *were: Any, **options: Any) -> Any:
             raise InputError(f"fit: {name} is now part of the law, as LPS(horizon, kernel, …)")
     if were or is_number(law):
         raise InputError("fit: what follows the samples is now a law, as LPS(horizon, kernel, …)")
-    return offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")(
-        samples, **options
-    )
+    learned = offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
+    if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
+        (options,) = taken(options, "fit", learned)
+    return learned(samples, **options)

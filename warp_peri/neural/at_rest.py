@@ -12,6 +12,7 @@ from warp_peri.neural.equilibrium import Equilibrium
 from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.placed import Placed
 from warp_peri.points.samples import Samples
+from warp_peri.statics.lps import checked_fields
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
@@ -37,12 +38,14 @@ class AtRest(Placed):
         """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
 
         The details of the solution are what Equilibrium.solve found of each sample. Raises
-        InputError for arrays that do not fit, and for a sample without an equilibrium, naming it.
+        InputError for arrays that do not fit or are not finite, and for a sample without an
+        equilibrium, naming it.
         """
         refuse_solver(solver, (Newton,), "a neural operator")
         asked = solver if isinstance(solver, Newton) else Newton()
-        given, search = np.array(u, dtype=float), Equilibrium(self)
-        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (b, given)), strict=True)
+        load, given = checked_fields(self.points, b, u)
+        search = Equilibrium(self)
+        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
         found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
         for number, one in enumerate(found):
             if not one.converged:
@@ -53,7 +56,7 @@ class AtRest(Placed):
             np.stack([one.u for one in found]).reshape(given.shape),
             self.points,
             self,
-            self.load(b),
+            self.load(load),
             "newton",
             tuple(one.steps for one in found),
             details=tuple(found),

@@ -15,7 +15,8 @@ from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Bonds
 from warp_peri.neural.networks import evaluate, network
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors
+from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
+from warp_peri.shown import as_table, in_rows
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.neural.at_rest import AtRest
@@ -214,6 +215,25 @@ class Operator(torch.nn.Module):
     def numbers(self) -> int:
         """How many numbers are learned."""
         return sum(part.numel() for part in self.parameters())
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length, stress = symbols(self.units)
+        first = "ω(ξ)" if self.anisotropic else "ω(|ξ|)"
+        widths = ", ".join(f"{key} {pair}" for key, pair in self.widths.items())
+        learned = f"epoch {self.provenance['best']}" if "best" in self.provenance else "not said"
+        return [
+            ("horizon", f"{self.horizon:g} {length}, in {length} and {stress}"),
+            ("form", first + (", force state in proportion to e" if self.proportional else "")),
+            ("numbers", f"{self.numbers()}; {widths}"),
+            ("learned", learned),
+        ]
+
+    def __repr__(self) -> str:
+        return in_rows("Operator", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
 
 def _pair(widths: Sequence[int]) -> tuple[int, int]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import pickle
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -156,7 +158,8 @@ def train(
         seconds: after which no other epoch is begun.
         progress: a bar on stderr.
 
-    Raises InputError for samples without loads and a checkpoint of other settings.
+    Raises InputError for a sample of zero load among loads, a checkpoint of other settings or
+    samples, and a training that diverges.
     """
     learned, unseen = _taken(material, samples), _taken(material, val)
     run = _Run(material, learned, training)
@@ -183,8 +186,11 @@ def train(
             run.save(checkpoint)
             saved = time.perf_counter()
     bar.close()
-    if run.kept:
-        material.load_state_dict(run.kept)
+    if not run.kept:
+        raise InputError(
+            f"training: no look found a finite error; a rate below {training.rate:g} may have one"
+        )
+    material.load_state_dict(run.kept)
     return run.history
 
 
@@ -226,11 +232,21 @@ class _Run:
             self.least, self.history.best = error + other, self.history.epochs
             self.kept = {key: part.clone() for key, part in self.material.state_dict().items()}
 
+    def settings(self) -> dict[str, Any]:
+        """What a checkpoint must have been written with: all but how many epochs are asked for."""
+        seen = hashlib.sha256(self.learned.u.numpy().tobytes())
+        if isinstance(self.learned, _Loads):
+            seen.update(self.learned.b.numpy().tobytes())
+        known = {**asdict(self.training), **self.material.content()}
+        for key in ("epochs", "provenance", "scale"):
+            del known[key]
+        precision = str(self.learned.u.dtype)
+        return known | {"precision": precision, "samples": seen.hexdigest()[:16]}
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Everything that is needed to go on."""
-        settings = {**asdict(self.training), **self.material.content(), "epochs": 0}
         state = {
-            "settings": {k: v for k, v in settings.items() if k not in ("provenance", "scale")},
+            "settings": self.settings(),
             "scale": self.material.scale,
             "material": self.material.state_dict(),
             "adam": self.adam.state_dict(),
@@ -250,13 +266,15 @@ class _Run:
             return
         try:
             state = torch.load(path, weights_only=True)
+            theirs = dict(state["settings"])
         except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
             raise InputError(f"{path}: expected a checkpoint of a training ({error})") from None
-        mine = {**asdict(self.training), **self.material.content(), "epochs": 0}
-        for key, value in state["settings"].items():
-            if mine[key] != value:
+        except (KeyError, TypeError, ValueError, IndexError):
+            raise InputError(f"{path}: expected a checkpoint of a training") from None
+        for key, value in self.settings().items():
+            if theirs.get(key) != value:
                 raise InputError(
-                    f"{path}: the checkpoint has {key} {value!r}, expected {mine[key]!r}"
+                    f"{path}: the checkpoint has {key} {theirs.get(key)!r}, expected {value!r}"
                 )
         if isinstance(self.learned, Frames):
             self.learned.resume(state["frames"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -78,6 +78,33 @@ class Newton:
         check_tolerance(self.tolerance)
 
 
+@dataclass(frozen=True, eq=False)
+class PolakRibiere:
+    """Conjugate directions with secant steps, which ask a law for its force alone: any law's.
+
+    Solutions say nothing of what is proven, nor of strains beyond the data; the law's own do.
+
+    Attributes:
+        tolerance: residual over that of the collar's displacement alone.
+        most: steps of a sample, each of two forces.
+        start: displacement [length] that the search begins at, shape [N, d] or [S, N, d], of which
+            interior values count; "previous", the answer of the sample before; None for zero.
+
+    Raises InputError for a tolerance outside (0, 1), `most` below 1, and another word.
+    """
+
+    tolerance: float = TOLERANCE
+    most: int = 1000
+    start: Any = None
+
+    def __post_init__(self) -> None:
+        check_tolerance(self.tolerance)
+        if not (is_number(self.most) and self.most == int(self.most) >= 1):
+            raise InputError(f"most: expected a whole number ≥ 1, got {self.most!r}")
+        if isinstance(self.start, str) and self.start != "previous":
+            raise InputError(f"start: expected 'previous' or a displacement, got {self.start!r}")
+
+
 @dataclass(frozen=True)
 class Coupling:
     """How rim and bulk meet.
@@ -109,7 +136,7 @@ class Coupling:
             raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
 
 
-Solver: TypeAlias = Direct | Krylov | Newton | None
+Solver: TypeAlias = Direct | Krylov | Newton | PolakRibiere | None
 
 
 def check_tolerance(value: float) -> None:

@@ -1,13 +1,10 @@
-"""Neural force states on the main job's data, beside the nonlinear solids of three constants.
+"""A monotone neural force state on the main job's data: what a convex energy costs.
 
-The peridynamic neural operator as printed (Jafarzadeh et al. 2024, 3.3–3.11: a network of the bond
-length for ω, one of ω, dilatation, extension and length for the scalar force state, rectifiers,
-relative ℓ2 error of b, Adam), and a monotone form of it: the force state of a convex energy, with
-weights k ≥ 0 and growing g, of the dilatation θ and of the stretches less θ (of whole stretches
-instead it would have λ ≥ μ, which this graphene has not). Widths, rates and
-samples in a step are chosen by short trainings, as the paper chooses: by the error of training and
-validation loads. The best setting is then trained anew. Leaves pno_printed.json,
-pno_monotone.json and pno.md.
+The force state of a convex energy, with weights k ≥ 0 and growing g, of the dilatation θ and of the
+stretches less θ (of whole stretches instead it would have λ ≥ μ, which this graphene has not),
+trained by Adam on the relative ℓ2 error of b. Widths, rates and samples in a step are chosen by
+short trainings, by the error of training and validation loads. The best setting is then trained
+anew. Leaves monotone.json.
 """
 
 from __future__ import annotations
@@ -16,7 +13,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +29,7 @@ from examples.prose import table
 from examples.train_graphene import DATA
 from warp_peri import Samples
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import write_json, write_text
+from warp_peri.files.atomic import write_json
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.neural.networks import network
 from warp_peri.operator.nonlinear import NonlinearOperator
@@ -111,26 +107,6 @@ class BondTable:
         return -(M[:, nodes] * T[..., None]).sum(2)
 
 
-class Printed(torch.nn.Module):
-    """Two networks: ω of the length, σ of (ω, θ, e, r)."""
-
-    def __init__(self, first: tuple[int, int], second: tuple[int, int]) -> None:
-        super().__init__()
-        self.influence, self.state = network(1, *first, 1), network(4, *second, 1)
-        self.scale = 1.0
-
-    def states_of(self, e: torch.Tensor, r: torch.Tensor) -> list[torch.Tensor]:
-        """θ of nodes with these extensions."""
-        omega = self.influence(r[:, None] / HORIZON)[:, 0]
-        return [(e * omega * r).sum(-1) / (omega * r**2).sum()]
-
-    def forward(self, e: torch.Tensor, states: list[torch.Tensor], r: torch.Tensor) -> torch.Tensor:
-        omega = self.influence(r[:, None] / HORIZON)[:, 0]
-        parts = [omega, states[0] / STRAIN, e / (STRAIN * r), r / HORIZON]
-        inputs = torch.stack([part.expand_as(e) for part in parts], dim=-1)
-        return self.scale * self.state(inputs)[..., 0]
-
-
 class Increasing(torch.nn.Module):
     """A function of one number that grows: weights through a softplus, tanh between."""
 
@@ -174,9 +150,6 @@ class Monotone(torch.nn.Module):
         theta, others = states
         direct = k * self.g((e / r - theta) / STRAIN)
         return self.scale * (direct + k_d * r * (self.g_d(theta / STRAIN) - others))
-
-
-FORMS: dict[str, Callable[..., torch.nn.Module]] = {"printed": Printed, "monotone": Monotone}
 
 
 def errors_of(
@@ -258,100 +231,54 @@ def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) ->
     return {"E_u": float(np.mean(misses)), "converged": ended / len(misses)}
 
 
-def run(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Each network that was asked for; those of earlier runs stay in the tables."""
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """What was tried, and the errors of the best, trained anew, on every set."""
     torch.set_num_threads(1)
     data, larger = warp_peri.load(DATA), warp_peri.load(STRAINED)
     named = {name: data[name] for name in ("train", "val", "test")}
     named |= {name: larger[name] for name in larger}
     sets = {name: BondTable(samples) for name, samples in named.items()}
     model = warp_peri.load(given.models / "energy.json")
-    tables = {}
-    for name in given.forms:
-        tables[name] = table_of(FORMS[name], sets, model, given, given.models / f"pno_{name}.json")
-    for name in FORMS:
-        if name not in tables and (file := given.models / f"pno_{name}.json").exists():
-            tables[name] = json.loads(file.read_text(encoding="utf-8"))
-    write_text(given.models / "pno.md", page(tables))
-    return tables
-
-
-def table_of(
-    kind: Callable[..., torch.nn.Module],
-    sets: dict[str, BondTable],
-    model: NonlinearModel,
-    given: argparse.Namespace,
-    file: Path,
-) -> dict[str, Any]:
-    """What was tried, and the errors of what was tried best, trained anew; kept in a file."""
     tried = []
     for setting in TRIED[: given.settings]:
-        tried.append(trained(kind, sets, setting, given.try_minutes, given)[1])
+        tried.append(trained(sets, setting, given.try_minutes, given)[1])
         print(tried[-1], file=sys.stderr)
     best = TRIED[int(np.argmin([record["score"] for record in tried]))]
-    net, record = trained(kind, sets, best, given.minutes, given)
-    with torch.no_grad():
-        residuals = {
-            key: float(errors_of(net, bonds, torch.arange(len(bonds.b))).mean())
-            for key, bonds in sets.items()
-        }
-    entry = {**record, "tried": tried, "E_res": residuals}
-    answers = {
-        key: solved(net, bonds, model, every=TRAIN_EVERY if key == "train" else 1)
-        for key, bonds in sets.items()
-    }
-    entry["E_u"] = {key: answer["E_u"] for key, answer in answers.items()}
-    entry["converged"] = {key: answer["converged"] for key, answer in answers.items()}
-    write_json(file, entry)
-    return entry
+    net, record = trained(sets, best, given.minutes, given)
+    errors: dict[str, dict[str, float]] = {}
+    for name, bonds in sets.items():
+        with torch.no_grad():
+            misses = errors_of(net, bonds, torch.arange(len(bonds.b)))
+        found = solved(net, bonds, model, every=TRAIN_EVERY if name == "train" else 1)
+        errors[name] = {"E_res": float(misses.mean()), **found}
+    report = {**record, "tried": tried, "errors": errors}
+    write_json(given.models / "monotone.json", report)
+    return report
 
 
 def trained(
-    kind: Callable[..., torch.nn.Module],
-    sets: dict[str, BondTable],
-    setting: Setting,
-    minutes: float,
-    given: argparse.Namespace,
+    sets: dict[str, BondTable], setting: Setting, minutes: float, given: argparse.Namespace
 ) -> tuple[torch.nn.Module, dict[str, Any]]:
     """A new network of a setting, trained for so long."""
     torch.manual_seed(given.seed)
-    net = kind(setting.first, setting.second)
-    record = train(net, sets["train"], sets["val"], setting, minutes, given.json)
-    return net, record
+    net = Monotone(setting.first, setting.second)
+    return net, train(net, sets["train"], sets["val"], setting, minutes, given.json)
 
 
-def page(tables: dict[str, Any]) -> str:
+def page(report: dict[str, Any]) -> str:
     """Errors on every set, and what was tried, as Markdown."""
-    names, text = list(tables), ""
-    heads = [f"{error} {name}" for name in names for error in ("E_res", "E_u", "solved")]
-    rows = []
-    for key in tables[names[0]]["E_res"]:
-        cells = [
-            f"{100 * tables[name][error][key]:.{digits}f}"
-            for name in names
-            for error, digits in (("E_res", 2), ("E_u", 2), ("converged", 0))
-        ]
-        rows.append([key, *cells])
-    text += table(["%", *heads], rows) + "\n"
-    heads = [
-        "widths",
-        "rate",
-        "samples, nodes a step",
-        "numbers",
-        "epochs",
-        "minutes",
-        "train + val [%]",
+    kinds = ("E_res", "E_u", "converged")
+    rows = [
+        [name, *(f"{100 * errors[kind]:.3g}" for kind in kinds)]
+        for name, errors in report["errors"].items()
     ]
-    for name in names:
-        rows = []
-        for record in (*tables[name]["tried"], tables[name]):
-            widths = f"{record['first']}, {record['second']}"
-            step = f"{record['batch']}, {record['nodes']}"
-            cells = [step, *(f"{record[key]:g}" for key in ("numbers", "epochs", "minutes"))]
-            score = f"{100 * record['score']:.2f}"
-            rows.append([widths, f"{record['rate']:g}", *cells, score])
-        text += f"\n{name}:\n\n" + table(heads, rows) + "\n"
-    return text
+    text = table(["%", *kinds], rows) + "\n"
+    keys = ("first", "second", "rate", "batch", "nodes", "numbers", "epochs", "minutes")
+    rows = [
+        [*(str(record[key]) for key in keys), f"{100 * record['score']:.2f}"]
+        for record in (*report["tried"], report)
+    ]
+    return text + "\n" + table([*keys, "train + val [%]"], rows)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -361,17 +288,13 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--minutes", type=float, default=2.0, help="processor time of the best one")
     parser.add_argument("--try-minutes", type=float, default=0.15, help="of each setting tried")
-    parser.add_argument("--forms", nargs="+", choices=FORMS, default=list(FORMS))
     parser.add_argument("--settings", type=int, default=len(TRIED), help="how many are tried")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
-    tables = run(given)
-    if given.json:
-        print(json.dumps(tables))
-        return 0
-    print(page(tables))
+    report = run(given)
+    print(json.dumps(report) if given.json else page(report))
     return 0
 
 
