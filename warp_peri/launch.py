@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -103,6 +104,33 @@ def ranks_started() -> int | None:
         if os.environ.get(name, "").isdigit():
             return int(os.environ[name])
     return None
+
+
+_sharing: list[Any] = []
+"""The communicator of mpi4py whose ranks share work, in `shared_by`."""
+
+
+@contextmanager
+def shared_by(comm: Any) -> Iterator[None]:
+    """What `in_blocks` works on inside is shared by ranks, all of which must come here."""
+    _sharing.append(comm)
+    try:
+        yield
+    finally:
+        _sharing.pop()
+
+
+def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: int) -> np.ndarray:
+    """What `work` gives of rows, at most so many at once, joined.
+
+    Blocks do not depend on the number of ranks, and so the result has the same bits on any.
+    """
+    blocks = np.array_split(rows, -(-len(rows) // most) or 1)
+    if not _sharing:
+        return np.concatenate([work(block) for block in blocks])
+    comm = _sharing[-1]
+    done = comm.allgather([work(block) for block in blocks[comm.rank :: comm.size]])
+    return np.concatenate([done[n % comm.size][n // comm.size] for n in range(len(blocks))])
 
 
 def known_device(device: str) -> str:

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,8 +18,12 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.micromodulus import certificate
 from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.ranks import lattice, spread, whole
+from warp_peri.prediction import Members
+from warp_peri.prediction.spectrum import Record
+from warp_peri.proofs import uniqueness
+from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
 
@@ -46,6 +51,26 @@ def nonlinear():
     return NonlinearModel(solid(2), -3.0, -2.0, 0.5)
 
 
+def family(rich):
+    """Members that say otherwise by a percent or two, and a record."""
+    linear = getattr(rich, "linear", rich)
+    others = []
+    for share in (1.01, 1.02, 0.98):
+        scaled = replace(linear, lam=linear.lam * share, mu=linear.mu * share)
+        others.append(scaled if rich is linear else replace(rich, linear=scaled))
+    record = Record(H * np.array([2.0, 8.0, 32.0]), np.array([0.3, 0.1, 0.01]), 4 * H)
+    second, *halves = others
+    return Members(rich, second, tuple(halves), record, strain=0.001)
+
+
+ASKED = {
+    "best": (nonlinear(), None),
+    "screened": (nonlinear(), 0.3),
+    "linear": (solid(2), None),
+}
+"""Rich members and tolerances of answers."""
+
+
 def inside(x):
     """A thick L in the plane, a ball in space, with room for a collar."""
     away = (x - CENTRE[x.shape[1]]) / H
@@ -69,8 +94,24 @@ def small(x):
     return tuple(0.4 * field for field in fields(x))
 
 
+def proofs():
+    """Of three symbols, and how many cells of the last this rank looked at."""
+    seen, failed = [], certificate._failed
+    certificate._failed = lambda *given: seen.append(len(given[-1])) or failed(*given)
+    try:
+        with together():
+            own = wp.proofs.certify(solid(2), spacing=H).symbol_bound
+            bent = uniqueness(nonlinear(), spacing=H).strain
+            crystal = wp.micromodulus.tensors_of(solid(3), H).certificate
+    finally:
+        certificate._failed = failed
+    return [own, bent, crystal.proven, crystal.sampled, crystal.cells], sum(seen)
+
+
 def rest(folder):
     comm, found = world(), {}
+    found["proofs"], seen = proofs()
+    found["shared"] = comm.allgather(seen)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
     for shape in ((52, 52), (25, 25, 25)):
         points = lattice(shape, H, inside)
@@ -93,6 +134,13 @@ def rest(folder):
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"nonlinear_{comm.size}.npy", answer)
+    for name, (rich, tolerance) in ASKED.items():
+        answer = wp.predict(family(rich), wp.Dirichlet(sheet, *small(sheet.x)), tolerance)
+        u = sheet.gather(np.concatenate([answer.u, answer.map()[:, None]], axis=1))
+        found[name] = {"u": digest(u), "error": answer.error, "parts": answer.parts,
+                       "why": answer.why}  # fmt: skip
+        if comm.rank == 0:
+            np.save(folder / f"{name}_{comm.size}.npy", u)
     found["refused"] = []
     wide = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.points.points import Points
+from warp_peri.points.strain import largest_strain
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import Comm
 
@@ -76,6 +78,26 @@ class NodeHalo:
         for request in requests:
             request.wait()
         return here
+
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """Of numbers [m] that ranks have of the same node the largest, of the own nodes, [n]."""
+        found = values.copy()
+        requests = [self.comm.isend(values[places], dest=r) for r, places in self._take]
+        for r, places in self._give:
+            found[places] = np.maximum(found[places], self.comm.recv(source=r))
+        for request in requests:
+            request.wait()
+        return np.asarray(found[self.own])
+
+
+def strain_on_ranks(piece: Piece, u: np.ndarray) -> float:
+    """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
+    halo = NodeHalo(piece, piece.spacing)
+    field = np.zeros_like(halo.x)
+    field[halo.own] = u
+    halo.exchange(field)
+    here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
+    return float(max(piece.comm.allgather(largest_strain(here, field))))
 
 
 class RowHalo:

@@ -8,6 +8,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
+from warp_peri.launch import shared_by
 from warp_peri.micromodulus.coarse import coarser
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.law import Crystal
@@ -20,6 +21,7 @@ from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
+from warp_peri.statics.equilibrium import Inverse
 
 
 class RowOperator:
@@ -36,7 +38,7 @@ class RowOperator:
         if piece.rows is None:
             raise InputError("points: expected a lattice in rows for a body at rest on ranks")
         comm, rows, d = piece.comm, piece.rows, piece.dimension
-        self.law, self.points, self.dimension = law, piece, d
+        self.model, self.points, self.dimension = law, piece, d
         first, last = rows.starts[comm.rank : comm.rank + 2]
         box = (int(last - first), *rows.shape[1:])
         self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
@@ -59,7 +61,7 @@ class RowOperator:
         self._coarse = cycle(comm, *near, few, self._between.coarse)
 
     def _check(self) -> None:
-        piece, law = self.points, self.law
+        piece, law = self.points, self.model
         assert piece.rows is not None
         check_same(law.units, piece.units)
         if self.proven is None:
@@ -79,7 +81,7 @@ class RowOperator:
     @property
     def proven(self) -> str | None:
         """What is proven of the law, in one sentence."""
-        proof = self.law.certificate
+        proof = self.model.certificate
         if proof is None or not proof.holds:
             return None
         return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
@@ -132,7 +134,7 @@ class RowOperator:
     def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
         """Displacement [n, d] with load b on the interior and u given elsewhere."""
         given, right = self.sides(b, u)
-        found, record = self.inverse(right, tolerance)
+        found, record = self.inverted(right, tolerance)
         return given + self.take_up(found), record
 
     def sides(self, b: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,13 +143,29 @@ class RowOperator:
         given = np.where(inside, 0.0, u)
         return given, self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
 
-    def inverse(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """Planes, zero off the unknown nodes, with L of them as given there."""
         return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
 
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of a load on this rank's interior [i, d], to a relative residual, for `predict`."""
+
+        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+            whole = np.zeros(self.points.x.shape)
+            whole[self.points.interior] = right
+            found = self.take_up(self.inverted(self.lay_out(whole), tolerance)[0])
+            return np.asarray(found[self.points.interior])
+
+        return solved
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
 
 def tensors_at(linear: Any, piece: Piece) -> Crystal:
-    """A linear solid or a crystal as tensors on a piece's lattice."""
-    law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
+    """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks."""
+    with shared_by(piece.comm):
+        law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
     assert isinstance(law, Crystal)
     return law

@@ -7,7 +7,7 @@ linear solve is that of ranks.linear.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
+from warp_peri.ranks.sums import total
+from warp_peri.statics.equilibrium import Inverse
 from warp_peri.statics.nonlinear import ROUGH, NonlinearRecord, anderson, warn_beyond
 
 __all__ = ["RowNonlinear", "warn_beyond"]
@@ -45,14 +47,19 @@ class RowNonlinear:
                 raise InputError("ranks: a rank has no interior node of the solid; take fewer")
             here = Points(halo.x, inside, piece.spacing, units=piece.units, axis=piece.axis)
             self.placed = material.on(here)
-            law = tensors_at(self.placed.model.linear, piece)
+            self._law = tensors_at(self.placed.model.linear, piece)
         for turn in (comm.rank == 0, comm.rank != 0):  # one compiles
             if turn:
                 self.placed(np.zeros_like(halo.x))
             comm.Barrier()
-        self.linear = RowOperator(law, piece)
+        self.model = self.placed.model
         self.strain = float(self.placed.model.proven_strain(piece.spacing))
         self.proven = f"no other solution has |H| ≤ {self.strain:.2%}" if self.strain > 0 else None
+
+    @cached_property
+    def linear(self) -> RowOperator:
+        """Its linear part in rows, which is what is inverted."""
+        return RowOperator(self._law, self.points)
 
     def around(self, u: np.ndarray) -> np.ndarray:
         """u [n, d] on all nodes that this rank feels."""
@@ -64,6 +71,28 @@ class RowNonlinear:
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
         return np.asarray(self.placed(self.around(u)))
+
+    def straight(self, u: np.ndarray) -> np.ndarray:
+        """Its linear part at u, as above."""
+        return np.asarray(self.placed.straight(self.around(u)))
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return self.linear.load(b)
+
+    def inverse(self, loads: int) -> Inverse:
+        """As RowOperator.inverse, of the linear part."""
+        return self.linear.inverse(loads)
+
+    def mean_gradient(self, u: np.ndarray) -> float:
+        """Root mean square of |H| over all nodes within δ of unknown ones, of all ranks."""
+        H, _ = self.placed.gradients(self.around(u))
+        square = np.full(len(self.halo.x), -1.0)
+        square[self.placed.sweeps.full] = (H**2).sum(axis=(-2, -1))
+        square = self.halo.largest(square)  # of its owner and of whoever feels it
+        felt = square >= 0
+        added, count = total(self.points.comm, np.stack([square * felt, felt], axis=1))
+        return float(np.sqrt(added / count))
 
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float
@@ -88,7 +117,7 @@ class RowNonlinear:
 
         def correction(residual: np.ndarray) -> np.ndarray:
             record.solves += 1
-            return rows.inverse(residual * scale, ROUGH)[0]
+            return rows.inverted(residual * scale, ROUGH)[0]
 
         def fitted(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
             columns = np.moveaxis(differences, -1, 0)

@@ -83,6 +83,16 @@ class Piece:
         found[order] = raw
         return found.view(values.dtype).reshape(self.count, *values.shape[1:])
 
+    def joined(self, values: np.ndarray) -> np.ndarray | None:
+        """As gather, on the first rank alone; None on the others."""
+        parts = self.comm.gather((self.number, values))
+        if parts is None:
+            return None
+        whole = np.empty((self.count, *values.shape[1:]), values.dtype)
+        for number, part in parts:
+            whole[number] = part
+        return whole
+
     def __getattr__(self, name: str) -> Any:
         if name in _OF_A_WHOLE:
             raise InputError("points: expected Points, got a piece of some, which are on ranks")

@@ -9,6 +9,7 @@ import numpy as np
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.ranks.linear import RowOperator, tensors_at
+from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
 from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -31,13 +32,6 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
-        linear = getattr(material, "linear", material)
-        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
-        if not known or not (bends or linear is material):
-            raise InputError(
-                "material: expected a linear solid, a crystal, or one with third-order constants "
-                "on ranks"
-            )
         b, u = (np.asarray(field, dtype=float) for field in (problem.b, problem.u))
         if b.shape != u.shape or b.shape[-2:] != piece.x.shape or b.ndim not in (2, 3):
             raise InputError(
@@ -46,18 +40,13 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             )
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
-    if bends:
-        from warp_peri.ranks.nonlinear import RowNonlinear, warn_beyond
-
-        operator: Any = RowNonlinear(material, piece)
-    else:
-        with agreed(piece.comm):
-            law = tensors_at(linear, piece)
-        operator = RowOperator(law, piece)
+    operator = operator_on(material, piece)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
     found = [operator.solve(load, given, tolerance) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
     if bends:
+        from warp_peri.ranks.nonlinear import warn_beyond
+
         warn_beyond(list(records), operator.strain)
     return Solution(
         np.reshape([answer for answer, _ in found], u.shape),
@@ -70,3 +59,25 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         details=records,
         measured=max(record.residual for record in records),
     )
+
+
+def operator_on(material: Any, piece: Piece) -> Any:
+    """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants.
+
+    Raises InputError for other laws, and as these do.
+    """
+    bends = hasattr(material, "proven_strain")
+    with agreed(piece.comm):
+        linear = getattr(material, "linear", material)
+        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
+        if not known or not (bends or linear is material):
+            raise InputError(
+                "material: expected a linear solid, a crystal, or one with third-order constants "
+                "on ranks"
+            )
+        law = None if bends else tensors_at(linear, piece)
+    if law is not None:
+        return RowOperator(law, piece)
+    from warp_peri.ranks.nonlinear import RowNonlinear
+
+    return RowNonlinear(material, piece)
