@@ -184,7 +184,7 @@ class Recorded:
     """What `launch_slices` does, packed once, to be called again and again on the same arrays.
 
     Packing arguments takes longer than a sweep over a thousand nodes. The number of threads is that
-    of now. Inputs and outputs that are given later are None here.
+    of now. Inputs and outputs that are given later are None here. `begin` is the first index.
     """
 
     def __init__(
@@ -197,6 +197,7 @@ class Recorded:
         samples: int = 0,
         weight: int = 1,
         device: Any = DEVICE,
+        begin: int = 0,
     ) -> None:
         device = wp.get_device(device)
         ends = _slices(count, count * max(samples, 1) * weight, device)
@@ -205,7 +206,7 @@ class Recorded:
             wp.launch(
                 kernel,
                 dim=(samples, last - first) if samples else last - first,
-                inputs=[first, *inputs],
+                inputs=[begin + first, *inputs],
                 outputs=list(outputs),
                 device=device,
                 record_cmd=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -54,8 +55,13 @@ class NodeHalo:
         self._out = [np.empty((len(places), d)) for _, places in self._give]
         self._in = [np.empty((len(places), d)) for _, places in self._take]
 
-    def exchange(self, field: np.ndarray) -> None:
-        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
+    @property
+    def is_own(self) -> np.ndarray:
+        """Which of the nodes here are the piece's own, shape [m]."""
+        return np.isin(np.arange(len(self.number)), self.own)
+
+    def start(self, field: np.ndarray) -> Callable[[], None]:
+        """Send for others' nodes in a field of vectors [m or more, d]; what fills them in it."""
         from mpi4py import MPI
 
         comm = self.comm
@@ -63,9 +69,17 @@ class NodeHalo:
         for (rank, places), buffer in zip(self._give, self._out):
             np.take(field, places, axis=0, out=buffer)
             requests.append(comm.Isend(buffer, dest=rank))
-        MPI.Request.Waitall(requests)
-        for (_, places), buffer in zip(self._take, self._in):
-            field[places] = buffer
+
+        def finish() -> None:
+            MPI.Request.Waitall(requests)
+            for (_, places), buffer in zip(self._take, self._in):
+                field[places] = buffer
+
+        return finish
+
+    def exchange(self, field: np.ndarray) -> None:
+        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
+        self.start(field)()
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""

@@ -1,8 +1,9 @@
 """Breaking bodies in motion on many ranks, with the bits of one process.
 
 A rank steps its nodes and those of others that they feel: within δ for bonds, 2δ with a dilatation.
-After each drift the displacement of others' nodes comes from their owners. All bonds that its own
-nodes feel then break here as they do there, and nothing else is sent.
+After each drift the displacement of others' nodes comes from their owners, while nodes that feel
+none of them are swept. All bonds that its own nodes feel then break here as they do there, and
+nothing else is sent.
 """
 
 from __future__ import annotations
@@ -246,7 +247,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
         marching = RankedRun(moving, halo, piece, **records)
     marching.check()
-    moving.exchange = lambda u: halo.exchange(u.numpy())
+    moving.operator.sweep_early(halo.is_own)
+    moving.exchange = lambda u: halo.start(u.numpy())
     state = marching.march(state, **run)
     own = halo.own
     return Motion(
