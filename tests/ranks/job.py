@@ -14,6 +14,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 import warp_peri as wp
@@ -108,6 +109,40 @@ def proofs():
     return [own, bent, crystal.proven, crystal.sampled, crystal.cells], sum(seen)
 
 
+def from_file(comm, folder):
+    """Whether nodes and fields of a file are those of the functions that made it."""
+    x = H * np.argwhere(np.ones((52, 52)))
+    if comm.rank == 0:
+        with h5py.File(folder / f"plate_{comm.size}.h5", "w") as file:
+            file["interior"], file["b"] = inside(x), fields(x)[0]
+    comm.Barrier()
+    points = lattice((52, 52), H, folder / f"plate_{comm.size}.h5")
+    same = np.array_equal(points.interior, inside(points.x))
+    b = points.read(folder / f"plate_{comm.size}.h5", "b")
+    return comm.allgather(bool(same and np.array_equal(b, fields(points.x)[0])))
+
+
+def going_on(points, folder, share):
+    """Solves that go on from what is kept, to a share of the digits that a fresh one has."""
+    found = {}
+    for law, digits in ((solid(2), 10), (nonlinear(), 8)):
+        name, tolerance = type(law).__name__, 10.0 ** (-digits / share)
+        bends = hasattr(law, "proven_strain")
+        solver = (wp.Newton if bends else wp.Krylov)(tolerance=tolerance)
+        problem = wp.Dirichlet(points, *small(points.x))
+        solution = wp.solve(law, problem, solver=solver, checkpoint=folder / f"{name}.h5")
+        u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
+        far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
+        found[name] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
+                       "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
+    try:
+        other = wp.Dirichlet(points, *fields(points.x))
+        wp.solve(solid(2), other, checkpoint=folder / "Model.h5")
+    except wp.InputError as error:
+        found["other"] = str(error)
+    return found
+
+
 def rest(folder):
     comm, found = world(), {}
     found["proofs"], seen = proofs()
@@ -141,6 +176,8 @@ def rest(folder):
                        "why": answer.why}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", u)
+    found["file"] = from_file(comm, folder)
+    found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["refused"] = []
     wide = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (

@@ -149,6 +149,21 @@ def test_ranks_share_the_cells_of_a_proof_and_prove_the_same(jobs):
     assert min(shares) > 0.2 * cells
 
 
+def test_nodes_and_fields_are_read_from_a_file_by_whom_they_belong_to(jobs):
+    assert [jobs[count]["file"] for count in (1, 2, 3)] == [[True] * count for count in (1, 2, 3)]
+
+
+def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
+    for count in (1, 2, 3):
+        for law in ("Model", "NonlinearModel"):
+            kept = jobs[count]["kept"][law]
+            assert kept["residual"] <= kept["tolerance"]
+            assert kept["far"] < 10 * kept["tolerance"]
+            took, fresh = kept["took"]
+            assert took < 0.8 * fresh or count == 2  # which began
+        assert jobs[count]["kept"]["other"].endswith("expected a checkpoint of this problem")
+
+
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     one, edge, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")

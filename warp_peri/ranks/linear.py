@@ -16,12 +16,16 @@ from warp_peri.micromodulus.states import tensors_of
 from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
+from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.equilibrium import Inverse
+
+STAGE = 1e-3
+"""Of a residual, after which a solve with a checkpoint writes it."""
 
 
 class RowOperator:
@@ -131,10 +135,26 @@ class RowOperator:
 
         return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
 
-    def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
-        """Displacement [n, d] with load b on the interior and u given elsewhere."""
+    def solve(
+        self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None
+    ) -> tuple[Any, SolveRecord]:
+        """Displacement [n, d] with load b on the interior and u given elsewhere.
+
+        With `kept` the answer is written each time that the residual is STAGE of what it was.
+        """
         given, right = self.sides(b, u)
-        found, record = self.inverted(right, tolerance)
+        if kept is None:
+            found, record = self.inverted(right, tolerance)
+            return given + self.take_up(found), record
+        start, norm, record = kept.start(), self.inner().norm, SolveRecord()
+        inside, size = self.points.interior[:, None], norm(right)
+        found = self.lay_out(np.where(inside, 0.0 if start is None else start, 0.0))
+        while (left := norm(rest := right - self.product(found))) > tolerance * size:
+            more, part = self.inverted(rest, max(tolerance * size / left, STAGE))
+            found += more
+            record.iterations += part.iterations
+            kept.keep(given + self.take_up(found))
+        record.residual = left / size if size > 0 else 0.0
         return given + self.take_up(found), record
 
     def sides(self, b: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
+from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
@@ -95,16 +96,18 @@ class RowNonlinear:
         return float(np.sqrt(added / count))
 
     def solve(
-        self, b: np.ndarray, u: np.ndarray, tolerance: float
+        self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None
     ) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement [n, d] with load b on the interior and u given elsewhere, and the record.
+
+        With `kept` every step that comes closer is written, and the search begins with the last.
 
         Raises InputError where the fixed point does not come there, plain or clipped (N13–N15).
         """
         record, rows, inside = NonlinearRecord(), self.linear, self.points.interior
         inner = rows.inner()
         given, right = rows.sides(b, u)
-        scale = inner.norm(right)
+        scale, least = inner.norm(right), [np.inf]
         if scale == 0:
             record.residual, record.unique = 0.0, self.strain > 0
             return given, record
@@ -113,7 +116,11 @@ class RowNonlinear:
             unbalanced = np.zeros_like(given)
             pulled = np.asarray(force(self.around(given + rows.take_up(v))))
             unbalanced[inside] = (b[inside] - pulled) / scale
-            return rows.lay_out(unbalanced)
+            rest = rows.lay_out(unbalanced)
+            if kept is not None and (size := inner.norm(rest)) < least[0]:
+                least[0] = size
+                kept.keep(given + rows.take_up(v))
+            return rest
 
         def correction(residual: np.ndarray) -> np.ndarray:
             record.solves += 1
@@ -129,7 +136,12 @@ class RowNonlinear:
             step = partial(left, force)
             return anderson(step, correction, start, tolerance, norm=inner.norm, fitted=fitted)
 
-        v, record.residual = found(self.placed, correction(right / scale))
+        begin = None if kept is None else kept.start()
+        if begin is None:
+            start = correction(right / scale)
+        else:
+            start = rows.lay_out(np.where(inside[:, None], begin, 0.0))
+        v, record.residual = found(self.placed, start)
         if record.residual > tolerance and self.strain > 0:
             record.method = "clipped"
             v, _ = found(self.placed.clipped(self.strain), correction(right / scale))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -83,6 +84,15 @@ class Piece:
         found[order] = raw
         return found.view(values.dtype).reshape(self.count, *values.shape[1:])
 
+    def read(self, path: str | os.PathLike[str], name: str) -> np.ndarray:
+        """Of an array [N, ...] of all nodes in an HDF5 file those of this rank, [n, ...].
+
+        Raises InputError for a file without it, or an array of another length.
+        """
+        with agreed(self.comm):
+            values = read_rows(path, name, self.number, self.count)
+        return values
+
     def joined(self, values: np.ndarray) -> np.ndarray | None:
         """As gather, on the first rank alone; None on the others."""
         parts = self.comm.gather((self.number, values))
@@ -102,7 +112,7 @@ class Piece:
 def lattice(
     shape: tuple[int, ...],
     spacing: float,
-    interior: Callable[[np.ndarray], np.ndarray],
+    interior: Callable[[np.ndarray], np.ndarray] | str | os.PathLike[str],
     *,
     origin: Any = 0.0,
     block: int | None = None,
@@ -114,7 +124,8 @@ def lattice(
     Args:
         shape: nodes along each axis; the rows of the first axis go to the ranks.
         spacing: h [length].
-        interior: which nodes are unknown, of positions [n, d] as bool [n].
+        interior: which nodes are unknown, of positions [n, d] as bool [n]; or an HDF5 file whose
+            `interior` says it of all nodes, [N], of which a rank reads its own.
         origin: position of the first node.
         block: rows that stay together, a power of two; by default an eighth of them or less.
         units, axis: as of Points.
@@ -131,12 +142,36 @@ def lattice(
     x = np.asarray(origin) + spacing * grid
     number = np.arange(first * row, last * row)
     with agreed(comm):
-        inside = np.asarray(interior(x))
+        if callable(interior):
+            inside = np.asarray(interior(x))
+        else:
+            inside = read_rows(interior, "interior", number, row * int(sides[0]))
         if inside.shape != (len(x),) or inside.dtype != bool:
             raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
         check_units(units)
     count = row * int(sides[0])
     return Piece(comm, x, inside, float(spacing), number, count, grid, rows, units, axis)
+
+
+def read_rows(
+    path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
+) -> np.ndarray:
+    """Rows of rising numbers of an array of `count` in an HDF5 file; no others are read but those
+    that lie between.
+
+    Raises InputError for a file without the array, and one of another length.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path) as file:
+            array = file[name]
+            length = len(array)
+            if length == count:
+                return np.asarray(array[number[0] : number[-1] + 1][number - number[0]])
+    except (OSError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected an HDF5 file with {name!r} ({error})") from None
+    raise InputError(f"{path}: expected {count} rows of {name!r}, got {length}")
 
 
 def spread(points: Points, by: str = "rows") -> Any:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
+from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
@@ -18,11 +20,12 @@ from warp_peri.statics.solution import Solution
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
     """A Dirichlet problem on a lattice in rows; u and load are those of this rank's nodes.
 
-    A nonlinear solid is solved as in ranks.nonlinear.
+    A nonlinear solid is solved as in ranks.nonlinear. With the option checkpoint=PATH what was
+    found is written as the solve goes, and a later one goes on from there, on any number of ranks.
 
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
-    taken(options, "solve")
+    (asked,) = taken(options, "solve", _asked)
     bends = hasattr(material, "proven_strain")
     kind = Newton if bends else Krylov
     refuse_solver(solver, (kind,), f"a {'nonlinear' if bends else 'linear'} body on ranks")
@@ -42,7 +45,12 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             raise InputError("eigenvalues: not on ranks; one process knows them")
     operator = operator_on(material, piece)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
-    found = [operator.solve(load, given, tolerance) for load, given in zip(*flat)]
+    kept = None
+    if (path := _asked(**asked)) is not None:
+        if len(flat[0]) > 1:
+            raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
+        kept = Kept(path, piece, flat[0][0], flat[1][0])
+    found = [operator.solve(load, given, tolerance, kept) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
     if bends:
         from warp_peri.ranks.nonlinear import warn_beyond
@@ -59,6 +67,11 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         details=records,
         measured=max(record.residual for record in records),
     )
+
+
+def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
+    """The options of a solve on ranks: the file of a checkpoint."""
+    return checkpoint
 
 
 def operator_on(material: Any, piece: Piece) -> Any:
