@@ -121,6 +121,15 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
     assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
 
 
+def test_newton_has_the_same_bits_and_finds_what_the_fixed_point_does(jobs, folder):
+    found = [jobs[count]["newton"] for count in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["method"] == "newton"
+    assert found[0]["residual"] <= 1e-8
+    one, other = (np.load(folder / f"{name}_2.npy") for name in ("nonlinear", "newton"))
+    assert np.abs(one - other).max() < 1e-7 * np.abs(one).max()
+
+
 @pytest.mark.filterwarnings("ignore:strain:UserWarning")
 @pytest.mark.parametrize("name", ASKED)
 def test_an_answer_says_how_far_the_rich_one_is_as_on_one_process(name, jobs, folder):

@@ -18,13 +18,23 @@ from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
+from warp_peri.ranks.newton import newton
 from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import total
 from warp_peri.statics.equilibrium import Inverse
-from warp_peri.statics.nonlinear import ROUGH, NonlinearRecord, anderson, warn_beyond
+from warp_peri.statics.nonlinear import (
+    LINEAR_SHARE,
+    ROUGH,
+    NonlinearRecord,
+    anderson,
+    warn_beyond,
+)
 
 __all__ = ["RowNonlinear", "warn_beyond"]
+
+NEWTON_SHARE = 1e-2
+"""Of the tolerance, to which Newton's method carries the preconditioned residual, over u."""
 
 
 class RowNonlinear:
@@ -102,7 +112,8 @@ class RowNonlinear:
 
         With `kept` every step that comes closer is written, and the search begins with the last.
 
-        Raises InputError where the fixed point does not come there, plain or clipped (N13–N15).
+        Raises InputError where neither the fixed point comes there, plain or clipped (N13–N15),
+        nor Newton's method.
         """
         record, rows, inside = NonlinearRecord(), self.linear, self.points.interior
         inner = rows.inner()
@@ -122,9 +133,9 @@ class RowNonlinear:
                 kept.keep(given + rows.take_up(v))
             return rest
 
-        def correction(residual: np.ndarray) -> np.ndarray:
+        def correction(residual: np.ndarray, to: float = ROUGH) -> np.ndarray:
             record.solves += 1
-            return rows.inverted(residual * scale, ROUGH)[0]
+            return rows.inverted(residual * scale, to)[0]
 
         def fitted(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
             columns = np.moveaxis(differences, -1, 0)
@@ -146,10 +157,16 @@ class RowNonlinear:
             record.method = "clipped"
             v, _ = found(self.placed.clipped(self.strain), correction(right / scale))
             record.residual = inner.norm(left(self.placed, v))
+        if record.residual > tolerance:
+            record.method = "newton"
+            exact = partial(correction, to=LINEAR_SHARE * tolerance)
+            goal = NEWTON_SHARE * tolerance * inner.norm(v)
+            v = newton(lambda w: exact(left(self.placed, w)), v, goal, inner)
+            record.residual = inner.norm(left(self.placed, v))
         if not record.residual <= tolerance:
             raise InputError(
                 f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "
-                f"after {record.solves} linear solves; one process also tries Newton's method"
+                f"after {record.solves} linear solves; the load may be more than the solid bears"
             )
         answer = given + rows.take_up(v)
         own = float(self.placed.largest_gradient(self.around(answer)))
