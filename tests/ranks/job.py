@@ -21,6 +21,7 @@ import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.micromodulus import certificate
 from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.points.interpolation import mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.spectrum import Record
 from warp_peri.proofs import uniqueness
@@ -28,6 +29,7 @@ from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
 from warp_peri.statics import nonlinear as fixed_point
+from warp_peri.transfer.carrier import fitting_spacing
 
 H = 0.5
 
@@ -144,6 +146,19 @@ def going_on(points, folder, share):
     return found
 
 
+def scattered():
+    """Nodes that are no lattice, and a disk of them unknown."""
+    grid = np.argwhere(np.ones((40, 40))) - 19.5
+    x = grid + np.random.default_rng(0).uniform(-0.3, 0.3, grid.shape)
+    return wp.Points(x, np.hypot(*x.T) < 7, 0.0)
+
+
+def carried():
+    """A solid that is certified on the lattice that carries these."""
+    h = fitting_spacing(mean_spacing(scattered()))
+    return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
+
+
 def by_newton(points, folder):
     """Where the fixed point has no time to get."""
     steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
@@ -191,6 +206,14 @@ def rest(folder):
                        "why": answer.why}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", u)
+    cloud = spread(scattered())
+    b, u = fields(cloud.x)
+    solution = wp.solve(carried(), wp.Dirichlet(cloud, b, u), solver=wp.Krylov(tolerance=1e-10))
+    answer = cloud.gather(solution.u)
+    found["scattered"] = {"u": digest(answer), "iterations": solution.iterations[0],
+                          "residual": solution.residual}  # fmt: skip
+    if comm.rank == 0:
+        np.save(folder / f"scattered_{comm.size}.npy", answer)
     found["newton"] = by_newton(sheet, folder)
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)

@@ -17,12 +17,14 @@ from tests.ranks.job import (
     ASKED,
     H,
     block,
+    carried,
     crack,
     family,
     fields,
     inside,
     nonlinear,
     proofs,
+    scattered,
     small,
     solid,
     uneven,
@@ -119,6 +121,17 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
     answer = np.load(folder / "nonlinear_2.npy")
     assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
     assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
+
+
+def test_scattered_points_have_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
+    found = [jobs[count]["scattered"] for count in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["residual"] <= 1e-10
+    assert found[0]["iterations"] <= 80
+    points = scattered()
+    alone = wp.solve(carried(), wp.Dirichlet(points, *fields(points.x))).u
+    answer = np.load(folder / "scattered_2.npy")
+    assert np.abs(answer - alone).max() <= 1e-8 * np.abs(alone).max()
 
 
 def test_newton_has_the_same_bits_and_finds_what_the_fixed_point_does(jobs, folder):

@@ -11,13 +11,18 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.launch import ranks_started
+from warp_peri.points.interpolation import mean_spacing
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks.processes import Comm, agreed, world
+from warp_peri.transfer.carrier import fitting_spacing
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Blocks of rows that a box is cut to at least, where they have between so many rows each."""
+WIDE = 4
+"""Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
+to the ranks."""
 _OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
 
 
@@ -52,6 +57,8 @@ class Piece:
         grid: lattice steps from the corner of the whole body, shape [n, d].
         rows: of a box in rows; None of other parts.
         units, axis: as of Points.
+        carrier: of scattered points the spacing of the lattice that carries them.
+        at: of scattered points, in spacings of the coarse lattice whose rows are `rows`, [n, d].
     """
 
     comm: Comm
@@ -64,6 +71,8 @@ class Piece:
     rows: Rows | None
     units: Units = USUAL
     axis: Any = None
+    carrier: float = 0.0
+    at: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -178,9 +187,11 @@ def spread(points: Points, by: str = "rows") -> Any:
     """This rank's piece of points that every rank has; the points themselves without mpiexec.
 
     Args:
-        points: a lattice along the axes, without a box, the same on every rank.
+        points: a lattice along the axes, or scattered points in the plane, without a box, the same
+            on every rank.
         by: "rows" of the lattice, "bisection" of boxes at the middle of their longest side, or
             "metis", which cuts as few neighbours apart as it can (G. Karypis and V. Kumar, 1998).
+            Scattered points go by rows of a coarse lattice.
 
     Raises InputError for other points, for more ranks than there are rows in blocks, or nodes, and
     for "metis" without pymetis.
@@ -190,6 +201,8 @@ def spread(points: Points, by: str = "rows") -> Any:
     comm = world()
     if by not in ("rows", "bisection", "metis"):
         raise InputError(f"by: expected rows, bisection or metis, got {by!r}")
+    if points.spacing == 0:
+        return _scattered(comm, points, by)
     if not points.is_plain_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
@@ -209,6 +222,22 @@ def spread(points: Points, by: str = "rows") -> Any:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
     return Piece(comm, *parts, own, len(grid), grid[own], rows, points.units, points.axis)
+
+
+def _scattered(comm: Comm, points: Points, by: str) -> Piece:
+    """This rank's piece of scattered points, by rows of cells of a coarse lattice."""
+    if by != "rows" or points.box is not None or points.outside is not None:
+        raise InputError("points: expected scattered points without a box, by rows, on ranks")
+    if points.dimension == 3:
+        raise InputError("points: expected scattered points in the plane on ranks, got space")
+    carrier = fitting_spacing(mean_spacing(points))
+    at = (points.x - points.x.min(axis=0)) / (WIDE * carrier)
+    cell = np.floor(at).astype(np.int32)
+    rows = _rows(comm, tuple((cell.max(axis=0) + 2).tolist()), None)
+    first, last = rows.starts[comm.rank : comm.rank + 2]
+    own = np.flatnonzero((cell[:, 0] >= first) & (cell[:, 0] < last))
+    parts = points.x[own], points.interior[own], 0.0, own, len(at), cell[own], rows
+    return Piece(comm, *parts, points.units, points.axis, carrier, at[own])
 
 
 def whole(points: Any, values: np.ndarray) -> np.ndarray:

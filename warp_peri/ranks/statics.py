@@ -18,7 +18,7 @@ from warp_peri.statics.solution import Solution
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
-    """A Dirichlet problem on a lattice in rows; u and load are those of this rank's nodes.
+    """A Dirichlet problem on a piece; u and load are those of this rank's nodes.
 
     A nonlinear solid is solved as in ranks.nonlinear. With the option checkpoint=PATH what was
     found is written as the solve goes, and a later one goes on from there, on any number of ranks.
@@ -60,7 +60,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         np.reshape([answer for answer, _ in found], u.shape),
         piece,
         operator,
-        b[..., piece.interior, :],
+        np.reshape([operator.load(load) for load in flat[0]], (*b.shape[:-2], -1, b.shape[-1])),
         records[0].method if bends else "multigrid",
         tuple(record.solves if bends else record.iterations for record in records),
         operator.proven,
@@ -75,7 +75,8 @@ def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
 
 
 def operator_on(material: Any, piece: Piece) -> Any:
-    """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants.
+    """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants; or
+    a linear one on scattered points, ScatteredOperator.
 
     Raises InputError for other laws, and as these do.
     """
@@ -88,9 +89,15 @@ def operator_on(material: Any, piece: Piece) -> Any:
                 "material: expected a linear solid, a crystal, or one with third-order constants "
                 "on ranks"
             )
-        law = None if bends else tensors_at(linear, piece)
+        if piece.carrier and (bends or not hasattr(linear, "influence")):
+            raise InputError("material: expected a linear solid on scattered points on ranks")
+        law = None if bends or piece.carrier else tensors_at(linear, piece)
     if law is not None:
         return RowOperator(law, piece)
+    if piece.carrier:
+        from warp_peri.ranks.scattered import ScatteredOperator
+
+        return ScatteredOperator(linear, piece)
     from warp_peri.ranks.nonlinear import RowNonlinear
 
     return RowNonlinear(material, piece)

@@ -73,7 +73,7 @@ class Carrier:
         _check_plane(points, neighbours)
         dense = mean_spacing(points)
         if spacing is None:
-            spacing = float(f"{dense / FINER:.2g}")
+            spacing = fitting_spacing(dense)
         self.points, self.spacing = points, spacing
         self.model = model_at(model, spacing)
         self.x, self.loaded = _places(points, self.model, spacing, dense, neighbours)
@@ -125,6 +125,11 @@ class Carrier:
                 "points: the lattice cannot tell their displacements apart; expected interior "
                 "nodes no closer than its spacing, or a finer lattice"
             )
+
+
+def fitting_spacing(dense: float) -> float:
+    """Of a lattice for nodes of a mean spacing, to two digits."""
+    return float(f"{dense / FINER:.2g}")
 
 
 def _check_plane(points: PointsLike, neighbours: int) -> None:
