@@ -27,7 +27,7 @@ FIRST = 8
 MOST_CELLS = {2: 400_000, 3: 3_000_000}
 STIFFEST = {2: 120, 3: 36}
 """Intervals of the grid that the stiffest wave is looked for on."""
-AT_ONCE = 500
+AT_ONCE = 100
 """Waves or cells of a block, of which ranks share many."""
 DEEPEST = 24
 LONG_WAVE_SHARE = 0.995

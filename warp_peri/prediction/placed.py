@@ -16,9 +16,6 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.coarse import APART, EverySecond
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
-from warp_peri.ranks.halo import strain_on_ranks
-from warp_peri.ranks.statics import operator_on
-from warp_peri.ranks.sums import total
 
 if TYPE_CHECKING:
     from warp_peri.prediction.members import Members
@@ -75,7 +72,8 @@ class PlacedMembers:
 
     def __init__(self, family: Members, points: PointsLike, **options: Any) -> None:
         nodes = nodes_of(points)
-        self.family, self.points, self.options = family, nodes, options
+        self.points: Any = nodes  # on ranks a piece
+        self.family, self.options = family, options
         linear = getattr(family.rich, "linear", family.rich)
         scattered = nodes.spacing == 0
         self.rich = self._on(linear if scattered else family.rich)
@@ -87,7 +85,7 @@ class PlacedMembers:
             taken(self.options, "predict")
             if not self.points.spacing:
                 raise InputError("points: expected a lattice for predict on ranks")
-            return operator_on(material, self.points)
+            return self.points.operator(material)
         return placed(material, self.points, verb="predict", has="straight", **self.options)
 
     @property
@@ -99,7 +97,7 @@ class PlacedMembers:
         """‖field‖₂ of vectors [n, d], over the nodes of all ranks."""
         if not self.on_ranks:
             return float(np.linalg.norm(field))
-        return float(np.sqrt(total(self.points.comm, (field**2).sum(axis=1))))
+        return float(self.points.norm(field))
 
     def straight(self, u: np.ndarray) -> np.ndarray:
         """The linear part of the rich member at u."""
@@ -138,7 +136,7 @@ class PlacedMembers:
 
     def largest_strain(self, u: np.ndarray) -> float:
         """Between neighbours of all ranks."""
-        return (strain_on_ranks if self.on_ranks else largest_strain)(self.points, u)
+        return self.points.largest_strain(u) if self.on_ranks else largest_strain(self.points, u)
 
     @cached_property
     def spectrum(self) -> Spectrum | None:
@@ -258,10 +256,6 @@ class OnCoarse:
         if record is None:
             return None, 0.0
         return record.told(self.spectrum.shares(u[self.nodes.chosen]))
-
-    def largest_strain(self, u: np.ndarray) -> float:
-        """Between neighbours of all ranks."""
-        return (strain_on_ranks if self.on_ranks else largest_strain)(self.points, u)
 
     @cached_property
     def spectrum(self) -> Spectrum:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_peri.points.points import Points
 from warp_peri.points.strain import largest_strain
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import Comm
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 
 class NodeHalo:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.ranks.files import read_arrays, write_arrays
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import fingerprint
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 FORMAT = "warp_peri.ranks.solve"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,11 +18,13 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import Between, cycle
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.equilibrium import Inverse
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 STAGE = 1e-3
 """Of a residual, after which a solve with a checkpoint writes it."""

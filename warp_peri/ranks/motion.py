@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,9 +29,11 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.files import Series, read_arrays, write_arrays
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import fingerprint, total
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""

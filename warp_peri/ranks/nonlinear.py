@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.newton import newton
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import total
 from warp_peri.statics.equilibrium import Inverse
@@ -30,6 +29,9 @@ from warp_peri.statics.nonlinear import (
     anderson,
     warn_beyond,
 )
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 __all__ = ["RowNonlinear", "warn_beyond"]
 

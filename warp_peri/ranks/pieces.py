@@ -15,7 +15,10 @@ from warp_peri.points.interpolation import mean_spacing
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.ranks.halo import strain_on_ranks
 from warp_peri.ranks.processes import Comm, agreed, world
+from warp_peri.ranks.statics import operator_on
+from warp_peri.ranks.sums import total
 from warp_peri.transfer.carrier import fitting_spacing
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
@@ -78,6 +81,18 @@ class Piece:
     def dimension(self) -> int:
         """2 or 3."""
         return int(self.x.shape[1])
+
+    def norm(self, field: np.ndarray) -> float:
+        """‖field‖₂ of vectors [n, d] over all ranks, with the same bits on any number."""
+        return float(np.sqrt(total(self.comm, (field**2).sum(axis=1))))
+
+    def operator(self, material: Any) -> Any:
+        """A material on these nodes, as statics.operator_on."""
+        return operator_on(material, self)
+
+    def largest_strain(self, u: np.ndarray) -> float:
+        """Between neighbours, of u [n, d], over all ranks."""
+        return strain_on_ranks(self, u)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""

@@ -2,12 +2,12 @@
 
 A rank assembles the rows of its own nodes, from all nodes that these feel. Conjugate gradients are
 preconditioned by the inverse of the diagonal, which is right for short waves, and by multigrid on a
-coarse lattice in rows for long ones.
+coarse lattice in rows for long ones (R4).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,13 +20,15 @@ from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo, RowHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.carrier import FINER
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 TOUCH = 2.0 * np.sqrt(NEIGHBOURS / np.pi)
 """Mean spacings within which a place of the lattice finds the nodes that it is interpolated from,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,10 +11,12 @@ from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed
 from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:

@@ -24,7 +24,7 @@ FRACTIONS = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1, 0.01)
 
 FIRST_CELLS = 16
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
-AT_ONCE = 500
+AT_ONCE = 100
 """Cells of a block, of which ranks share many."""
 MOST_CELLS = 400_000
 """Work after which a bound is given up; halved cells cost four times as much."""
