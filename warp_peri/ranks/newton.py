@@ -6,6 +6,7 @@ Scalar products are those of `Inner`, and so the answer has the same bits on any
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,13 +37,7 @@ def newton(residual: Field, start: np.ndarray, tolerance: float, inner: Inner) -
     for _ in range(MOST):
         if not size > tolerance:
             break
-        about, base = inner.norm(v) or 1.0, r
-
-        def slope(p: np.ndarray, v: np.ndarray = v, r: np.ndarray = base) -> np.ndarray:
-            t = APART * about / inner.norm(p)  # noqa: B023 (of this step)
-            return (residual(v + t * p) - r) / t
-
-        step, share = gmres(slope, -r, inner), 1.0
+        step, share = gmres(partial(_slope, residual, v, r, inner), -r, inner), 1.0
         while share >= SHORTEST:
             there = residual(v + share * step)
             new = inner.norm(there)
@@ -53,6 +48,14 @@ def newton(residual: Field, start: np.ndarray, tolerance: float, inner: Inner) -
             break  # no share of the step descends
         v, r, size = v + share * step, there, new
     return v
+
+
+def _slope(
+    residual: Field, v: np.ndarray, r: np.ndarray, inner: Inner, p: np.ndarray
+) -> np.ndarray:
+    """The derivative along p at v, where the residual is r."""
+    t = APART * (inner.norm(v) or 1.0) / inner.norm(p)
+    return np.asarray((residual(v + t * p) - r) / t)
 
 
 def gmres(product: Field, right: np.ndarray, inner: Inner) -> np.ndarray:
@@ -72,5 +75,4 @@ def gmres(product: Field, right: np.ndarray, inner: Inner) -> np.ndarray:
         if left <= FORCED * size or not H[n + 1, n] > 0:
             break
         basis.append(w / H[n + 1, n])
-    answer: np.ndarray = sum(a * q for a, q in zip(weights, basis))  # type: ignore[assignment]
-    return answer
+    return np.asarray(sum(a * q for a, q in zip(weights, basis)))
