@@ -148,9 +148,9 @@ def going_on(points, folder, share):
 
 def scattered():
     """Nodes that are no lattice, and a disk of them unknown."""
-    grid = np.argwhere(np.ones((40, 40))) - 19.5
+    grid = np.argwhere(np.ones((36, 36))) - 17.5
     x = grid + np.random.default_rng(0).uniform(-0.3, 0.3, grid.shape)
-    return wp.Points(x, np.hypot(*x.T) < 7, 0.0)
+    return wp.Points(x, np.hypot(*x.T) < 5, 0.0)
 
 
 def carried():
@@ -163,7 +163,8 @@ def by_newton(points, folder):
     """Where the fixed point has no time to get."""
     steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
     try:
-        solution = wp.solve(nonlinear(), wp.Dirichlet(points, *small(points.x)))
+        problem = wp.Dirichlet(points, *small(points.x))
+        solution = wp.solve(nonlinear(), problem, solver=wp.Newton(tolerance=1e-5))
     finally:
         fixed_point.MOST_STEPS = steps
     u = points.gather(solution.u)

@@ -138,9 +138,9 @@ def test_newton_has_the_same_bits_and_finds_what_the_fixed_point_does(jobs, fold
     found = [jobs[count]["newton"] for count in (1, 2, 3)]
     assert found[0] == found[1] == found[2]
     assert found[0]["method"] == "newton"
-    assert found[0]["residual"] <= 1e-8
+    assert found[0]["residual"] <= 1e-5
     one, other = (np.load(folder / f"{name}_2.npy") for name in ("nonlinear", "newton"))
-    assert np.abs(one - other).max() < 1e-7 * np.abs(one).max()
+    assert np.abs(one - other).max() < 1e-4 * np.abs(one).max()
 
 
 @pytest.mark.filterwarnings("ignore:strain:UserWarning")
