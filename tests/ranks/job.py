@@ -21,7 +21,7 @@ import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.micromodulus import certificate
 from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.points.interpolation import mean_spacing
+from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.spectrum import Record
 from warp_peri.proofs import uniqueness
@@ -29,7 +29,6 @@ from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
 from warp_peri.statics import nonlinear as fixed_point
-from warp_peri.transfer.carrier import fitting_spacing
 
 H = 0.5
 

@@ -234,7 +234,8 @@ class CutOperator:
         ]  # fmt: skip
         if self.bond_based:
             made = [(near, self._kernels.bond_based, (*shapes, self._no_fail), outputs)]
-        early, late = [], []
+        early: list[Recorded] = []
+        late: list[Recorded] = []
         for (first, last), kernel, inputs, given in made:
             parts = (first, last, early), (0, first, late), (last, self.places // 2, late)
             for begin, end, where in parts:
@@ -248,7 +249,7 @@ class CutOperator:
         table = self.body.neighbour
 
         def feel(mask: np.ndarray) -> np.ndarray:
-            return mask & (mask[table] | (table < 0)).all(axis=1)
+            return np.asarray(mask & (mask[table] | (table < 0)).all(axis=1))
 
         near = feel(own)
         first, last = _longest_run(near)

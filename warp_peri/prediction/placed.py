@@ -139,8 +139,8 @@ class PlacedMembers:
         return self.points.largest_strain(u) if self.on_ranks else largest_strain(self.points, u)
 
     @cached_property
-    def spectrum(self) -> Spectrum | None:
-        """What part of a field has which wavelength, by the record; of ranks the first has it."""
+    def spectrum(self) -> Any:
+        """What part of a field has which wavelength, by the record; None on ranks but the first."""
         points = self.points
         if self.on_ranks:
             x, inside = (points.joined(values) for values in (points.x, points.interior))
@@ -154,7 +154,7 @@ class PlacedMembers:
         if record is None or self.points.spacing == 0:
             return None, 0.0
         spectrum, whole = self.spectrum, self.points.joined(u) if self.on_ranks else u
-        told = None if spectrum is None else record.told(spectrum.shares(whole))
+        told = (0.0, 0.0) if spectrum is None else record.told(spectrum.shares(whole))
         return self.points.comm.bcast(told) if self.on_ranks else told
 
     @cached_property

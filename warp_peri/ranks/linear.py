@@ -16,15 +16,15 @@ from warp_peri.micromodulus.states import tensors_of
 from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
-from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
-from warp_peri.statics.equilibrium import Inverse
 
 if TYPE_CHECKING:
+    from warp_peri.ranks.kept import Kept
     from warp_peri.ranks.pieces import Piece
+    from warp_peri.statics.equilibrium import Inverse
 
 STAGE = 1e-3
 """Of a residual, after which a solve with a checkpoint writes it."""

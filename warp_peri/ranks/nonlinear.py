@@ -16,12 +16,10 @@ from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.newton import newton
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import total
-from warp_peri.statics.equilibrium import Inverse
 from warp_peri.statics.nonlinear import (
     LINEAR_SHARE,
     ROUGH,
@@ -31,7 +29,9 @@ from warp_peri.statics.nonlinear import (
 )
 
 if TYPE_CHECKING:
+    from warp_peri.ranks.kept import Kept
     from warp_peri.ranks.pieces import Piece
+    from warp_peri.statics.equilibrium import Inverse
 
 __all__ = ["RowNonlinear", "warn_beyond"]
 

@@ -15,7 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.models.lps import Model
-from warp_peri.points.interpolation import NEIGHBOURS
+from warp_peri.points.interpolation import FINER, NEIGHBOURS
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo, RowHalo
 from warp_peri.ranks.kept import Kept
@@ -25,7 +25,6 @@ from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.cache import model_at
-from warp_peri.transfer.carrier import FINER
 
 if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece

@@ -9,7 +9,6 @@ import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
-from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.processes import agreed
 from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
@@ -51,6 +50,8 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     if (path := _asked(**asked)) is not None:
         if len(flat[0]) > 1:
             raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
+        from warp_peri.ranks.kept import Kept
+
         kept = Kept(path, piece, flat[0][0], flat[1][0])
     found = [operator.solve(load, given, tolerance, kept) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)

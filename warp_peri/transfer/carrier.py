@@ -16,6 +16,7 @@ from warp_peri.points.interpolation import (
     FOR_DATA,
     FULL,
     NEIGHBOURS,
+    fitting_spacing,
     interpolation,
     mean_spacing,
 )
@@ -24,8 +25,6 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, symbols
 from warp_peri.transfer.cache import model_at
 
-FINER = 2.0
-"""Lattice spacings to one spacing of the nodes."""
 SMALLEST = 1e-6
 """Singular values of T below this count as zero: then two unknowns are one on the lattice."""
 
@@ -125,11 +124,6 @@ class Carrier:
                 "points: the lattice cannot tell their displacements apart; expected interior "
                 "nodes no closer than its spacing, or a finer lattice"
             )
-
-
-def fitting_spacing(dense: float) -> float:
-    """Of a lattice for nodes of a mean spacing, to two digits."""
-    return float(f"{dense / FINER:.2g}")
 
 
 def _check_plane(points: PointsLike, neighbours: int) -> None:
