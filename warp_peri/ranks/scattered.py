@@ -142,16 +142,16 @@ class _Coarse:
 
     def __init__(self, piece: Piece, spacing: float, model: Model) -> None:
         assert piece.rows is not None
-        comm, rows = piece.comm, piece.rows
+        assert piece.at is not None
+        comm, rows, inside = piece.comm, piece.rows, piece.interior
         first, last = rows.starts[comm.rank : comm.rank + 2]
         self.shape = (int(last - first), *rows.shape[1:])
-        cell = np.floor(piece.at[piece.interior])
-        self._share = piece.at[piece.interior] - cell
-        self._cell = cell.astype(np.int64) - [first, 0]
+        cell = np.floor(piece.at).astype(np.int64)
+        share, cell = piece.at - cell, cell - [first, 0]
+        self._share, self._cell = share[inside], cell[inside]
         self._halo = RowHalo(comm, rows.starts, 1)
-        everywhere = piece.at - np.floor(piece.at), np.floor(piece.at).astype(np.int64) - [first, 0]
-        whole = self._summed(*everywhere, np.ones((len(piece.x), 1)))
-        free = self._summed(*everywhere, piece.interior[:, None].astype(float))
+        whole = self._summed(share, cell, np.ones((len(cell), 1)))
+        free = self._summed(share, cell, inside[:, None].astype(float))
         self.mask = (free > INSIDE * whole)[0] & (whole > 0)[0]
         elastic = tensors_of(model, spacing).tensor()
         self._cycle = cycle(comm, *q1_tensors(elastic * spacing**-2), self.mask, rows.starts)
@@ -159,7 +159,7 @@ class _Coarse:
     def _summed(self, share: np.ndarray, cell: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Nᵗ of values [n, c] at nodes, planes [c, rows, ...]."""
         low, high = (self._row(side, share, cell, values) for side in (0, 1))
-        return low + self._halo(high)[:, : self.shape[0]]
+        return np.asarray(low + self._halo(high)[:, : self.shape[0]])
 
     def _row(
         self, side: int, share: np.ndarray, cell: np.ndarray, values: np.ndarray
