@@ -1,4 +1,5 @@
-"""A plate of graphene at rest, spread over ranks: an L with a hole, or a square, a disk, a cube.
+"""A plate of graphene at rest, spread over ranks: an L with a hole, or a square, a disk, a cube;
+or a square of scattered nodes (--shape cloud, under mpiexec).
 
     mpiexec -n 2 python examples/large_plate.py --sides 128 250 500
 
@@ -23,13 +24,19 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri.errors import exit_status
-from warp_peri.ranks import is_first, lattice
+from warp_peri.ranks import is_first, lattice, spread
 
-SHAPES = ("L", "square", "disk", "cube")
+SHAPES = ("L", "square", "disk", "cube", "cloud")
+SPACING = 5.0
+"""Of nodes [Å]; of a cloud in the mean."""
+RIM, SHIFT = 14, 0.35
+"""Of a cloud: nodes of the collar, and the most that a node lies off the lattice [spacings]."""
 
 
 def plate(shape: str, n: int, law):
     """n nodes along each side, with the collar that the law asks for."""
+    if shape == "cloud":
+        return cloud(n)
     h, collar = law.spacing, int(np.abs(law.steps).max())
 
     def interior(x: np.ndarray) -> np.ndarray:
@@ -42,6 +49,17 @@ def plate(shape: str, n: int, law):
         return inside
 
     return lattice((n + 2 * collar,) * law.dimension, h, interior)
+
+
+def cloud(n: int):
+    """n scattered nodes along each side of a square, and a collar."""
+    at = np.argwhere(np.ones((n + 2 * RIM,) * 2)) - (n - 1) / 2 - RIM
+    inside = (np.abs(at) < n / 2).all(axis=1)
+    shifts = np.random.default_rng(0).uniform(-SHIFT, SHIFT, at.shape)
+    points = spread(wp.Points(SPACING * (at + shifts), inside, 0.0))
+    if not hasattr(points, "comm"):
+        raise wp.InputError("shape: expected mpiexec for a cloud")
+    return points
 
 
 def given(x: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
@@ -78,15 +96,16 @@ def main(argv: list[str] | None = None) -> int:
         model = wp.Model(lam, model.mu, 1.0, np.ones(1), horizon=15.0, dimension=3)
     elif args.ratio is not None:
         numbers_of_K = model.alpha, model.D, model.horizon
-        model = wp.Model(lam, model.mu, *numbers_of_K, certified_on=(5.0,))
-    law = wp.micromodulus.tensors_of(model, 5.0)
+        model = wp.Model(lam, model.mu, *numbers_of_K, certified_on=(SPACING,))
+    law = wp.micromodulus.tensors_of(model, SPACING)
     numbers: dict = {"iterations": {}, "residual": {}, "bits": {}, "seconds": {}, "processor": {}}
     solver = wp.Krylov(tolerance=args.tolerance)
     for n in args.sides:
         points = plate(args.shape, n, law)
         b, u = given(points.x, n * law.spacing)
         begin, busy = time.perf_counter(), time.process_time()
-        solution = wp.solve(law, wp.Dirichlet(points, b, u), solver=solver)
+        solid = model if args.shape == "cloud" else law
+        solution = wp.solve(solid, wp.Dirichlet(points, b, u), solver=solver)
         numbers["seconds"][n] = round(time.perf_counter() - begin, 2)
         busy = max(points.comm.allgather(time.process_time() - busy))
         numbers["processor"][n] = round(busy, 2)
@@ -98,7 +117,7 @@ def main(argv: list[str] | None = None) -> int:
             first = points, b, u, solution.u
         numbers["bits"][n] = hashlib.sha256(points.gather(solution.u).tobytes()).hexdigest()[:12]
     points, b, u, found = first
-    alone = (law, None) if args.shape == "cube" else (model, solver)
+    alone = {"cube": (law, None), "cloud": (model, None)}.get(args.shape, (model, solver))
     numbers["difference"] = difference(points, b, u, found, *alone)
     numbers["ranks"] = points.comm.size
     owner = points.gather(np.full(len(points.x), points.comm.rank))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -105,6 +106,33 @@ def ranks_started() -> int | None:
     return None
 
 
+_sharing: list[Any] = []
+"""The communicator of mpi4py whose ranks share work, in `shared_by`."""
+
+
+@contextmanager
+def shared_by(comm: Any) -> Iterator[None]:
+    """What `in_blocks` works on inside is shared by ranks, all of which must come here."""
+    _sharing.append(comm)
+    try:
+        yield
+    finally:
+        _sharing.pop()
+
+
+def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: int) -> np.ndarray:
+    """What `work` gives of rows, at most so many at once, joined.
+
+    Blocks do not depend on the number of ranks, and so the result has the same bits on any.
+    """
+    blocks = np.array_split(rows, -(-len(rows) // most) or 1)
+    if not _sharing:
+        return np.concatenate([work(block) for block in blocks])
+    comm = _sharing[-1]
+    done = comm.allgather([work(block) for block in blocks[comm.rank :: comm.size]])
+    return np.concatenate([done[n % comm.size][n // comm.size] for n in range(len(blocks))])
+
+
 def known_device(device: str) -> str:
     """The device's name in Warp, as "cuda:0" for "cuda"; InputError for one that is not there."""
     try:
@@ -156,7 +184,7 @@ class Recorded:
     """What `launch_slices` does, packed once, to be called again and again on the same arrays.
 
     Packing arguments takes longer than a sweep over a thousand nodes. The number of threads is that
-    of now. Inputs and outputs that are given later are None here.
+    of now. Inputs and outputs that are given later are None here. `begin` is the first index.
     """
 
     def __init__(
@@ -169,6 +197,7 @@ class Recorded:
         samples: int = 0,
         weight: int = 1,
         device: Any = DEVICE,
+        begin: int = 0,
     ) -> None:
         device = wp.get_device(device)
         ends = _slices(count, count * max(samples, 1) * weight, device)
@@ -177,7 +206,7 @@ class Recorded:
             wp.launch(
                 kernel,
                 dim=(samples, last - first) if samples else last - first,
-                inputs=[first, *inputs],
+                inputs=[begin + first, *inputs],
                 outputs=list(outputs),
                 device=device,
                 record_cmd=True,

@@ -10,17 +10,25 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.micromodulus import certificate
 from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.ranks import lattice, spread, whole
+from warp_peri.points.interpolation import fitting_spacing, mean_spacing
+from warp_peri.prediction import Members
+from warp_peri.prediction.spectrum import Record
+from warp_peri.proofs import uniqueness
+from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
+from warp_peri.statics import nonlinear as fixed_point
 
 H = 0.5
 
@@ -46,6 +54,26 @@ def nonlinear():
     return NonlinearModel(solid(2), -3.0, -2.0, 0.5)
 
 
+def family(rich):
+    """Members that say otherwise by a percent or two, and a record."""
+    linear = getattr(rich, "linear", rich)
+    others = []
+    for share in (1.01, 1.02, 0.98):
+        scaled = replace(linear, lam=linear.lam * share, mu=linear.mu * share)
+        others.append(scaled if rich is linear else replace(rich, linear=scaled))
+    record = Record(H * np.array([2.0, 8.0, 32.0]), np.array([0.3, 0.1, 0.01]), 4 * H)
+    second, *halves = others
+    return Members(rich, second, tuple(halves), record, strain=0.001)
+
+
+ASKED = {
+    "best": (nonlinear(), None),
+    "screened": (nonlinear(), 0.3),
+    "linear": (solid(2), None),
+}
+"""Rich members and tolerances of answers."""
+
+
 def inside(x):
     """A thick L in the plane, a ball in space, with room for a collar."""
     away = (x - CENTRE[x.shape[1]]) / H
@@ -69,8 +97,86 @@ def small(x):
     return tuple(0.4 * field for field in fields(x))
 
 
+def proofs():
+    """Of three symbols, and how many cells of the last this rank looked at."""
+    seen, failed = [], certificate._failed
+    certificate._failed = lambda *given: seen.append(len(given[-1])) or failed(*given)
+    try:
+        with together():
+            own = wp.proofs.certify(solid(2), spacing=H).symbol_bound
+            bent = uniqueness(nonlinear(), spacing=H).strain
+            crystal = wp.micromodulus.tensors_of(solid(3), H).certificate
+    finally:
+        certificate._failed = failed
+    return [own, bent, crystal.proven, crystal.sampled, crystal.cells], sum(seen)
+
+
+def from_file(comm, folder):
+    """Whether nodes and fields of a file are those of the functions that made it."""
+    x = H * np.argwhere(np.ones((52, 52)))
+    if comm.rank == 0:
+        with h5py.File(folder / f"plate_{comm.size}.h5", "w") as file:
+            file["interior"], file["b"] = inside(x), fields(x)[0]
+    comm.Barrier()
+    points = lattice((52, 52), H, folder / f"plate_{comm.size}.h5")
+    same = np.array_equal(points.interior, inside(points.x))
+    b = points.read(folder / f"plate_{comm.size}.h5", "b")
+    return comm.allgather(bool(same and np.array_equal(b, fields(points.x)[0])))
+
+
+def going_on(points, folder, share):
+    """Solves that go on from what is kept, to a share of the digits that a fresh one has."""
+    found = {}
+    for law, digits in ((solid(2), 10), (nonlinear(), 8)):
+        name, tolerance = type(law).__name__, 10.0 ** (-digits / share)
+        bends = hasattr(law, "proven_strain")
+        solver = (wp.Newton if bends else wp.Krylov)(tolerance=tolerance)
+        problem = wp.Dirichlet(points, *small(points.x))
+        solution = wp.solve(law, problem, solver=solver, checkpoint=folder / f"{name}.h5")
+        u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
+        far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
+        found[name] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
+                       "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
+    try:
+        other = wp.Dirichlet(points, *fields(points.x))
+        wp.solve(solid(2), other, checkpoint=folder / "Model.h5")
+    except wp.InputError as error:
+        found["other"] = str(error)
+    return found
+
+
+def scattered():
+    """Nodes that are no lattice, and a disk of them unknown."""
+    grid = np.argwhere(np.ones((36, 36))) - 17.5
+    x = grid + np.random.default_rng(0).uniform(-0.3, 0.3, grid.shape)
+    return wp.Points(x, np.hypot(*x.T) < 5, 0.0)
+
+
+def carried():
+    """A solid that is certified on the lattice that carries these."""
+    h = fitting_spacing(mean_spacing(scattered()))
+    return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
+
+
+def by_newton(points, folder):
+    """Where the fixed point has no time to get."""
+    steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
+    try:
+        problem = wp.Dirichlet(points, *small(points.x))
+        solution = wp.solve(nonlinear(), problem, solver=wp.Newton(tolerance=1e-5))
+    finally:
+        fixed_point.MOST_STEPS = steps
+    u = points.gather(solution.u)
+    if points.comm.rank == 0:
+        np.save(folder / f"newton_{points.comm.size}.npy", u)
+    return {"u": digest(u), "method": solution.method, "residual": solution.residual,
+            "solves": solution.iterations[0]}  # fmt: skip
+
+
 def rest(folder):
     comm, found = world(), {}
+    found["proofs"], seen = proofs()
+    found["shared"] = comm.allgather(seen)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
     for shape in ((52, 52), (25, 25, 25)):
         points = lattice(shape, H, inside)
@@ -93,6 +199,24 @@ def rest(folder):
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"nonlinear_{comm.size}.npy", answer)
+    for name, (rich, tolerance) in ASKED.items():
+        answer = wp.predict(family(rich), wp.Dirichlet(sheet, *small(sheet.x)), tolerance)
+        u = sheet.gather(np.concatenate([answer.u, answer.map()[:, None]], axis=1))
+        found[name] = {"u": digest(u), "error": answer.error, "parts": answer.parts,
+                       "why": answer.why}  # fmt: skip
+        if comm.rank == 0:
+            np.save(folder / f"{name}_{comm.size}.npy", u)
+    cloud = spread(scattered())
+    b, u = fields(cloud.x)
+    solution = wp.solve(carried(), wp.Dirichlet(cloud, b, u), solver=wp.Krylov(tolerance=1e-10))
+    answer = cloud.gather(solution.u)
+    found["scattered"] = {"u": digest(answer), "iterations": solution.iterations[0],
+                          "residual": solution.residual}  # fmt: skip
+    if comm.rank == 0:
+        np.save(folder / f"scattered_{comm.size}.npy", answer)
+    found["newton"] = by_newton(sheet, folder)
+    found["file"] = from_file(comm, folder)
+    found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["refused"] = []
     wide = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (

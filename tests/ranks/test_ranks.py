@@ -14,12 +14,17 @@ import pytest
 import warp_peri as wp
 from examples.large_plate import main as large_plate
 from tests.ranks.job import (
+    ASKED,
     H,
     block,
+    carried,
     crack,
+    family,
     fields,
     inside,
     nonlinear,
+    proofs,
+    scattered,
     small,
     solid,
     uneven,
@@ -116,6 +121,69 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
     answer = np.load(folder / "nonlinear_2.npy")
     assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
     assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
+
+
+def test_scattered_points_have_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
+    found = [jobs[count]["scattered"] for count in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["residual"] <= 1e-10
+    assert found[0]["iterations"] <= 80
+    points = scattered()
+    alone = wp.solve(carried(), wp.Dirichlet(points, *fields(points.x))).u
+    answer = np.load(folder / "scattered_2.npy")
+    assert np.abs(answer - alone).max() <= 1e-8 * np.abs(alone).max()
+
+
+def test_newton_has_the_same_bits_and_finds_what_the_fixed_point_does(jobs, folder):
+    found = [jobs[count]["newton"] for count in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["method"] == "newton"
+    assert found[0]["residual"] <= 1e-5
+    one, other = (np.load(folder / f"{name}_2.npy") for name in ("nonlinear", "newton"))
+    assert np.abs(one - other).max() < 1e-4 * np.abs(one).max()
+
+
+@pytest.mark.filterwarnings("ignore:strain:UserWarning")
+@pytest.mark.parametrize("name", ASKED)
+def test_an_answer_says_how_far_the_rich_one_is_as_on_one_process(name, jobs, folder):
+    one, two, three = (jobs[count][name] for count in (1, 2, 3))
+    assert one == two == three
+    (rich, tolerance), x = ASKED[name], H * np.argwhere(np.ones((52, 52)))
+    problem = wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *small(x))
+    alone, truth = wp.predict(family(rich), problem, tolerance), wp.solve(rich, problem).u
+    answer = np.load(folder / f"{name}_2.npy")
+    free = inside(x)
+    wrong = np.linalg.norm((answer[:, :2] - truth)[free]) / np.linalg.norm(truth[free])
+    assert 0.6 * one["parts"]["left"] < wrong < one["parts"]["left"]
+    assert answer[free, 2].min() > 0
+    parts = ("waves", "data", "strain") if tolerance is None else ("waves",)
+    for part in parts:  # rough solves by another way
+        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)
+    assert alone.uncovered == () or alone.uncovered[0].split(":")[0] in one["why"]
+
+
+def test_ranks_share_the_cells_of_a_proof_and_prove_the_same(jobs):
+    proven, cells = proofs()
+    assert [jobs[count]["proofs"] for count in (1, 2, 3)] == [proven] * 3
+    assert min(proven[:3]) > 0
+    shares = jobs[2]["shared"]
+    assert sum(shares) == jobs[1]["shared"][0] == cells
+    assert min(shares) > 0.2 * cells
+
+
+def test_nodes_and_fields_are_read_from_a_file_by_whom_they_belong_to(jobs):
+    assert [jobs[count]["file"] for count in (1, 2, 3)] == [[True] * count for count in (1, 2, 3)]
+
+
+def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
+    for count in (1, 2, 3):
+        for law in ("Model", "NonlinearModel"):
+            kept = jobs[count]["kept"][law]
+            assert kept["residual"] <= kept["tolerance"]
+            assert kept["far"] < 10 * kept["tolerance"]
+            took, fresh = kept["took"]
+            assert took < 0.8 * fresh or count == 2  # which began
+        assert jobs[count]["kept"]["other"].endswith("expected a checkpoint of this problem")
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):

@@ -106,7 +106,8 @@ class BreakingBody:
     Attributes:
         longest_step: Δt proven stable under any breaking (theory.md, C9).
         stretch: critical stretch; None where bonds break by energy.
-        exchange: fills the displacement of nodes that another process moves; None where none does.
+        exchange: sends for the displacement of nodes that another process moves, and gives what
+            waits for it; None where none does.
 
     Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
     """
@@ -146,7 +147,7 @@ class BreakingBody:
             for name, field in (("load", load), ("held", held), ("grip", grip))
         )
         self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
-        self.exchange: Callable[[wp.array[Any]], None] | None = None
+        self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         count, d = self.body.x.shape
@@ -272,10 +273,9 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (dt, density, share, later, state.force, body.load, body.held, body.grip),
         (state.v, state.work, state.u),
     )
-    if body.exchange is not None:
-        body.exchange(state.u)
-    before = state.energy
-    lost = operator.sweep(state.u, state.links, state.force, before, breaking=True)
+    arrive = None if body.exchange is None else body.exchange(state.u)
+    fields = state.u, state.links, state.force, state.energy
+    lost = operator.sweep(*fields, breaking=True, arrive=arrive)
     launch_slices(
         kernels.second_kick,
         places,

@@ -171,7 +171,8 @@ class CutOperator:
         table = np.column_stack([body.xi, d * self.weights, stiffness, self.limits])
         self._table = floats(np.ascontiguousarray(table), self._kernels.bond)
         self.vector = self._kernels.vec
-        self._recorded: dict[tuple[int, ...], list[Callable[[], None]]] = {}
+        self._recorded: dict[tuple[int, ...], tuple[list[Recorded], list[Recorded]]] = {}
+        self.early = (0, 0), (0, 0)
         flags: np.ndarray = np.zeros(self.places, np.uint8)
         flags[: self.nodes] = False if no_fail is None else no_fail
         self._no_fail: wp.array[Any] = wp.array(flags, dtype=wp.uint8, device="cpu")
@@ -194,45 +195,67 @@ class CutOperator:
         energy: wp.array[Any],
         *,
         breaking: bool = False,
+        arrive: Callable[[], None] | None = None,
     ) -> np.ndarray:
         """Fill force and energy densities at u; the nodes that lose bonds by it, by number.
 
-        Force and energy are of all bonds that were there before.
+        Force and energy are of all bonds that were there before. `arrive` fills what is still
+        missing of u; what feels none of it is swept before.
         """
+        arrive = arrive or (lambda: None)
         if breaking and self._criterion == kernels.STRETCH:
             arrays = (u, links, force, energy)
             key = (threads(), *(array.ptr for array in arrays))
             if key not in self._recorded:
                 self._recorded = {key: self._record(*arrays)}
-            for launch in self._recorded[key]:
+            early, late = self._recorded[key]
+            for launch in early:
+                launch()
+            arrive()
+            for launch in late:
                 launch()
         else:
+            arrive()
             criterion = self._criterion if breaking else -1
             self._state_based(u, links, self._all, self._all, criterion, force, energy)
         return np.flatnonzero(self._lost) if breaking else np.empty(0, np.int64)
 
     def _record(
         self, u: wp.array[Any], links: wp.array[Any], force: wp.array[Any], energy: wp.array[Any]
-    ) -> list[Callable[[], None]]:
-        """The sweeps over these arrays with the stretch criterion, packed."""
-        half, outputs = self.places // 2, (force, energy, self.lost, links)
+    ) -> tuple[list[Recorded], list[Recorded]]:
+        """The sweeps over these arrays with the stretch criterion, packed: early ones and late."""
+        outputs = (force, energy, self.lost, links)
         shapes = (u, self.bonds, self._table)
+        excess, (near, far) = self.model.lam - self.model.mu, self.early
+        made: list[tuple[Any, ...]] = [
+            (near, self._kernels.paired_dilatation, (*shapes, links), (self.theta,)),
+            (far, self._kernels.paired_state_based,
+             (*shapes, excess, self._no_fail, self.theta), outputs),
+        ]  # fmt: skip
         if self.bond_based:
-            inputs = (*shapes, self._no_fail)
-            return [Recorded(self._kernels.bond_based, half, inputs, outputs, weight=PAIR)]
-        excess = self.model.lam - self.model.mu
-        return [
-            Recorded(
-                self._kernels.paired_dilatation, half, (*shapes, links), (self.theta,), weight=PAIR
-            ),
-            Recorded(
-                self._kernels.paired_state_based,
-                half,
-                (*shapes, excess, self._no_fail, self.theta),
-                outputs,
-                weight=PAIR,
-            ),
-        ]
+            made = [(near, self._kernels.bond_based, (*shapes, self._no_fail), outputs)]
+        early: list[Recorded] = []
+        late: list[Recorded] = []
+        for (first, last), kernel, inputs, given in made:
+            parts = (first, last, early), (0, first, late), (last, self.places // 2, late)
+            for begin, end, where in parts:
+                if begin < end:
+                    swept = {"weight": PAIR, "begin": begin}
+                    where.append(Recorded(kernel, end - begin, inputs, given, **swept))
+        return early, late
+
+    def sweep_early(self, own: np.ndarray) -> None:
+        """Sweep first, of the nodes that feel `own` ones alone [N] bool, the longest run."""
+        table = self.body.neighbour
+
+        def feel(mask: np.ndarray) -> np.ndarray:
+            return np.asarray(mask & (mask[table] | (table < 0)).all(axis=1))
+
+        near = feel(own)
+        first, last = _longest_run(near)
+        place = np.arange(len(own)) // PAIR
+        swept = near & (first <= place) & (place < last)  # whose dilatation is known early
+        self.early = (first, last), _longest_run(feel(swept))
 
     def again(
         self,
@@ -273,3 +296,12 @@ class CutOperator:
             (around, u, self._table, excess, criterion, self._no_fail, self.theta),
             (force, energy, self.lost, links),
         )
+
+
+def _longest_run(mask: np.ndarray) -> tuple[int, int]:
+    """First and last + 1 of the longest run of pairs of nodes that are all in a mask."""
+    pairs = np.pad(mask, (0, len(mask) % 2), constant_values=True).reshape(-1, PAIR).all(axis=1)
+    ends = np.flatnonzero(np.diff(np.pad(pairs, 1).astype(np.int8)))
+    begin, end = ends[::2], ends[1::2]
+    longest = int((end - begin).argmax()) if len(begin) else 0
+    return (int(begin[longest]), int(end[longest])) if len(begin) else (0, 0)

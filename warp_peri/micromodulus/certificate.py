@@ -8,10 +8,12 @@ from __future__ import annotations
 import itertools
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from warp_peri.launch import in_blocks
 from warp_peri.micromodulus.family import bend
 from warp_peri.micromodulus.groups import canonical
 from warp_peri.micromodulus.regression import laplacian, ratios, zone_sample
@@ -25,7 +27,8 @@ FIRST = 8
 MOST_CELLS = {2: 400_000, 3: 3_000_000}
 STIFFEST = {2: 120, 3: 36}
 """Intervals of the grid that the stiffest wave is looked for on."""
-AT_ONCE = 20_000
+AT_ONCE = 100
+"""Waves or cells of a block, of which ranks share many."""
 DEEPEST = 24
 LONG_WAVE_SHARE = 0.995
 """Of the smallest sampled Λmin Q(e)/|e|² that is proven for long waves."""
@@ -84,7 +87,10 @@ def certify(steps: np.ndarray, tensors: np.ndarray, group: np.ndarray) -> Certif
     """
     start = time.perf_counter()
     d = steps.shape[1]
-    sampled = float(ratios(steps, tensors, zone_sample(group, d, SAMPLE[d]))[0].min())
+    found = in_blocks(
+        lambda k: ratios(steps, tensors, k)[0], zone_sample(group, d, SAMPLE[d]), AT_ONCE
+    )
+    sampled = float(found.min())
     proven = long = 0.0
     cells = 0
     if sampled > 0:
@@ -203,9 +209,8 @@ def _whole_zone(
             return True, seen
         if seen > MOST_CELLS[d]:
             return False, seen
-        blocks = np.array_split(cells, -(-len(cells) // AT_ONCE))
         margin = curved * half**2 + slack
-        left = np.concatenate([_failed(steps, tensors, c, b, half, margin) for b in blocks])
+        left = in_blocks(partial(_failed, steps, tensors, c, half, margin), cells, AT_ONCE)
         if len(left) and float(ratios(steps, tensors, left)[0].min()) < c:
             return False, seen  # the middle of a cell shows that it is not so
         half /= 2
@@ -214,7 +219,7 @@ def _whole_zone(
 
 
 def _failed(
-    steps: np.ndarray, tensors: np.ndarray, c: float, cells: np.ndarray, half: float, margin: float
+    steps: np.ndarray, tensors: np.ndarray, c: float, half: float, margin: float, cells: np.ndarray
 ) -> np.ndarray:
     """Those cells whose affine part less a margin is not positive definite at every corner."""
     d = steps.shape[1]
@@ -251,8 +256,9 @@ def stiffest(steps: np.ndarray, tensors: np.ndarray) -> float:
     phase = np.stack(np.meshgrid(half, *[line] * (d - 1), indexing="ij"), axis=-1).reshape(-1, d)
     size = np.linalg.norm(tensors, 2, axis=(1, 2))
     bent = np.linalg.eigvalsh(2 * np.einsum("n,ni,nj->ij", size, steps, steps))[-1]
-    largest = max(
-        np.linalg.eigvalsh(np.tensordot(bend(part, steps), tensors, 1)).max()
-        for part in np.array_split(phase, len(phase) // AT_ONCE + 1)
+    values = in_blocks(
+        lambda k: np.linalg.eigvalsh(np.tensordot(bend(k, steps), tensors, 1))[:, -1],
+        phase,
+        AT_ONCE,
     )
-    return float(largest + bent / 2 * d * (np.pi / intervals) ** 2)
+    return float(values.max() + bent / 2 * d * (np.pi / intervals) ** 2)

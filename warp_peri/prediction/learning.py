@@ -180,7 +180,7 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         cubic, series = map(norm, fields.strain) if fields.strain else (0.0, 0.0)
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
         row |= {"true": norm((u - truth)[inside]), "cubic": cubic, "series": series}
-        row["members"] = spread(fields.waves, fields.data) / size
+        row["members"] = spread(placed.norm(fields.waves), placed.norm(fields.data)) / size
         row["gradient"] = placed.gradient(u)
         row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
         rows.append(row)

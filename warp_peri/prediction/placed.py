@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.contract import placed
+from warp_peri.contract import placed, taken
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.coarse import APART, EverySecond
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
@@ -71,12 +72,32 @@ class PlacedMembers:
 
     def __init__(self, family: Members, points: PointsLike, **options: Any) -> None:
         nodes = nodes_of(points)
-        self.family, self.points, self.options = family, nodes, options
+        self.points: Any = nodes  # on ranks a piece
+        self.family, self.options = family, options
         linear = getattr(family.rich, "linear", family.rich)
         scattered = nodes.spacing == 0
-        rich = linear if scattered else family.rich
-        self.rich = placed(rich, nodes, verb="predict", has="straight", **options)
+        self.rich = self._on(linear if scattered else family.rich)
         self.nonlinear = hasattr(self.rich, "straight")
+
+    def _on(self, material: Any) -> Any:
+        """A member on the points, or on the piece of them that this rank has."""
+        if self.on_ranks:
+            taken(self.options, "predict")
+            if not self.points.spacing:
+                raise InputError("points: expected a lattice for predict on ranks")
+            return self.points.operator(material)
+        return placed(material, self.points, verb="predict", has="straight", **self.options)
+
+    @property
+    def on_ranks(self) -> bool:
+        """Whether other processes have other nodes."""
+        return hasattr(self.points, "comm")
+
+    def norm(self, field: np.ndarray) -> float:
+        """‖field‖₂ of vectors [n, d], over the nodes of all ranks."""
+        if not self.on_ranks:
+            return float(np.linalg.norm(field))
+        return float(self.points.norm(field))
 
     def straight(self, u: np.ndarray) -> np.ndarray:
         """The linear part of the rich member at u."""
@@ -87,7 +108,7 @@ class PlacedMembers:
         """The second member's linear part and the halves, placed when they are first asked for."""
         second, halves = self.family.second, self.family.halves
         rich = halves if self.nonlinear else tuple(getattr(m, "linear", m) for m in halves)
-        one, *both = [each.on(self.points, **self.options) for each in (second, *rich)]
+        one, *both = [self._on(each) for each in (second, *rich)]
         return getattr(one, "straight", one), both[0], both[1]
 
     @cached_property
@@ -110,12 +131,21 @@ class PlacedMembers:
 
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H| near the unknowns."""
-        return _gradient(self.rich, u)
+        mean = getattr(self.rich, "mean_gradient", None)
+        return _gradient(self.rich, u) if mean is None else float(mean(u))
+
+    def largest_strain(self, u: np.ndarray) -> float:
+        """Between neighbours of all ranks."""
+        return self.points.largest_strain(u) if self.on_ranks else largest_strain(self.points, u)
 
     @cached_property
-    def spectrum(self) -> Spectrum:
-        """What part of a field has which wavelength, by the record of the family."""
-        return _spectrum(self.points, self.family.record)
+    def spectrum(self) -> Any:
+        """What part of a field has which wavelength, by the record; None on ranks but the first."""
+        points = self.points
+        if self.on_ranks:
+            x, inside = (points.joined(values) for values in (points.x, points.interior))
+            points = None if x is None else Points(x, inside, points.spacing)
+        return None if points is None else _spectrum(points, self.family.record)
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
@@ -123,12 +153,16 @@ class PlacedMembers:
         record = self.family.record
         if record is None or self.points.spacing == 0:
             return None, 0.0
-        return record.told(self.spectrum.shares(u))
+        spectrum, whole = self.spectrum, self.points.joined(u) if self.on_ranks else u
+        told = (0.0, 0.0) if spectrum is None else record.told(spectrum.shares(whole))
+        return self.points.comm.bcast(told) if self.on_ranks else told
 
     @cached_property
     def coarse(self) -> OnCoarse | None:
         """The family on every second node; None where it has no answers there."""
         points, family = self.points, self.family
+        if self.on_ranks:
+            return None
         plain = points.is_plain_lattice and points.dimension == 2 and self.turned is None
         if family.coarse is None or not plain:
             return None
@@ -146,7 +180,8 @@ class PlacedMembers:
         it has none."""
         if self.points.axis is not None or not getattr(self.rich.model, "q3", 0.0):
             return None
-        return self.family.rich.on(replace(self.points, axis=HALF_PERIOD), **self.options)
+        there = replace(self.points, axis=HALF_PERIOD)
+        return PlacedMembers(self.family, there, **self.options).rich
 
     def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
         """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""
@@ -155,8 +190,8 @@ class PlacedMembers:
     def series(self, u: np.ndarray, bent: np.ndarray) -> np.ndarray:
         """What orders go on to, of S N(u), shape [I, d] (Q3)."""
         gradient = self.gradient(u)
-        size = float(np.linalg.norm(u[self.points.interior]))
-        own = float(np.linalg.norm(bent)) / size if size > 0 else 0.0
+        size = self.norm(u[self.points.interior])
+        own = self.norm(bent) / size if size > 0 else 0.0
         ratio = self.family.factors.screen * gradient
         return ratio * max(1.0, gradient / own if own > 0 else 0.0) * bent
 
@@ -178,8 +213,9 @@ class PlacedMembers:
             strain = BEYOND * cubic, BEYOND * self.series(u, bent)
         if self.turned is not None:
             axis = self.inverse(non - self.turned(u), ROUGH)
-        size = float(np.linalg.norm(u[self.points.interior])) or 1.0
-        return Parts(left, waves, data, strain, axis, pulled(spread(waves, data) / size, told))
+        size = self.norm(u[self.points.interior]) or 1.0
+        members = spread(self.norm(waves), self.norm(data)) / size
+        return Parts(left, waves, data, strain, axis, pulled(members, told))
 
 
 class OnCoarse:
@@ -248,9 +284,9 @@ def _gradient(operator: Any, u: np.ndarray) -> float:
     return float(np.sqrt((H**2).sum(axis=(-2, -1)).mean()))
 
 
-def spread(waves: np.ndarray, data: np.ndarray) -> float:
-    """What members say otherwise: the root mean square of both fields."""
-    return float(np.sqrt((np.sum(waves**2) + np.sum(data**2)) / 2))
+def spread(waves: float, data: float) -> float:
+    """What members say otherwise: the root mean square of the sizes of both fields."""
+    return float(np.sqrt((waves**2 + data**2) / 2))
 
 
 def pulled(members: float, told: float | None) -> float:

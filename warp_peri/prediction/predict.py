@@ -15,9 +15,7 @@ from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import Samples, nodes_of
-from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.answer import WORDS, Answer, combined
-from warp_peri.prediction.members import Factors
 from warp_peri.prediction.placed import BEYOND, GROWN, ROUGH, Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
@@ -211,12 +209,12 @@ def _corrected(
     fields: Parts | None = None
     before, since = np.inf, 0.0
     for done in range(MOST + 1):
-        size = float(np.linalg.norm(u[inside])) or 1.0
+        size = placed.norm(u[inside]) or 1.0
         left = placed.correction(load, u)
-        moved = float(np.linalg.norm(left)) / size
+        moved = placed.norm(left) / size
         bent = known
         if bent is None:
-            bent = float(np.linalg.norm((first - u)[inside] - left)) / size
+            bent = placed.norm((first - u)[inside] - left) / size
         screen = _screened(placed, placed.gradient(u), moved, bent, told) | {"noise": noise}
         if tolerance is not None and _size(screen) <= tolerance:
             return _Stage(u, screen, None, done, unseen)
@@ -227,7 +225,7 @@ def _corrected(
             if fields is None or since > MOVED:
                 fields, since = placed.doubts(u, left, told), 0.0
             fields = replace(fields, left=left)
-            parts = _parts(fields, factors, size, noise)
+            parts = _parts(fields, placed, size, noise)
             floor = _rest(parts)
             if tolerance is None:
                 enough = parts["left"] <= SETTLED * floor
@@ -241,9 +239,9 @@ def _corrected(
     raise AssertionError("the last correction ends the loop")
 
 
-def _parts(fields: Parts, factors: Factors, size: float, noise: float) -> dict[str, float]:
+def _parts(fields: Parts, placed: PlacedMembers, size: float, noise: float) -> dict[str, float]:
     """Likely errors over u by origin."""
-    found = combined(fields, factors, lambda part: float(np.linalg.norm(part)) / size)
+    found = combined(fields, placed.family.factors, lambda part: placed.norm(part) / size)
     parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
     parts["noise"] = noise
     return parts | ({"axis": float(found["axis"])} if "axis" in found else {})
@@ -264,7 +262,7 @@ def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple
 def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     """What the error of a problem does not speak of."""
     found = []
-    if placed.points.outside is not None:
+    if not placed.on_ranks and placed.points.outside is not None:
         found += [FREE_EDGE, BROKEN]
     if placed.turned is not None:
         found.append(AXIS)
@@ -282,7 +280,7 @@ def _beyond(placed: PlacedMembers, stage: _Stage) -> tuple[str, ...]:
         found.append("short waves: shorter than any that the family learned from")
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
-        strain = largest_strain(placed.points, stage.u[None])
+        strain = placed.largest_strain(stage.u)
         if strain > STRAINED * known:
             found.append(
                 f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "

@@ -7,11 +7,12 @@ from contextlib import suppress
 
 from warp_peri.errors import InputError
 from warp_peri.launch import ranks_started
+from warp_peri.ranks.files import Series
 from warp_peri.ranks.pieces import Piece, lattice, spread, whole
-from warp_peri.ranks.processes import is_first, world
+from warp_peri.ranks.processes import is_first, together, world
 
 if ranks_started():
     with suppress(InputError):  # raised again where ranks are used
         world()  # from here on one rank speaks
 
-__all__ = ["Piece", "is_first", "lattice", "spread", "whole"]
+__all__ = ["Piece", "Series", "is_first", "lattice", "spread", "together", "whole"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
@@ -14,8 +15,10 @@ import scipy.fft
 from warp_peri.micromodulus.coarse import SHIFT, seen_by_coarser, shear, shifted_inverse
 from warp_peri.micromodulus.sweeps import convolved
 from warp_peri.ranks.halo import RowHalo
-from warp_peri.ranks.pieces import Rows
 from warp_peri.ranks.processes import Comm
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Rows
 
 WIDTH = {2: 32, 3: 12}
 """Half the width of the inverse filter [nodes]."""

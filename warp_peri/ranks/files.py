@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import h5py
@@ -18,8 +18,10 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import PART, destination, write_text
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import Comm, agreed
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 
 def write_arrays(

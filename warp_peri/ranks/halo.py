@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.ranks.pieces import Piece
+from warp_peri.points.points import Points
+from warp_peri.points.strain import largest_strain
 from warp_peri.ranks.processes import Comm
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 
 class NodeHalo:
@@ -52,8 +57,13 @@ class NodeHalo:
         self._out = [np.empty((len(places), d)) for _, places in self._give]
         self._in = [np.empty((len(places), d)) for _, places in self._take]
 
-    def exchange(self, field: np.ndarray) -> None:
-        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
+    @property
+    def is_own(self) -> np.ndarray:
+        """Which of the nodes here are the piece's own, shape [m]."""
+        return np.isin(np.arange(len(self.number)), self.own)
+
+    def start(self, field: np.ndarray) -> Callable[[], None]:
+        """Send for others' nodes in a field of vectors [m or more, d]; what fills them in it."""
         from mpi4py import MPI
 
         comm = self.comm
@@ -61,9 +71,17 @@ class NodeHalo:
         for (rank, places), buffer in zip(self._give, self._out):
             np.take(field, places, axis=0, out=buffer)
             requests.append(comm.Isend(buffer, dest=rank))
-        MPI.Request.Waitall(requests)
-        for (_, places), buffer in zip(self._take, self._in):
-            field[places] = buffer
+
+        def finish() -> None:
+            MPI.Request.Waitall(requests)
+            for (_, places), buffer in zip(self._take, self._in):
+                field[places] = buffer
+
+        return finish
+
+    def exchange(self, field: np.ndarray) -> None:
+        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
+        self.start(field)()
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
@@ -76,6 +94,26 @@ class NodeHalo:
         for request in requests:
             request.wait()
         return here
+
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """Of numbers [m] that ranks have of the same node the largest, of the own nodes, [n]."""
+        found = values.copy()
+        requests = [self.comm.isend(values[places], dest=r) for r, places in self._take]
+        for r, places in self._give:
+            found[places] = np.maximum(found[places], self.comm.recv(source=r))
+        for request in requests:
+            request.wait()
+        return np.asarray(found[self.own])
+
+
+def strain_on_ranks(piece: Piece, u: np.ndarray) -> float:
+    """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
+    halo = NodeHalo(piece, piece.spacing)
+    field = np.zeros_like(halo.x)
+    field[halo.own] = u
+    halo.exchange(field)
+    here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
+    return float(max(piece.comm.allgather(largest_strain(here, field))))
 
 
 class RowHalo:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
+from warp_peri.launch import shared_by
 from warp_peri.micromodulus.coarse import coarser
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.law import Crystal
@@ -16,10 +17,17 @@ from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.kept import Kept
+    from warp_peri.ranks.pieces import Piece
+    from warp_peri.statics.equilibrium import Inverse
+
+STAGE = 1e-3
+"""Of a residual, after which a solve with a checkpoint writes it."""
 
 
 class RowOperator:
@@ -36,7 +44,7 @@ class RowOperator:
         if piece.rows is None:
             raise InputError("points: expected a lattice in rows for a body at rest on ranks")
         comm, rows, d = piece.comm, piece.rows, piece.dimension
-        self.law, self.points, self.dimension = law, piece, d
+        self.model, self.points, self.dimension = law, piece, d
         first, last = rows.starts[comm.rank : comm.rank + 2]
         box = (int(last - first), *rows.shape[1:])
         self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
@@ -59,7 +67,7 @@ class RowOperator:
         self._coarse = cycle(comm, *near, few, self._between.coarse)
 
     def _check(self) -> None:
-        piece, law = self.points, self.law
+        piece, law = self.points, self.model
         assert piece.rows is not None
         check_same(law.units, piece.units)
         if self.proven is None:
@@ -79,7 +87,7 @@ class RowOperator:
     @property
     def proven(self) -> str | None:
         """What is proven of the law, in one sentence."""
-        proof = self.law.certificate
+        proof = self.model.certificate
         if proof is None or not proof.holds:
             return None
         return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
@@ -129,10 +137,26 @@ class RowOperator:
 
         return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
 
-    def solve(self, b: np.ndarray, u: np.ndarray, tolerance: float) -> tuple[Any, SolveRecord]:
-        """Displacement [n, d] with load b on the interior and u given elsewhere."""
+    def solve(
+        self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None
+    ) -> tuple[Any, SolveRecord]:
+        """Displacement [n, d] with load b on the interior and u given elsewhere.
+
+        With `kept` the answer is written each time that the residual is STAGE of what it was.
+        """
         given, right = self.sides(b, u)
-        found, record = self.inverse(right, tolerance)
+        if kept is None:
+            found, record = self.inverted(right, tolerance)
+            return given + self.take_up(found), record
+        start, norm, record = kept.start(), self.inner().norm, SolveRecord()
+        inside, size = self.points.interior[:, None], norm(right)
+        found = self.lay_out(np.where(inside, 0.0 if start is None else start, 0.0))
+        while (left := norm(rest := right - self.product(found))) > tolerance * size:
+            more, part = self.inverted(rest, max(tolerance * size / left, STAGE))
+            found += more
+            record.iterations += part.iterations
+            kept.keep(given + self.take_up(found))
+        record.residual = left / size if size > 0 else 0.0
         return given + self.take_up(found), record
 
     def sides(self, b: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,13 +165,29 @@ class RowOperator:
         given = np.where(inside, 0.0, u)
         return given, self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
 
-    def inverse(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """Planes, zero off the unknown nodes, with L of them as given there."""
         return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
 
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of a load on this rank's interior [i, d], to a relative residual, for `predict`."""
+
+        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+            whole = np.zeros(self.points.x.shape)
+            whole[self.points.interior] = right
+            found = self.take_up(self.inverted(self.lay_out(whole), tolerance)[0])
+            return np.asarray(found[self.points.interior])
+
+        return solved
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
 
 def tensors_at(linear: Any, piece: Piece) -> Crystal:
-    """A linear solid or a crystal as tensors on a piece's lattice."""
-    law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
+    """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks."""
+    with shared_by(piece.comm):
+        law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
     assert isinstance(law, Crystal)
     return law

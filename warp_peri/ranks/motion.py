@@ -1,15 +1,16 @@
 """Breaking bodies in motion on many ranks, with the bits of one process.
 
 A rank steps its nodes and those of others that they feel: within δ for bonds, 2δ with a dilatation.
-After each drift the displacement of others' nodes comes from their owners. All bonds that its own
-nodes feel then break here as they do there, and nothing else is sent.
+After each drift the displacement of others' nodes comes from their owners, while nodes that feel
+none of them are swept. All bonds that its own nodes feel then break here as they do there, and
+nothing else is sent.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,9 +29,11 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.files import Series, read_arrays, write_arrays
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.pieces import Piece
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import fingerprint, total
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""
@@ -246,7 +249,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
         marching = RankedRun(moving, halo, piece, **records)
     marching.check()
-    moving.exchange = lambda u: halo.exchange(u.numpy())
+    moving.operator.sweep_early(halo.is_own)
+    moving.exchange = lambda u: halo.start(u.numpy())
     state = marching.march(state, **run)
     own = halo.own
     return Motion(

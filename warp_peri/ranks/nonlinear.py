@@ -7,8 +7,8 @@ linear solve is that of ranks.linear.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,26 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, tensors_at
-from warp_peri.ranks.pieces import Piece
+from warp_peri.ranks.newton import newton
 from warp_peri.ranks.processes import agreed
-from warp_peri.statics.nonlinear import ROUGH, NonlinearRecord, anderson, warn_beyond
+from warp_peri.ranks.sums import total
+from warp_peri.statics.nonlinear import (
+    LINEAR_SHARE,
+    ROUGH,
+    NonlinearRecord,
+    anderson,
+    warn_beyond,
+)
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.kept import Kept
+    from warp_peri.ranks.pieces import Piece
+    from warp_peri.statics.equilibrium import Inverse
 
 __all__ = ["RowNonlinear", "warn_beyond"]
+
+NEWTON_SHARE = 1e-2
+"""Of the tolerance, to which Newton's method carries the preconditioned residual, over u."""
 
 
 class RowNonlinear:
@@ -45,14 +60,19 @@ class RowNonlinear:
                 raise InputError("ranks: a rank has no interior node of the solid; take fewer")
             here = Points(halo.x, inside, piece.spacing, units=piece.units, axis=piece.axis)
             self.placed = material.on(here)
-            law = tensors_at(self.placed.model.linear, piece)
+            self._law = tensors_at(self.placed.model.linear, piece)
         for turn in (comm.rank == 0, comm.rank != 0):  # one compiles
             if turn:
                 self.placed(np.zeros_like(halo.x))
             comm.Barrier()
-        self.linear = RowOperator(law, piece)
+        self.model = self.placed.model
         self.strain = float(self.placed.model.proven_strain(piece.spacing))
         self.proven = f"no other solution has |H| ≤ {self.strain:.2%}" if self.strain > 0 else None
+
+    @cached_property
+    def linear(self) -> RowOperator:
+        """Its linear part in rows, which is what is inverted."""
+        return RowOperator(self._law, self.points)
 
     def around(self, u: np.ndarray) -> np.ndarray:
         """u [n, d] on all nodes that this rank feels."""
@@ -65,17 +85,42 @@ class RowNonlinear:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
         return np.asarray(self.placed(self.around(u)))
 
+    def straight(self, u: np.ndarray) -> np.ndarray:
+        """Its linear part at u, as above."""
+        return np.asarray(self.placed.straight(self.around(u)))
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return self.linear.load(b)
+
+    def inverse(self, loads: int) -> Inverse:
+        """As RowOperator.inverse, of the linear part."""
+        return self.linear.inverse(loads)
+
+    def mean_gradient(self, u: np.ndarray) -> float:
+        """Root mean square of |H| over all nodes within δ of unknown ones, of all ranks."""
+        H, _ = self.placed.gradients(self.around(u))
+        square = np.full(len(self.halo.x), -1.0)
+        square[self.placed.sweeps.full] = (H**2).sum(axis=(-2, -1))
+        square = self.halo.largest(square)  # of its owner and of whoever feels it
+        felt = square >= 0
+        added, count = total(self.points.comm, np.stack([square * felt, felt], axis=1))
+        return float(np.sqrt(added / count))
+
     def solve(
-        self, b: np.ndarray, u: np.ndarray, tolerance: float
+        self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None
     ) -> tuple[np.ndarray, NonlinearRecord]:
         """Displacement [n, d] with load b on the interior and u given elsewhere, and the record.
 
-        Raises InputError where the fixed point does not come there, plain or clipped (N13–N15).
+        With `kept` every step that comes closer is written, and the search begins with the last.
+
+        Raises InputError where neither the fixed point comes there, plain or clipped (N13–N15),
+        nor Newton's method.
         """
         record, rows, inside = NonlinearRecord(), self.linear, self.points.interior
         inner = rows.inner()
         given, right = rows.sides(b, u)
-        scale = inner.norm(right)
+        scale, least = inner.norm(right), [np.inf]
         if scale == 0:
             record.residual, record.unique = 0.0, self.strain > 0
             return given, record
@@ -84,11 +129,15 @@ class RowNonlinear:
             unbalanced = np.zeros_like(given)
             pulled = np.asarray(force(self.around(given + rows.take_up(v))))
             unbalanced[inside] = (b[inside] - pulled) / scale
-            return rows.lay_out(unbalanced)
+            rest = rows.lay_out(unbalanced)
+            if kept is not None and (size := inner.norm(rest)) < least[0]:
+                least[0] = size
+                kept.keep(given + rows.take_up(v))
+            return rest
 
-        def correction(residual: np.ndarray) -> np.ndarray:
+        def correction(residual: np.ndarray, to: float = ROUGH) -> np.ndarray:
             record.solves += 1
-            return rows.inverse(residual * scale, ROUGH)[0]
+            return rows.inverted(residual * scale, to)[0]
 
         def fitted(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
             columns = np.moveaxis(differences, -1, 0)
@@ -100,15 +149,26 @@ class RowNonlinear:
             step = partial(left, force)
             return anderson(step, correction, start, tolerance, norm=inner.norm, fitted=fitted)
 
-        v, record.residual = found(self.placed, correction(right / scale))
+        begin = None if kept is None else kept.start()
+        if begin is None:
+            start = correction(right / scale)
+        else:
+            start = rows.lay_out(np.where(inside[:, None], begin, 0.0))
+        v, record.residual = found(self.placed, start)
         if record.residual > tolerance and self.strain > 0:
             record.method = "clipped"
             v, _ = found(self.placed.clipped(self.strain), correction(right / scale))
             record.residual = inner.norm(left(self.placed, v))
+        if record.residual > tolerance:
+            record.method = "newton"
+            exact = partial(correction, to=LINEAR_SHARE * tolerance)
+            goal = NEWTON_SHARE * tolerance * inner.norm(v)
+            v = newton(lambda w: exact(left(self.placed, w)), v, goal, inner)
+            record.residual = inner.norm(left(self.placed, v))
         if not record.residual <= tolerance:
             raise InputError(
                 f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "
-                f"after {record.solves} linear solves; one process also tries Newton's method"
+                f"after {record.solves} linear solves; the load may be more than the solid bears"
             )
         answer = given + rows.take_up(v)
         own = float(self.placed.largest_gradient(self.around(answer)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +15,13 @@ from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks.processes import Comm, agreed, world
+from warp_peri.ranks.sums import total
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Blocks of rows that a box is cut to at least, where they have between so many rows each."""
+WIDE = 4
+"""Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
+to the ranks."""
 _OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
 
 
@@ -51,6 +56,8 @@ class Piece:
         grid: lattice steps from the corner of the whole body, shape [n, d].
         rows: of a box in rows; None of other parts.
         units, axis: as of Points.
+        carrier: of scattered points the spacing of the lattice that carries them.
+        at: of scattered points, in spacings of the coarse lattice whose rows are `rows`, [n, d].
     """
 
     comm: Comm
@@ -63,11 +70,29 @@ class Piece:
     rows: Rows | None
     units: Units = USUAL
     axis: Any = None
+    carrier: float = 0.0
+    at: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
         """2 or 3."""
         return int(self.x.shape[1])
+
+    def norm(self, field: np.ndarray) -> float:
+        """‖field‖₂ of vectors [n, d] over all ranks, with the same bits on any number."""
+        return float(np.sqrt(total(self.comm, (field**2).sum(axis=1))))
+
+    def operator(self, material: Any) -> Any:
+        """A material on these nodes, as statics.operator_on."""
+        from warp_peri.ranks.statics import operator_on
+
+        return operator_on(material, self)
+
+    def largest_strain(self, u: np.ndarray) -> float:
+        """Between neighbours, of u [n, d], over all ranks."""
+        from warp_peri.ranks.halo import strain_on_ranks
+
+        return strain_on_ranks(self, u)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
@@ -83,6 +108,25 @@ class Piece:
         found[order] = raw
         return found.view(values.dtype).reshape(self.count, *values.shape[1:])
 
+    def read(self, path: str | os.PathLike[str], name: str) -> np.ndarray:
+        """Of an array [N, ...] of all nodes in an HDF5 file those of this rank, [n, ...].
+
+        Raises InputError for a file without it, or an array of another length.
+        """
+        with agreed(self.comm):
+            values = read_rows(path, name, self.number, self.count)
+        return values
+
+    def joined(self, values: np.ndarray) -> np.ndarray | None:
+        """As gather, on the first rank alone; None on the others."""
+        parts = self.comm.gather((self.number, values))
+        if parts is None:
+            return None
+        whole = np.empty((self.count, *values.shape[1:]), values.dtype)
+        for number, part in parts:
+            whole[number] = part
+        return whole
+
     def __getattr__(self, name: str) -> Any:
         if name in _OF_A_WHOLE:
             raise InputError("points: expected Points, got a piece of some, which are on ranks")
@@ -92,7 +136,7 @@ class Piece:
 def lattice(
     shape: tuple[int, ...],
     spacing: float,
-    interior: Callable[[np.ndarray], np.ndarray],
+    interior: Callable[[np.ndarray], np.ndarray] | str | os.PathLike[str],
     *,
     origin: Any = 0.0,
     block: int | None = None,
@@ -104,7 +148,8 @@ def lattice(
     Args:
         shape: nodes along each axis; the rows of the first axis go to the ranks.
         spacing: h [length].
-        interior: which nodes are unknown, of positions [n, d] as bool [n].
+        interior: which nodes are unknown, of positions [n, d] as bool [n]; or an HDF5 file whose
+            `interior` says it of all nodes, [N], of which a rank reads its own.
         origin: position of the first node.
         block: rows that stay together, a power of two; by default an eighth of them or less.
         units, axis: as of Points.
@@ -121,7 +166,10 @@ def lattice(
     x = np.asarray(origin) + spacing * grid
     number = np.arange(first * row, last * row)
     with agreed(comm):
-        inside = np.asarray(interior(x))
+        if callable(interior):
+            inside = np.asarray(interior(x))
+        else:
+            inside = read_rows(interior, "interior", number, row * int(sides[0]))
         if inside.shape != (len(x),) or inside.dtype != bool:
             raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
         check_units(units)
@@ -129,13 +177,36 @@ def lattice(
     return Piece(comm, x, inside, float(spacing), number, count, grid, rows, units, axis)
 
 
+def read_rows(
+    path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
+) -> np.ndarray:
+    """Rows of rising numbers of an array of `count` in an HDF5 file; no others are read but those
+    that lie between.
+
+    Raises InputError for a file without the array, and one of another length.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path) as file:
+            array = file[name]
+            length = len(array)
+            if length == count:
+                return np.asarray(array[number[0] : number[-1] + 1][number - number[0]])
+    except (OSError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected an HDF5 file with {name!r} ({error})") from None
+    raise InputError(f"{path}: expected {count} rows of {name!r}, got {length}")
+
+
 def spread(points: Points, by: str = "rows") -> Any:
     """This rank's piece of points that every rank has; the points themselves without mpiexec.
 
     Args:
-        points: a lattice along the axes, without a box, the same on every rank.
+        points: a lattice along the axes, or scattered points in the plane, without a box, the same
+            on every rank.
         by: "rows" of the lattice, "bisection" of boxes at the middle of their longest side, or
             "metis", which cuts as few neighbours apart as it can (G. Karypis and V. Kumar, 1998).
+            Scattered points go by rows of a coarse lattice.
 
     Raises InputError for other points, for more ranks than there are rows in blocks, or nodes, and
     for "metis" without pymetis.
@@ -145,6 +216,8 @@ def spread(points: Points, by: str = "rows") -> Any:
     comm = world()
     if by not in ("rows", "bisection", "metis"):
         raise InputError(f"by: expected rows, bisection or metis, got {by!r}")
+    if points.spacing == 0:
+        return _scattered(comm, points, by)
     if not points.is_plain_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
@@ -164,6 +237,24 @@ def spread(points: Points, by: str = "rows") -> Any:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
     return Piece(comm, *parts, own, len(grid), grid[own], rows, points.units, points.axis)
+
+
+def _scattered(comm: Comm, points: Points, by: str) -> Piece:
+    """This rank's piece of scattered points, by rows of cells of a coarse lattice."""
+    if by != "rows" or points.box is not None or points.outside is not None:
+        raise InputError("points: expected scattered points without a box, by rows, on ranks")
+    if points.dimension == 3:
+        raise InputError("points: expected scattered points in the plane on ranks, got space")
+    from warp_peri.points.interpolation import fitting_spacing, mean_spacing
+
+    carrier = fitting_spacing(mean_spacing(points))
+    at = (points.x - points.x.min(axis=0)) / (WIDE * carrier)
+    cell = np.floor(at).astype(np.int32)
+    rows = _rows(comm, tuple((cell.max(axis=0) + 2).tolist()), None)
+    first, last = rows.starts[comm.rank : comm.rank + 2]
+    own = np.flatnonzero((cell[:, 0] >= first) & (cell[:, 0] < last))
+    parts = points.x[own], points.interior[own], 0.0, own, len(at), cell[own], rows
+    return Piece(comm, *parts, points.units, points.axis, carrier, at[own])
 
 
 def whole(points: Any, values: np.ndarray) -> np.ndarray:

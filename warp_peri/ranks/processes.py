@@ -8,13 +8,13 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from warp_peri import errors
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE, ranks_started, set_threads, threads
+from warp_peri.launch import DEVICE, ranks_started, set_threads, shared_by, threads
 
 Comm: TypeAlias = Any
 """A communicator of mpi4py."""
@@ -84,6 +84,14 @@ def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace
     known = isinstance(error, InputError)
     lines = [f"error: {error}"] if known else traceback.format_exception(kind, error, trace)
     _ended(comm, f"rank {comm.rank}: " * (not known) + "".join(lines).rstrip(), 2 if known else 1)
+
+
+def together() -> AbstractContextManager[None]:
+    """Proofs inside, which all ranks must come to, are shared: each looks at some of the cells.
+
+    What is proven does not depend on how many they are. Without mpiexec nothing changes.
+    """
+    return shared_by(world()) if ranks_started() else nullcontext()
 
 
 @contextmanager

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import os
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,15 +14,19 @@ from warp_peri.ranks.processes import agreed
 from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
+if TYPE_CHECKING:
+    from warp_peri.ranks.pieces import Piece
+
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
-    """A Dirichlet problem on a lattice in rows; u and load are those of this rank's nodes.
+    """A Dirichlet problem on a piece; u and load are those of this rank's nodes.
 
-    A nonlinear solid is solved as in ranks.nonlinear.
+    A nonlinear solid is solved as in ranks.nonlinear. With the option checkpoint=PATH what was
+    found is written as the solve goes, and a later one goes on from there, on any number of ranks.
 
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
-    taken(options, "solve")
+    (asked,) = taken(options, "solve", _asked)
     bends = hasattr(material, "proven_strain")
     kind = Newton if bends else Krylov
     refuse_solver(solver, (kind,), f"a {'nonlinear' if bends else 'linear'} body on ranks")
@@ -31,13 +36,6 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
-        linear = getattr(material, "linear", material)
-        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
-        if not known or not (bends or linear is material):
-            raise InputError(
-                "material: expected a linear solid, a crystal, or one with third-order constants "
-                "on ranks"
-            )
         b, u = (np.asarray(field, dtype=float) for field in (problem.b, problem.u))
         if b.shape != u.shape or b.shape[-2:] != piece.x.shape or b.ndim not in (2, 3):
             raise InputError(
@@ -46,27 +44,63 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             )
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
-    if bends:
-        from warp_peri.ranks.nonlinear import RowNonlinear, warn_beyond
-
-        operator: Any = RowNonlinear(material, piece)
-    else:
-        with agreed(piece.comm):
-            law = tensors_at(linear, piece)
-        operator = RowOperator(law, piece)
+    operator = operator_on(material, piece)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
-    found = [operator.solve(load, given, tolerance) for load, given in zip(*flat)]
+    kept = None
+    if (path := _asked(**asked)) is not None:
+        if len(flat[0]) > 1:
+            raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
+        from warp_peri.ranks.kept import Kept
+
+        kept = Kept(path, piece, flat[0][0], flat[1][0])
+    found = [operator.solve(load, given, tolerance, kept) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
     if bends:
+        from warp_peri.ranks.nonlinear import warn_beyond
+
         warn_beyond(list(records), operator.strain)
     return Solution(
         np.reshape([answer for answer, _ in found], u.shape),
         piece,
         operator,
-        b[..., piece.interior, :],
+        np.reshape([operator.load(load) for load in flat[0]], (*b.shape[:-2], -1, b.shape[-1])),
         records[0].method if bends else "multigrid",
         tuple(record.solves if bends else record.iterations for record in records),
         operator.proven,
         details=records,
         measured=max(record.residual for record in records),
     )
+
+
+def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
+    """The options of a solve on ranks: the file of a checkpoint."""
+    return checkpoint
+
+
+def operator_on(material: Any, piece: Piece) -> Any:
+    """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants; or
+    a linear one on scattered points, ScatteredOperator.
+
+    Raises InputError for other laws, and as these do.
+    """
+    bends = hasattr(material, "proven_strain")
+    with agreed(piece.comm):
+        linear = getattr(material, "linear", material)
+        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
+        if not known or not (bends or linear is material):
+            raise InputError(
+                "material: expected a linear solid, a crystal, or one with third-order constants "
+                "on ranks"
+            )
+        if piece.carrier and (bends or not hasattr(linear, "influence")):
+            raise InputError("material: expected a linear solid on scattered points on ranks")
+        law = None if bends or piece.carrier else tensors_at(linear, piece)
+    if law is not None:
+        return RowOperator(law, piece)
+    if piece.carrier:
+        from warp_peri.ranks.scattered import ScatteredOperator
+
+        return ScatteredOperator(linear, piece)
+    from warp_peri.ranks.nonlinear import RowNonlinear
+
+    return RowNonlinear(material, piece)

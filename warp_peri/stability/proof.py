@@ -11,9 +11,11 @@ largest is convex, hence largest at a corner.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
+from warp_peri.launch import in_blocks
 from warp_peri.operator.symbol import long_wave_moduli, symbol
 from warp_peri.points.families import BondClasses
 
@@ -21,6 +23,9 @@ FRACTIONS = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1, 0.01)
 """Fractions of the sampled minimum that are tried, largest first."""
 
 FIRST_CELLS = 16
+CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+AT_ONCE = 100
+"""Cells of a block, of which ranks share many."""
 MOST_CELLS = 400_000
 """Work after which a bound is given up; halved cells cost four times as much."""
 UPPER_TOLERANCE = 1e-3
@@ -96,25 +101,38 @@ def _holds(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, c: 
     half = edge / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
     work = 0
-    corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+
+    def cells(half: float, k: np.ndarray) -> np.ndarray:
+        return lowest(*affine_part(classes, v, z, kappa, c, k), half)
+
     while len(middle):
         outside = np.hypot(*(middle + half).T) > ball
         middle = middle[outside]
         work += len(middle)
         if work > MOST_CELLS:
             return False
-        d, slopes = affine_part(classes, v, z, kappa, c, middle)
-        bound = np.full(len(middle), np.inf)
-        for corner in half * corners:
-            e11, e22, e12 = d + np.einsum("a,aek->ek", corner, slopes)
-            bound = np.minimum(bound, (e11 + e22) / 2 - np.hypot((e11 - e22) / 2, e12))
+        bound = in_blocks(partial(cells, half), middle, AT_ONCE)
         failed = bound - curvature * half**2 - slack <= 0  # ½ · curvature · (√2 half)²
         if not failed.any():
             return True
         half /= 2
-        middle = (middle[failed][:, None, :] + half * corners).reshape(-1, 2)
+        middle = (middle[failed][:, None, :] + half * CORNERS).reshape(-1, 2)
         middle = middle[middle[:, 0] + 2 * half >= middle[:, 1]]  # the wedge k₂ ≤ k₁
     return True
+
+
+def lowest(d: np.ndarray, slopes: np.ndarray, half: float) -> np.ndarray:
+    """The smallest eigenvalue of affine matrices over square cells, at their corners, shape [K].
+
+    Args:
+        d, slopes: as `affine_part` gives them at the middles.
+        half: half the side of a cell [1/length].
+    """
+    bound = np.full(d.shape[1], np.inf)
+    for corner in half * CORNERS:
+        e11, e22, e12 = d + np.einsum("a,aek->ek", corner, slopes)
+        bound = np.minimum(bound, (e11 + e22) / 2 - np.hypot((e11 - e22) / 2, e12))
+    return bound
 
 
 def affine_part(
@@ -159,7 +177,6 @@ def largest_bound(
         return float(20 * (classes.count @ np.maximum(v, 0.0)) + bulk)
     half = np.pi / classes.spacing / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
-    corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
     taken, work = 0.0, 0
     while True:
         values, bound = _cells_above(classes, v, z, kappa, middle, half)
@@ -171,7 +188,7 @@ def largest_bound(
         if work > MOST_CELLS:
             return float(bound.max())
         half /= 2
-        middle = (middle[still][:, None, :] + half * corners).reshape(-1, 2)
+        middle = (middle[still][:, None, :] + half * CORNERS).reshape(-1, 2)
         middle = middle[middle[:, 0] + 2 * half >= middle[:, 1]]  # the wedge k₂ ≤ k₁
 
 
@@ -185,9 +202,8 @@ def _cells_above(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Λmax D at the middle of square cells, and its bound over each cell (50); shape [K] each."""
     d, slopes = affine_part(classes, v, z, kappa, 0.0, middle)
-    corners = np.array([(0, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)])
     values = []
-    for shift in half * corners:
+    for shift in half * np.vstack([[0, 0], CORNERS]):
         e11, e22, e12 = d + np.einsum("a,aek->ek", shift, slopes)
         values.append((e11 + e22) / 2 + np.hypot((e11 - e22) / 2, e12))
     curvature = second_derivative(classes, v, z, kappa)

@@ -9,15 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from warp_peri.launch import in_blocks
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.operator.symbol import long_wave_moduli, stiffnesses, symbol, zone_wedge
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.stability.proof import ROUNDING, affine_part, second_derivative, slowest
+from warp_peri.stability.proof import (
+    AT_ONCE,
+    CORNERS,
+    ROUNDING,
+    affine_part,
+    lowest,
+    second_derivative,
+    slowest,
+)
 
 DIRECTIONS = 400
 """Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
@@ -192,24 +202,24 @@ def _holds(
     slack = ROUNDING * (32 * (classes.count @ np.abs(v)) + 4 * c * first**2)
     half = edge / FIRST_CELLS / 2
     middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
-    corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
     work = 0
+
+    def cells(half: float, k: np.ndarray) -> np.ndarray:
+        d, slopes = affine_part(classes, v, z, kappa, 0.0, k)
+        value, slope = _square(classes, p, k)
+        d[:2] -= c * value
+        slopes[:, :2] -= c * slope[:, None]
+        return lowest(d, slopes, half)
+
     while len(middle):
         middle = middle[np.hypot(*(middle + half).T) > ball]
         work += len(middle)
         if work > MOST_CELLS:
             return False
-        d, slopes = affine_part(classes, v, z, kappa, 0.0, middle)
-        value, slope = _square(classes, p, middle)
-        d[:2] -= c * value
-        slopes[:, :2] -= c * slope[:, None]
-        bound = np.full(len(middle), np.inf)
-        for corner in half * corners:
-            e11, e22, e12 = d + np.einsum("a,aek->ek", corner, slopes)
-            bound = np.minimum(bound, (e11 + e22) / 2 - np.hypot((e11 - e22) / 2, e12))
+        bound = in_blocks(partial(cells, half), middle, AT_ONCE)
         failed = bound - curvature * half**2 - slack <= 0
         half /= 2
-        middle = (middle[failed][:, None, :] + half * corners).reshape(-1, 2)
+        middle = (middle[failed][:, None, :] + half * CORNERS).reshape(-1, 2)
         middle = middle[middle[:, 0] + 2 * half >= middle[:, 1]]  # the wedge k₂ ≤ k₁
     return True
 

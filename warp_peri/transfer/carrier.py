@@ -16,6 +16,7 @@ from warp_peri.points.interpolation import (
     FOR_DATA,
     FULL,
     NEIGHBOURS,
+    fitting_spacing,
     interpolation,
     mean_spacing,
 )
@@ -24,8 +25,6 @@ from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, symbols
 from warp_peri.transfer.cache import model_at
 
-FINER = 2.0
-"""Lattice spacings to one spacing of the nodes."""
 SMALLEST = 1e-6
 """Singular values of T below this count as zero: then two unknowns are one on the lattice."""
 
@@ -73,7 +72,7 @@ class Carrier:
         _check_plane(points, neighbours)
         dense = mean_spacing(points)
         if spacing is None:
-            spacing = float(f"{dense / FINER:.2g}")
+            spacing = fitting_spacing(dense)
         self.points, self.spacing = points, spacing
         self.model = model_at(model, spacing)
         self.x, self.loaded = _places(points, self.model, spacing, dense, neighbours)
