@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ NEEDED = {
     "runs/manufactured/manufactured.json": "python examples/studies/manufactured.py",
     "runs/manufactured_adam/manufactured.json": "python examples/studies/manufactured.py "
     "--quintic --adam --out runs/manufactured_adam",
+    "runs/noise_study/noise.json": "python examples/studies/noise_study.py",
 }
 TEMPLATE = Path(__file__).with_suffix(".md")
 SEEDS = range(5)
@@ -45,57 +46,94 @@ CHANGES = {
 }
 """How λ, μ, α and D are kept inside their bounds, and which conditions are asked for."""
 SETS = ("train", "val", "test")
+NOISE = ("noise_iota", "noise_plain", "noise_printed", "steps")
+"""What thermal.longer gives."""
+HORIZON = 20.0
+"""Of the family that is drawn [Å]."""
 
 
-def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
+def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Callable[[], str]]:
     """The parts of the page, by the names that its template gives them."""
-    data = warp_peri.load(runs.parent / DATA)
-    trials = json.loads((runs / "graphene_0K_sweep" / "sweep.json").read_text(encoding="utf-8"))
-    manufactured = json.loads((runs / "manufactured" / "manufactured.json").read_text("utf-8"))
-    adam = json.loads((runs / "manufactured_adam" / "manufactured.json").read_text("utf-8"))
-    draw_atoms(figures / "you_2021_atoms.png", data)
-    draw_fields(figures / "you_2021_fields.png", data)
-    squares = kept("squares", lambda: both_metrics(runs, trials["trials"], data))
-    table_6 = kept("table_6", lambda: two_grids(data))
-    algorithm = {
-        name: [
-            kept(
-                f"algorithm_1_{bounds}_{conditions}_{seed}",
-                partial(algorithm_1, data, bounds, conditions, seed),
-            )
+
+    @cache
+    def data() -> Dataset:
+        read: Dataset = warp_peri.load(runs.parent / DATA)
+        return read
+
+    @cache
+    def told(path: str) -> Any:
+        return json.loads((runs / path).read_text(encoding="utf-8"))
+
+    def sweep() -> Any:
+        return told("graphene_0K_sweep/sweep.json")
+
+    def manufactured(name: str) -> str:
+        return rows_of(consistency(told("manufactured/manufactured.json"), name))
+
+    def by_adam() -> str:
+        adam = told("manufactured_adam/manufactured.json")
+        for name in ("fixed", "learned"):
+            picture = (runs / "manufactured_adam" / f"{name}_alpha.png").read_bytes()
+            with whole_file(figures / f"you_2021_{name}_alpha.png") as path:
+                path.write_bytes(picture)
+        return rows_of(three_ways(told("manufactured/manufactured.json"), adam))
+
+    def runs_of(name: str) -> list[Any]:
+        bounds, conditions = CHANGES[name]
+        file = f"algorithm_1_{bounds}_{conditions}"
+        return [
+            kept(f"{file}_{seed}", partial(algorithm_1, data(), bounds, conditions, seed))
             for seed in SEEDS
         ]
-        for name, (bounds, conditions) in CHANGES.items()
-    }
-    warm = kept("thermal", lambda: thermal.study(runs.parent / CACHE))
-    ratios = kept("ratios", lambda: thermal.ratios(runs.parent / CACHE))
-    cold = warp_peri.load(runs / "graphene_0K" / "model.json")
-    thermal.draw_kernels(figures / "you_2021_kernels.png", cold, warm["kernels"])
-    for name in ("fixed", "learned"):
-        picture = (runs / "manufactured_adam" / f"{name}_alpha.png").read_bytes()
-        with whole_file(figures / f"you_2021_{name}_alpha.png") as path:
-            path.write_bytes(picture)
-    a, c, middle = thermal.law_of_ratios()
+
+    def squares() -> Any:
+        return kept("squares", lambda: both_metrics(runs, sweep()["trials"], data()))
+
+    def warm() -> Any:
+        return kept("thermal", lambda: thermal.study(runs.parent / CACHE))
+
+    def figure(name: str, draw: Callable[[Path], None]) -> str:
+        draw(figures / name)
+        return name
+
+    def kernels(path: Path) -> None:
+        cold = warp_peri.load(runs / "graphene_0K" / "model.json")
+        thermal.draw_kernels(path, cold, warm()["kernels"])
+
+    def noise(rows: Callable[[Any], Any]) -> str:
+        return rows_of(rows(told("noise_study/noise.json")["sweep"]))
+
+    law = thermal.law_of_ratios()
+    stop = cache(lambda: stopped(runs_of("as printed")))
+    more = cache(lambda: thermal.longer(warm()["noise"]))
     return {
-        "adam": rows_of(three_ways(manufactured, adam)),
-        "table_5": rows_of(table_5(warm["table_5"])),
-        "table_6_warm": rows_of(thermal.rows_of_table_6(warm["table_6"])),
-        "ratios": rows_of(thermal.rows_of_ratios(ratios)),
-        "ratio_noise": f"{a:.1f}",
-        "ratio_load": f"{c:.1f}",
-        "ratio_middle": f"{middle:.4f}",
-        **thermal.longer(warm["noise"]),
-        "strains": rows_of(strains(data)),
-        "manufactured": rows_of(consistency(manufactured, "fixed_alpha")),
-        "learned_alpha": rows_of(consistency(manufactured, "learned_alpha")),
-        "algorithm": rows_of(map(row_of_algorithm, algorithm, algorithm.values())),
-        **stopped(algorithm["as printed"]),
-        "metric": rows_of(metric(runs, data)),
-        "chosen": rows_of(chosen(squares)),
-        "table_3": rows_of(map(table_3, trials["by_degree"], trials["AvgE"])),
-        "pairs": rows_of(pairs(trials["trials"])),
-        "table_4": rows_of(table_4(runs, trials, data)),
-        "table_6": rows_of(table_6_rows(table_6)),
+        "family": lambda: figure("you_2021_family.png", partial(draw_family, data())),
+        "atoms": lambda: figure("you_2021_atoms.png", partial(draw_atoms, data())),
+        "fields": lambda: figure("you_2021_fields.png", partial(draw_fields, data())),
+        "kernels": lambda: figure("you_2021_kernels.png", kernels),
+        "manufactured": lambda: manufactured("fixed_alpha"),
+        "learned_alpha": lambda: manufactured("learned_alpha"),
+        "adam": by_adam,
+        "strains": lambda: rows_of(strains(data())),
+        "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
+        **{name: partial(lambda name: stop()[name], name) for name in ("stopped", "lam", "mu")},
+        "metric": lambda: rows_of(metric(runs, data())),
+        "chosen": lambda: rows_of(chosen(squares())),
+        "table_3": lambda: rows_of(map(table_3, sweep()["by_degree"], sweep()["AvgE"])),
+        "pairs": lambda: rows_of(pairs(sweep()["trials"])),
+        "table_4": lambda: rows_of(table_4(runs, sweep(), data())),
+        "table_3_warm": lambda: noise(thermal.table_3),
+        "table_4_warm": lambda: noise(thermal.table_4),
+        "table_5": lambda: rows_of(table_5(warm()["table_5"])),
+        **{name: partial(lambda name: more()[name], name) for name in NOISE},
+        "ratios": lambda: rows_of(
+            thermal.rows_of_ratios(kept("ratios", lambda: thermal.ratios(runs.parent / CACHE)))
+        ),
+        "ratio_noise": lambda: f"{law[0]:.1f}",
+        "ratio_load": lambda: f"{law[1]:.1f}",
+        "ratio_middle": lambda: f"{law[2]:.4f}",
+        "table_6": lambda: rows_of(table_6_rows(kept("table_6", lambda: two_grids(data())))),
+        "table_6_warm": lambda: rows_of(thermal.rows_of_table_6(warm()["table_6"])),
     }
 
 
@@ -313,7 +351,34 @@ def table_6_rows(found: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def draw_atoms(path: Path, data: Dataset) -> None:
+def draw_family(data: Dataset, path: Path) -> None:
+    """Figure 1: the family of a node, a bond and its force vectors."""
+    x = data["train"].x
+    node = int(np.linalg.norm(x - x[data["train"].interior].mean(axis=0), axis=1).argmin())
+    r = np.linalg.norm(x - x[node], axis=1)
+    near, body = (r > 0) & (r <= HORIZON), r < 1.7 * HORIZON
+    other = int(np.flatnonzero(near)[np.argmax(((x - x[node]) @ (2, 1))[near])])
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    family, bond = figure.subplots(1, 2)
+    family.plot(*x[body].T, "o", color="0.75", markersize=4)
+    family.plot(*x[near].T, "o", color="C0", markersize=5)
+    turn = np.linspace(0, 2 * np.pi, 200)
+    family.plot(*(x[node][:, None] + HORIZON * np.array([np.cos(turn), np.sin(turn)])), "k-")
+    family.set_title(f"the family of a node, δ = {HORIZON:g} Å: {near.sum()} bonds")
+    bond.plot(*x[[node, other]].T, "o-", color="C0")
+    force = 0.2 * (x[other] - x[node])
+    for place, sign in ((node, 1), (other, -1)):
+        bond.annotate("", x[place] + sign * force, x[place], arrowprops={"arrowstyle": "->"})
+    bond.annotate("x", x[node], (0, 8), textcoords="offset points")
+    bond.annotate("y", x[other], (0, 8), textcoords="offset points")
+    bond.set_title("a bond and its force vectors")
+    for ax in (family, bond):
+        ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]")
+        ax.plot(*x[node], "o", color="C3", markersize=6)
+    save_figure(figure, path)
+
+
+def draw_atoms(data: Dataset, path: Path) -> None:
     """Figure 4: the lattice, the sheet of atoms, the nodes."""
     sheet, _ = graphene_bodies()
     atoms = sheet.positions()
@@ -333,7 +398,7 @@ def draw_atoms(path: Path, data: Dataset) -> None:
     save_figure(figure, path)
 
 
-def draw_fields(path: Path, data: Dataset) -> None:
+def draw_fields(data: Dataset, path: Path) -> None:
     """Figure 5: u₁ and b₁ of a training, a validation and a test sample."""
     figure = Figure(figsize=(10.5, 6.4), layout="constrained")
     titles = {"train": "training", "val": "validation", "test": "disk"}
