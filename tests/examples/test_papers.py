@@ -48,7 +48,6 @@ def test_a_page_says_what_its_template_says(name):
     assert [line for line in lines if line not in page.splitlines()] == []
     named = [title for titles in papers.foot_of(page).values() for title in titles]
     assert set(named) <= set(papers.sections(page))
-    assert "dirty" not in page
 
 
 def test_thirty_sections_each_with_its_command():
