@@ -170,3 +170,14 @@ def test_tables_3_and_4_at_300_K_are_in_the_unit_of_the_source():
     warm = row("you_2021", "300 K: Tables 3 and 4", "| here, δ = 25 Å |")
     assert cold[-2] == pytest.approx(0.203, rel=0.05)
     assert 1 < warm[-4] < 10
+
+
+@pytest.mark.slow
+def test_a_kernel_that_is_known_by_adam():
+    told = row("you_2021", "Figures 2 and 3 by", "| M = 4 |")
+    samples = manufactured.manufactured(5.0)
+    weight = manufactured.sample_weights([samples], normalise=False)[0]
+    reduced = manufactured.reduce(samples, manufactured.HORIZON, weight, quadrature_degree=5)
+    for place, learn_alpha in ((1, False), (3, True)):
+        found = manufactured.adam_fit(reduced, 4, learn_alpha=learn_alpha, seed=0)
+        held([manufactured.relative_residual(reduced, *found)], told[place : place + 1])
