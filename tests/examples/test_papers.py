@@ -1,11 +1,12 @@
 """The pages on the sources: what they compute, and that they name what is missing."""
 
 from pathlib import Path
+from string import Formatter
 
 import pytest
 
 from examples.studies import paper_slides_rates as rates
-from examples.studies import papers
+from examples.studies import paper_you_pictures, papers
 
 PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"
 
@@ -48,6 +49,19 @@ def test_a_page_says_what_its_template_says(name):
     assert [line for line in lines if line not in page.splitlines()] == []
     named = [title for titles in papers.foot_of(page).values() for title in titles]
     assert set(named) <= set(papers.sections(page))
+
+
+@pytest.mark.parametrize("name", ["you_2021", "polymer_gp", "slides"])
+def test_every_part_of_a_page_is_asked_for_and_given(name, tmp_path):
+    source = papers.SOURCES[name]
+    parts = source.parts(tmp_path / "runs", papers.keeper(tmp_path), tmp_path)
+    template = source.TEMPLATE.read_text(encoding="utf-8")
+    assert {part for _, part, _, _ in Formatter().parse(template) if part} == set(parts)
+
+
+def test_the_family_of_a_node_is_drawn(tmp_path):
+    paper_you_pictures.family(tmp_path / "family.png")
+    assert (tmp_path / "family.png").stat().st_size > 10_000
 
 
 def test_thirty_sections_each_with_its_command():

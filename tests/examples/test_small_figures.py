@@ -4,13 +4,18 @@ Cracks stand in tests/statics/test_mixed.py (Sneddon's opening), the network in 
 channel's walls in test_paper_rows.py; what takes minutes is slow.
 """
 
+import argparse
+
+import numpy as np
 import pytest
 
 pytest.importorskip("skfem")
 
 import warp_peri as wp
-from examples import hgo_square
+from examples import hgo_square, neural_operator, neural_sets
+from tools import make_leaflet as leaflet
 from tools.make_hgo import make_hgo
+from warp_peri.neural.file import load
 from warp_peri.tissue import hyperelastic_errors, material_terms, read_material, with_corners
 
 WITHIN = 1.3
@@ -28,3 +33,18 @@ def test_a_sheet_with_fibres(tmp_path):
     disk = hyperelastic_errors(solid, sets["disks"])
     assert 100 * disk["E_u"] < 0.28  # the worst of ten
     assert disk["not_solved"] == 0
+
+
+def test_a_leaflet_by_the_shipped_network(tmp_path):
+    """docs/neural.md, displacement of frames: two of a protocol for twenty of seven."""
+    u, _ = leaflet.protocol(tmp_path, leaflet.Leaflet(), 3, levels=2)
+    steps = np.argwhere(np.ones(2 * [leaflet.NODES]))
+    deep = (
+        np.abs(steps - leaflet.NODES // 2).max(axis=1) <= leaflet.NODES // 2 - 2 * neural_sets.REACH
+    )
+    points = wp.Points(leaflet.SPACING * (steps - leaflet.NODES // 2), deep, leaflet.SPACING)
+    material = load(neural_operator.WEIGHTS / "leaflet.json")
+    given = argparse.Namespace(json=True, solved=None)
+    errors = neural_operator.errors_of(material, {"test": wp.Samples(points, u)}, given, solve=True)
+    assert errors["converged"]["test"] == 1
+    assert 100 * errors["E_u"]["test"] < WITHIN * 0.64
