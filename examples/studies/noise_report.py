@@ -131,7 +131,7 @@ def _pair(row: Row, name: str) -> str:
 def _errors(row: Row) -> list[str]:
     """E_res and E_u on train, val and test; E_res of the test set absolute."""
     out = [f"{100 * row[key]:.2f}" for key in ERRORS]
-    return [*out, f"{1e6 * row['E_res_abs_test']:.2f}", f"{100 * row['E_u_test']:.2f}"]
+    return [*out, f"{1e3 * row['E_res_abs_test']:.3f}", f"{100 * row['E_u_test']:.2f}"]
 
 
 def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:

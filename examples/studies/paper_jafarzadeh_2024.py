@@ -40,7 +40,7 @@ CLASSICAL = {"Fung": 0.1083, "invariant-based": 0.1073, "structure-informed": 0.
 Field = dict[str, Any]
 
 
-def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
+def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
     """The parts of the page, by the names that its template gives them."""
     reports = {
         name: json.loads((runs / "neural" / f"{name}_errors.json").read_text(encoding="utf-8"))

@@ -2,255 +2,137 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
-from math import factorial, pi
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import scipy.sparse as sp
 from matplotlib.figure import Figure
-from scipy.spatial import ConvexHull, Voronoi
 
-import warp_peri
+from examples import diffusion, pressurised_crack
 from examples.graphene_report import save_figure
 from examples.prose import rows_of
-from examples.studies.manufactured import HORIZON, LAM, QUADRATURE_DEGREES, continuum_symbol
-from examples.studies.manufactured import MU as MANUFACTURED_MU
-from warp_peri.operator.matrices import Matrices, matrices
-from warp_peri.points.points import Points
-from warp_peri.points.quadrature import ball_integral
-from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.staggered import derivatives, staggered, tensors
+from examples.studies import atlas_points
+from examples.studies import paper_slides_incompressible as stiff
+from examples.studies import paper_slides_rates as study
 
 NEEDED: dict[str, str] = {}
 TEMPLATE = Path(__file__).with_suffix(".md")
-EXPONENTS = (1.0, 2.0, 2.5, 3.0, 3.5)
-SLOPE = np.array([0.7, -0.4, 0.5])
-"""u = exp(a·x) of the pointwise rates."""
-RADII = 0.3 * 0.75 ** np.arange(5)
-"""Horizons of the pointwise rates; the nodes shrink with them."""
-MU, LENGTH = 0.8, 2.0
-STIFFER, CELLS, SEEDS = (3.0, 1e2, 1e4, 1e6), (8, 16, 32), range(5)
-"""λ/μ, nodes a side, and draws of the nodes of the nearly incompressible solid."""
+NAMES = {
+    "bond": "bond-based, λ = μ",
+    "state": "state-based, λ = 3μ",
+    "quintic": "bond-based, degree 5 throughout",
+    "cells": "bond-based, cells as weights",
+}
+EDGES = {"bond-based, the printed field": 1.0, "state-based, λ = −0.27μ": -0.27, "λ = 3μ": 3.0}
+"""λ/μ below a free edge."""
+SIDES = (8, 16, 32)
+"""Nodes per unit length of diffusion and pressure."""
 
 
-def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
+def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Callable[[], str]]:
     """The parts of the page, by the names that its template gives them."""
     del runs
-    rates = kept("rates", lambda: [pointwise(d, a, n) for d, a, n in asked()])
-    nonlocal_limit = kept("nonlocal_limit", fixed_horizon)
-    local = kept("local_limit", lambda: [fixed_ratio(lam) for lam in (MU, 3 * MU)])
-    draw(figures / "slides_rates.png", rates)
+
+    def rates() -> str:
+        found = kept("rates", lambda: [study.pointwise(*case) for case in study.asked()])
+        draw_rates(figures / "slides_rates.png", found)
+        return rows_of(map(study.rate_row, found))
+
+    def limits(one: str) -> str:
+        far, near = (
+            kept("fixed_horizon", study.fixed_horizon),
+            kept("fixed_ratio", study.fixed_ratio),
+        )
+        draw_limits(figures / "slides_limits.png", far, near)
+        if one == "nonlocal":
+            rows = [["degree", *(f"{degree}" for degree in far["degree"])]]
+            return rows_of(rows + [errors(NAMES[name], far[name]) for name in NAMES])
+        return rows_of(
+            [*errors(NAMES[name], row), study.order(study.CELLS, row)] for name, row in near.items()
+        )
+
     return {
-        "rates": rows_of(map(rate_row, rates)),
-        "nonlocal_limit": rows_of(nonlocal_limit["rows"]),
-        "local_limit": rows_of(row["cells"] for row in local),
-        "incompressible": rows_of(map(incompressible_row, kept("incompressible", incompressible))),
+        "functionals": lambda: rows_of(map(study.functional_row, kept("functionals", functionals))),
+        "rates": rates,
+        "nonlocal_limit": lambda: limits("nonlocal"),
+        "local_limit": lambda: limits("local"),
+        "stretches": lambda: rows_of(study.stretches()),
+        "edges": lambda: rows_of(kept("edges", edges)),
+        "incompressible": lambda: rows_of(
+            map(stiff.incompressible_row, kept("incompressible", stiff.incompressible))
+        ),
+        "free_edge": lambda: rows_of(
+            map(stiff.incompressible_row, kept("free_edge", stiff.free_edge))
+        ),
+        "inclusion": lambda: rows_of(map(stiff.inclusion_row, kept("inclusion", stiff.inclusion))),
+        "diffusion": lambda: rows_of(kept("diffusion", conduction)),
+        "coupled": lambda: rows_of(kept("coupled", coupling)),
+        "pressure": lambda: rows_of(kept("pressure", pressure)),
     }
 
 
-def asked() -> list[tuple[int, float, int]]:
-    """Dimension, exponent and degree of each rate."""
-    return [(d, a, n) for d in (2, 3) for a in EXPONENTS for n in (2, 3, 4)]
+def errors(name: str, row: Sequence[float]) -> list[str]:
+    """A row of relative errors."""
+    return [name, *(f"{error:.1e}" for error in row)]
 
 
-def weights(xi: np.ndarray, exponent: float, degree: int) -> np.ndarray:
-    """Least weights exact on f and on f/r^α for all polynomials f ≤ degree, shape [B].
-
-    δ = 1. A term whose integral does not converge is asked for only where symmetry makes it zero.
-    """
-    d = xi.shape[1]
-    r = np.linalg.norm(xi, axis=1)
-    rows, exact = [], []
-    for powers in product(range(degree + 1), repeat=d):
-        if (n := sum(powers)) > degree:
-            continue
-        monomial = np.prod(xi ** np.array(powers), axis=1)
-        odd = any(p % 2 for p in powers)
-        for a in (0.0, exponent):
-            if odd or n - a + d > 0:
-                rows.append(monomial / r**a)
-                exact.append(ball_integral(powers, a))
-    W, *_ = np.linalg.lstsq(np.array(rows), np.array(exact), rcond=1e-12)
-    return np.asarray(W)
+def functionals() -> list[dict[str, Any]]:
+    """All functionals, by dimension, derivative and degree."""
+    return [
+        study.functional(d, name, m) for d, name, m in product((2, 3), study.FUNCTIONALS, (2, 3, 4))
+    ]
 
 
-def pointwise(d: int, exponent: float, degree: int) -> dict[str, Any]:
-    """Errors of ∫ r^−α (u(x + ξ) − u(x)) dξ on perturbed nodes, and the fitted rate.
-
-    The integral of u = exp(a·x) at 0 is the sum over k of |a|^2k/(2k)! ∫ ξ₁^2k r^−α.
-    """
-    rng = np.random.default_rng(d)
-    reach = 4 if d == 2 else 3
-    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * d), axis=-1).reshape(-1, d)
-    nodes = steps[np.any(steps != 0, axis=1)] + rng.uniform(
-        -0.2, 0.2, ((2 * reach + 1) ** d - 1, d)
-    )
-    xi = nodes / reach
-    xi = xi[np.linalg.norm(xi, axis=1) <= 1]
-    W = weights(xi, exponent, degree)
-    a = SLOPE[:d]
-    errors = []
-    for radius in RADII:
-        exact = sum(
-            np.dot(a, a) ** k
-            / factorial(2 * k)
-            * ball_integral([2 * k, *[0] * (d - 1)], exponent)
-            * radius ** (2 * k - exponent + d)
-            for k in range(1, 12)
-        )
-        y = radius * xi
-        found = radius**d * W @ (np.expm1(y @ a) / np.linalg.norm(y, axis=1) ** exponent)
-        errors.append(abs(found - exact))
-    rate = np.polyfit(np.log(RADII), np.log(errors), 1)[0]
-    return {
-        "dimension": d, "exponent": exponent, "degree": degree, "errors": errors, "rate": rate,
-        "claimed": degree - exponent + d + 1, "bonds": len(xi),
-    }  # fmt: skip
+def edges() -> list[list[str]]:
+    """Largest errors below a free edge, the dilatation renormalised and not, and their order."""
+    rows = []
+    for (name, ratio), corrected in product(EDGES.items(), (True, False)):
+        if ratio == 1 and not corrected:
+            continue  # no dilatation in it
+        found = [
+            atlas_points.free_edge(n, ratio * atlas_points.MU, corrected=corrected)
+            for n in study.CELLS
+        ]
+        end = "" if ratio == 1 else ", renormalised" if corrected else ", not renormalised"
+        rows.append([*errors(f"{name}{end}", found), study.order(study.CELLS, found)])
+    return rows
 
 
-def rate_row(found: dict[str, Any]) -> list[str]:
-    """One row of the rates."""
-    keys = ("dimension", "exponent", "degree", "bonds")
-    return [*(f"{found[key]:g}" for key in keys), f"{found['claimed']:.1f}", f"{found['rate']:.2f}"]
-
-
-def lattice(cells: int, horizon: float, length: float) -> Points:
-    """A square of nodes at the centres of cells, with the collar that the horizon needs."""
-    h = length / cells
-    pad = int(np.ceil(2 * horizon / h + 1e-9))
-    steps = np.argwhere(np.ones((cells + 2 * pad,) * 2)) - pad
-    inside: np.ndarray = np.all((steps >= 0) & (steps < cells), axis=1)
-    return Points(h * (steps + 0.5), inside, h)
-
-
-def plain(lam: float, mu: float, horizon: float, spacing: float) -> warp_peri.Model:
-    """The solid with K = 1/r, whose positive kernel needs no certificate."""
-    return warp_peri.Model(lam, mu, 1.0, np.ones(1), horizon, certified_on=(spacing,))
-
-
-def error_of(material: Any, points: Points, u: np.ndarray, b: np.ndarray) -> float:
-    """Relative ℓ2 error of the solution inside, u given on the collar."""
-    return float(warp_peri.evaluate(material, warp_peri.Samples(points, u[None], b[None]))["E_u"])
-
-
-def fixed_horizon() -> dict[str, Any]:
-    """u_h^δ → u^δ: the load is that of the integral, δ stays, nodes come closer."""
-    wave = np.array([2 * pi / 50, 2 * pi / 100])
-    D = continuum_symbol(wave)
-    table = []
-    quintic = dict.fromkeys(QUADRATURE_DEGREES, 5)
-    for name, degrees in (("5", quintic), ("5, 11, 13", QUADRATURE_DEGREES)):
-        errors = []
-        for h, degree in degrees.items():
-            points = lattice(round(50 / h), HORIZON, 50.0)
-            u = np.stack([np.sin(points.x @ wave), np.cos(points.x @ wave)], axis=1)
-            model = plain(LAM, MANUFACTURED_MU, HORIZON, h)
-            law = model.on(points, quadrature_degree=degree)
-            errors.append(error_of(law, points, u, u @ D))
-        table.append([f"degree {name}", *(f"{e:.1e}" for e in errors)])
-    return {"rows": table}
-
-
-def fixed_ratio(lam: float) -> dict[str, Any]:
-    """u_h^δ → u: δ = 3h, u = (sin x sin y, cos x cos y), which has no dilatation, b = 2μu."""
-    errors, cells = [], (8, 16, 32, 64)
-    for number in cells:
-        horizon = 3 * LENGTH / number
-        points = lattice(number, horizon, LENGTH)
-        x, y = points.x.T
-        u = np.stack([np.sin(x) * np.sin(y), np.cos(x) * np.cos(y)], axis=1)
-        solid = plain(lam, MU, horizon, points.spacing)
-        errors.append(error_of(solid, points, u, 2 * MU * u))
-    order = float(-np.polyfit(np.log(cells), np.log(errors), 1)[0])
-    name = "bond-based, λ = μ" if lam == MU else f"state-based, λ = {lam / MU:g}μ"
-    return {"cells": [name, *(f"{e:.1e}" for e in errors), f"{order:.2f}"]}
-
-
-def scattered(cells: int, seed: int) -> tuple[Points, float]:
-    """Nodes shifted by up to 0.3 spacings along each axis, and a horizon of three spacings."""
-    h = LENGTH / cells
-    points = lattice(cells, 3.4 * h, LENGTH)
-    shift = np.random.default_rng(seed).uniform(-0.3 * h, 0.3 * h, points.x.shape)
-    return Points(points.x + shift, points.interior, 0.0), 3 * h
-
-
-def curl_and_pressure(x: np.ndarray, ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """u = curl cos x cos 2y + (μ/λ) ∇(sin x sin 2y), whose pressure stays finite, and its load."""
-    a, b = x.T
-    slope = np.stack([np.cos(a) * np.sin(2 * b), 2 * np.sin(a) * np.cos(2 * b)], axis=1)
-    curl = np.stack([-2 * np.cos(a) * np.sin(2 * b), np.sin(a) * np.cos(2 * b)], axis=1)
-    u = curl + slope / ratio
-    return u, 5 * MU * (u + (1 + 1 / ratio) * slope)
-
-
-def forms(model: warp_peri.Model, points: Points) -> dict[str, Callable[[], MatrixProblem]]:
-    """Ways to write the dilatational part; the deviatoric one is the same in all."""
-    inside = points.interior
-
-    def solid(change: Callable[[Matrices], Matrices]) -> MatrixProblem:
-        parts = change(matrices(model, points))
-        return MatrixProblem(parts.operator(model.lam, model.mu), inside)
-
-    def adjoint(parts: Matrices) -> Matrices:
-        """−Ψ is the adjoint of Φ in the areas of the nodes' cells."""
-        area = cell_areas(points.x)
-        rows = sp.diags_array(1 / np.repeat(area[inside], 2)) @ (
-            sp.csr_array(parts.phi.T)[np.repeat(inside, 2)] @ sp.diags_array(area)
-        )
-        return Matrices(parts.gamma, parts.phi, sp.csr_array(-rows))
-
-    def everywhere(parts: Matrices) -> Matrices:
-        """Derivatives exact for cubics, the dilatation at every interior node."""
-        x = points.x[inside]
-        return Matrices(parts.gamma, *tensors(derivatives(x, points.x), derivatives(x, x)))
-
-    return {
-        "as written (9)": lambda: solid(lambda parts: parts),
-        "force the adjoint of dilatation": lambda: solid(adjoint),
-        "moving least squares, θ at all nodes": lambda: solid(everywhere),
-        "the same, θ at half the nodes": lambda: staggered(model, points),
+def conduction() -> list[list[str]]:
+    """Errors of diffusion by nodes per unit length, and their orders."""
+    cases = {
+        "even, lattice": lambda n: diffusion.smooth(n, 0.0),
+        "even, scattered": lambda n: diffusion.smooth(n, 0.2),
+        "κ jumps 1:10, in series along bonds": diffusion.jump,
+        "the same, mean of the ends": lambda n: diffusion.jump(n, along=False),
     }
+    rows = []
+    for name, error in cases.items():
+        found = [error(n) for n in SIDES]
+        rows.append([*errors(name, found), study.order(SIDES, found)])
+    return rows
 
 
-def cell_areas(x: np.ndarray) -> np.ndarray:
-    """Areas of the Voronoi cells; of the outermost, whose cells do not close, their median."""
-    cells = Voronoi(x)
-    areas = np.full(len(x), np.nan)
-    for node, number in enumerate(cells.point_region):
-        if (corners := cells.regions[number]) and -1 not in corners:
-            areas[node] = ConvexHull(cells.vertices[corners]).volume
-    return np.where(areas < 4 * np.nanmedian(areas), areas, np.nanmedian(areas))
+def coupling() -> list[list[str]]:
+    """Errors of displacement and potential where each drives the other."""
+    found = [diffusion.coupled(n) for n in SIDES]
+    return [
+        [*errors(name, row), study.order(SIDES, list(row))]
+        for name, row in zip(("u", "φ"), zip(*found))
+    ]
 
 
-def incompressible() -> list[dict[str, Any]]:
-    """Least and largest relative ℓ2 error over the draws, by form, λ/μ and number of nodes."""
-    found: dict[tuple[str, float], list[list[float]]] = {}
-    for ratio, number in product(STIFFER, CELLS):
-        errors: dict[str, list[float]] = {}
-        for seed in SEEDS:
-            points, horizon = scattered(number, seed)
-            model = warp_peri.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
-            u, b = curl_and_pressure(points.x, ratio)
-            for name, problem in forms(model, points).items():
-                solved = problem().solve(b[None], u[None])[0]
-                error = np.linalg.norm(solved - u) / np.linalg.norm(u[points.interior])
-                errors.setdefault(name, []).append(float(error))
-        for name, several in errors.items():
-            found.setdefault((name, ratio), []).append([min(several), max(several)])
-    return [{"form": name, "ratio": ratio, "errors": e} for (name, ratio), e in found.items()]
+def pressure() -> list[list[str]]:
+    """Opening and volume of a crack under pressure over Sneddon's."""
+    rows = []
+    for n in SIDES:
+        found = pressurised_crack.opening(n)[0]
+        rows.append([f"L/{n}", f"{found['opening']:.3f}", f"{found['volume']:.4f}"])
+    return rows
 
 
-def incompressible_row(found: dict[str, Any]) -> list[str]:
-    """A form at one λ/μ, and the order of its largest errors."""
-    order = -np.polyfit(np.log(CELLS), np.log([worst for _, worst in found["errors"]]), 1)[0]
-    errors = (f"{least:.1e} to {worst:.1e}" for least, worst in found["errors"])
-    return [found["form"], f"{found['ratio']:g}", *errors, f"{order:.1f}"]
-
-
-def draw(path: Path, rates: Sequence[dict[str, Any]]) -> None:
+def draw_rates(path: Path, rates: Sequence[Mapping[str, Any]]) -> None:
     """Errors over the horizon, degree 4."""
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     for ax, d in zip(figure.subplots(1, 2), (2, 3)):
@@ -258,7 +140,27 @@ def draw(path: Path, rates: Sequence[dict[str, Any]]) -> None:
             one for one in rates if one["dimension"] == d and one["degree"] == 4
         ):
             label = f"α = {found['exponent']:g}: {found['rate']:.1f} ({found['claimed']:.1f})"
-            ax.loglog(RADII, found["errors"], "o-", color=f"C{color}", label=label)
+            ax.loglog(study.RADII, found["errors"], "o-", color=f"C{color}", label=label)
         ax.set(xlabel="horizon δ", ylabel="error of the integral", title=f"{d} dimensions")
         ax.legend(title="rate (claimed)", frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    save_figure(figure, path)
+
+
+def draw_limits(path: Path, far: Mapping[str, Any], near: Mapping[str, Any]) -> None:
+    """Both limits over the spacing."""
+    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shown = (
+        (left, far, study.PERIOD, study.PARTS, "u_h^δ → u^δ, δ = 12.5"),
+        (right, near, study.LENGTH, study.CELLS, "u_h^δ → u, δ = 3h"),
+    )
+    for ax, found, length, numbers, title in shown:
+        h = [length / number for number in numbers]
+        for color, name in enumerate(NAMES):
+            if name in found:
+                style = "s--" if name == "state" else "o-"
+                ax.loglog(h, found[name], style, color=f"C{color}", label=NAMES[name])
+        ax.set(xlabel="spacing h", ylabel="relative error of u", title=title)
+        ax.legend(frameon=False, fontsize=8)
+    right.loglog(h, [near["bond"][0] * (x / h[0]) ** 2 for x in h], "k:", linewidth=1)
     save_figure(figure, path)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import warp_peri
-from examples.graphene_report import save_figure
 from examples.prose import rows_of
+from examples.studies import paper_you_pictures as pictures
 from examples.studies import paper_you_thermal as thermal
 from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
-from tools.make_graphene import graphene_bodies
 from warp_peri import Bernstein
 from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
@@ -33,6 +31,7 @@ NEEDED = {
     "runs/manufactured/manufactured.json": "python examples/studies/manufactured.py",
     "runs/manufactured_adam/manufactured.json": "python examples/studies/manufactured.py "
     "--quintic --adam --out runs/manufactured_adam",
+    "runs/noise_study/noise.json": "python examples/studies/noise_study.py",
 }
 TEMPLATE = Path(__file__).with_suffix(".md")
 SEEDS = range(5)
@@ -45,57 +44,92 @@ CHANGES = {
 }
 """How λ, μ, α and D are kept inside their bounds, and which conditions are asked for."""
 SETS = ("train", "val", "test")
+NOISE = ("noise_iota", "noise_plain", "noise_printed", "steps")
+"""What thermal.longer gives."""
 
 
-def values(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]:
+def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Callable[[], str]]:
     """The parts of the page, by the names that its template gives them."""
-    data = warp_peri.load(runs.parent / DATA)
-    trials = json.loads((runs / "graphene_0K_sweep" / "sweep.json").read_text(encoding="utf-8"))
-    manufactured = json.loads((runs / "manufactured" / "manufactured.json").read_text("utf-8"))
-    adam = json.loads((runs / "manufactured_adam" / "manufactured.json").read_text("utf-8"))
-    draw_atoms(figures / "you_2021_atoms.png", data)
-    draw_fields(figures / "you_2021_fields.png", data)
-    squares = kept("squares", lambda: both_metrics(runs, trials["trials"], data))
-    table_6 = kept("table_6", lambda: two_grids(data))
-    algorithm = {
-        name: [
-            kept(
-                f"algorithm_1_{bounds}_{conditions}_{seed}",
-                partial(algorithm_1, data, bounds, conditions, seed),
-            )
+
+    @cache
+    def data() -> Dataset:
+        read: Dataset = warp_peri.load(runs.parent / DATA)
+        return read
+
+    @cache
+    def told(path: str) -> Any:
+        return json.loads((runs / path).read_text(encoding="utf-8"))
+
+    def sweep() -> Any:
+        return told("graphene_0K_sweep/sweep.json")
+
+    def manufactured(name: str) -> str:
+        return rows_of(consistency(told("manufactured/manufactured.json"), name))
+
+    def by_adam() -> str:
+        adam = told("manufactured_adam/manufactured.json")
+        for name in ("fixed", "learned"):
+            picture = (runs / "manufactured_adam" / f"{name}_alpha.png").read_bytes()
+            with whole_file(figures / f"you_2021_{name}_alpha.png") as path:
+                path.write_bytes(picture)
+        return rows_of(three_ways(told("manufactured/manufactured.json"), adam))
+
+    def runs_of(name: str) -> list[Any]:
+        bounds, conditions = CHANGES[name]
+        file = f"algorithm_1_{bounds}_{conditions}"
+        return [
+            kept(f"{file}_{seed}", partial(algorithm_1, data(), bounds, conditions, seed))
             for seed in SEEDS
         ]
-        for name, (bounds, conditions) in CHANGES.items()
-    }
-    warm = kept("thermal", lambda: thermal.study(runs.parent / CACHE))
-    ratios = kept("ratios", lambda: thermal.ratios(runs.parent / CACHE))
-    cold = warp_peri.load(runs / "graphene_0K" / "model.json")
-    thermal.draw_kernels(figures / "you_2021_kernels.png", cold, warm["kernels"])
-    for name in ("fixed", "learned"):
-        picture = (runs / "manufactured_adam" / f"{name}_alpha.png").read_bytes()
-        with whole_file(figures / f"you_2021_{name}_alpha.png") as path:
-            path.write_bytes(picture)
-    a, c, middle = thermal.law_of_ratios()
+
+    def squares() -> Any:
+        return kept("squares", lambda: both_metrics(runs, sweep()["trials"], data()))
+
+    def warm() -> Any:
+        return kept("thermal", lambda: thermal.study(runs.parent / CACHE))
+
+    def figure(name: str, draw: Callable[[Path], None]) -> str:
+        draw(figures / name)
+        return name
+
+    def kernels(path: Path) -> None:
+        cold = warp_peri.load(runs / "graphene_0K" / "model.json")
+        thermal.draw_kernels(path, cold, warm()["kernels"])
+
+    def noise(rows: Callable[[Any], Any]) -> str:
+        return rows_of(rows(told("noise_study/noise.json")["sweep"]))
+
+    law = thermal.law_of_ratios()
+    stop = cache(lambda: stopped(runs_of("as printed")))
+    more = cache(lambda: thermal.longer(warm()["noise"]))
     return {
-        "adam": rows_of(three_ways(manufactured, adam)),
-        "table_5": rows_of(table_5(warm["table_5"])),
-        "table_6_warm": rows_of(thermal.rows_of_table_6(warm["table_6"])),
-        "ratios": rows_of(thermal.rows_of_ratios(ratios)),
-        "ratio_noise": f"{a:.1f}",
-        "ratio_load": f"{c:.1f}",
-        "ratio_middle": f"{middle:.4f}",
-        **thermal.longer(warm["noise"]),
-        "strains": rows_of(strains(data)),
-        "manufactured": rows_of(consistency(manufactured, "fixed_alpha")),
-        "learned_alpha": rows_of(consistency(manufactured, "learned_alpha")),
-        "algorithm": rows_of(map(row_of_algorithm, algorithm, algorithm.values())),
-        **stopped(algorithm["as printed"]),
-        "metric": rows_of(metric(runs, data)),
-        "chosen": rows_of(chosen(squares)),
-        "table_3": rows_of(map(table_3, trials["by_degree"], trials["AvgE"])),
-        "pairs": rows_of(pairs(trials["trials"])),
-        "table_4": rows_of(table_4(runs, trials, data)),
-        "table_6": rows_of(table_6_rows(table_6)),
+        "family": lambda: figure("you_2021_family.png", pictures.family),
+        "atoms": lambda: figure("you_2021_atoms.png", partial(pictures.atoms, data())),
+        "fields": lambda: figure("you_2021_fields.png", partial(pictures.fields, data())),
+        "kernels": lambda: figure("you_2021_kernels.png", kernels),
+        "manufactured": lambda: manufactured("fixed_alpha"),
+        "learned_alpha": lambda: manufactured("learned_alpha"),
+        "adam": by_adam,
+        "strains": lambda: rows_of(strains(data())),
+        "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
+        **{name: partial(lambda name: stop()[name], name) for name in ("stopped", "lam", "mu")},
+        "metric": lambda: rows_of(metric(runs, data())),
+        "chosen": lambda: rows_of(chosen(squares())),
+        "table_3": lambda: rows_of(map(table_3, sweep()["by_degree"], sweep()["AvgE"])),
+        "pairs": lambda: rows_of(pairs(sweep()["trials"])),
+        "table_4": lambda: rows_of(table_4(runs, sweep(), data())),
+        "table_3_warm": lambda: noise(thermal.table_3),
+        "table_4_warm": lambda: noise(thermal.table_4),
+        "table_5": lambda: rows_of(table_5(warm()["table_5"])),
+        **{name: partial(lambda name: more()[name], name) for name in NOISE},
+        "ratios": lambda: rows_of(
+            thermal.rows_of_ratios(kept("ratios", lambda: thermal.ratios(runs.parent / CACHE)))
+        ),
+        "ratio_noise": lambda: f"{law[0]:.1f}",
+        "ratio_load": lambda: f"{law[1]:.1f}",
+        "ratio_middle": lambda: f"{law[2]:.4f}",
+        "table_6": lambda: rows_of(table_6_rows(kept("table_6", lambda: two_grids(data())))),
+        "table_6_warm": lambda: rows_of(thermal.rows_of_table_6(warm()["table_6"])),
     }
 
 
@@ -311,44 +345,3 @@ def table_6_rows(found: Mapping[str, Any]) -> list[list[str]]:
         ]
         rows.append([f"{spacing} Å", *(f"{a} ({b})" for a, b in zip(ours, printed[end]))])
     return rows
-
-
-def draw_atoms(path: Path, data: Dataset) -> None:
-    """Figure 4: the lattice, the sheet of atoms, the nodes."""
-    sheet, _ = graphene_bodies()
-    atoms = sheet.positions()
-    middle = atoms.mean(axis=0)
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    near, whole, nodes = figure.subplots(1, 3)
-    close = np.abs(atoms - middle).max(axis=1) < 8
-    near.plot(*atoms[close].T, "o", color="C0", markersize=7)
-    near.set_title("hexagonal lattice")
-    whole.plot(*atoms.T, ".", color="C0", markersize=1)
-    whole.set_title(f"{len(atoms)} atoms")
-    inner = data["train"].x[data["train"].interior]
-    nodes.plot(*inner.T, ".", color="C1", markersize=4)
-    nodes.set_title(f"{len(inner)} nodes, 5 Å apart")
-    for ax in (near, whole, nodes):
-        ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]")
-    save_figure(figure, path)
-
-
-def draw_fields(path: Path, data: Dataset) -> None:
-    """Figure 5: u₁ and b₁ of a training, a validation and a test sample."""
-    figure = Figure(figsize=(10.5, 6.4), layout="constrained")
-    titles = {"train": "training", "val": "validation", "test": "disk"}
-    rows = figure.subplots(2, 3)
-    for column, (name, title) in zip(rows.T, titles.items()):
-        samples = data[name]
-        number = 8 if name == "train" else 0
-        x = samples.x[samples.interior]
-        fields = {"u₁ [Å]": samples.u, "b₁ [TPa/Å]": np.asarray(samples.b)}
-        for ax, (label, field) in zip(column, fields.items()):
-            values = field[number][samples.interior, 0]
-            limit = np.abs(values).max()
-            drawn = ax.tricontourf(*x.T, values, levels=21, cmap="RdBu_r", vmin=-limit, vmax=limit)
-            figure.colorbar(drawn, ax=ax, label=label, shrink=0.8)
-            ax.set(
-                aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]", title=f"{title}, load {number}"
-            )
-    save_figure(figure, path)

@@ -1,9 +1,11 @@
 """The sources, table by table and figure by figure: what is printed beside what is measured here.
 
     python examples/studies/papers.py you_2021
+    python examples/studies/papers.py you_2021 --section "Figures 2 and 3"
 
 Takes what other commands left in runs/ and names those that are missing. What it computes itself is
-kept in runs/papers/, so that a run that is stopped goes on. Writes docs/papers/NAME.md.
+kept in runs/papers/, so that a run that is stopped goes on. Writes docs/papers/NAME.md; with
+--section only those whose titles begin so. The foot of a page says which commit made what.
 """
 
 from __future__ import annotations
@@ -12,16 +14,17 @@ import argparse
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-from examples.prose import fill
 from examples.studies import (
     paper_jafarzadeh_2024,
     paper_polymer_gp,
@@ -37,7 +40,65 @@ SOURCES = {
     "polymer_gp": paper_polymer_gp,
     "slides": paper_slides,
 }
-"""Each has `values(runs, kept, figures)`: what its template, beside it, leaves open."""
+"""Each has `parts(runs, kept, figures)`: by name, what its template, beside it, leaves open, as
+text or a function that gives it; and NEEDED: results that it reads, by the command that makes
+them."""
+MADE = re.compile(r"^\*Made at (?P<where>.+?)(?:: (?P<titles>.+))?\.\*$", re.MULTILINE)
+"""A line of the foot of a page; without titles it speaks of all sections that no other names."""
+
+Parts = Mapping[str, str | Callable[[], str]]
+
+
+def sections(text: str) -> dict[str, str]:
+    """Sections of a page by title, what stands above them under "", its foot left out."""
+    head, *others = re.split(r"^## ", text.split("\n*Made at")[0], flags=re.MULTILINE)
+    return {"": head} | {part.split("\n", 1)[0]: f"## {part}" for part in others}
+
+
+def filled(template: str, parts: Parts) -> str:
+    """A template with the parts that it names, computed now."""
+    texts = {}
+    for name in sorted({name for _, name, _, _ in Formatter().parse(template) if name}):
+        part = parts[name]
+        texts[name] = part if isinstance(part, str) else part()
+    return template.format(**texts)
+
+
+def foot_of(page: str) -> dict[str, list[str]]:
+    """Titles by commit and machine, in the order of the lines."""
+    return {
+        line["where"]: line["titles"].split("; ") if line["titles"] else []
+        for line in MADE.finditer(page)
+    }
+
+
+def remade(page: str, template: str, again: Collection[str], parts: Parts, where: str) -> str:
+    """The page with these sections, and those that it lacks, made now."""
+    old, foot = sections(page), foot_of(page)
+    texts, now = [], []
+    for title, text in sections(template).items():
+        if title in again or title not in old:
+            now.append(title)
+            texts.append(filled(text, parts))
+        else:
+            texts.append(old[title])
+            now += [title] * (title in foot.get(where, []))
+    made = {}
+    for commit, titles in foot.items():
+        left = [title for title in titles if title not in now]
+        if left or not titles:
+            made[commit] = left
+    if made.get(where) != []:
+        made[where] = now
+    return whole(texts, made)
+
+
+def whole(texts: Collection[str], made: Mapping[str, Collection[str]]) -> str:
+    """A page of sections and its foot."""
+    foot = (
+        f"*Made at {w}{': ' if titles else ''}{'; '.join(titles)}.*" for w, titles in made.items()
+    )
+    return "\n\n".join([*(text.rstrip() for text in texts), *foot]) + "\n"
 
 
 def keeper(folder: Path) -> Callable[..., Any]:
@@ -53,10 +114,14 @@ def keeper(folder: Path) -> Callable[..., Any]:
 
 
 def where() -> str:
-    """Commit and machine, for the foot of a page."""
-    asked = ["git", "describe", "--always", "--dirty"]
-    commit = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True).stdout.strip()
-    return f"commit {commit or 'unknown'}, {platform.machine()}, {os.cpu_count()} cores"
+    """Commit, dirty if anything but the pages differs from it, and machine."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True).stdout
+
+    commit = git("describe", "--always").strip() or "unknown"
+    dirty = "-dirty" if git("diff", "--stat", "HEAD", "--", ".", ":!docs") else ""
+    return f"commit {commit}{dirty}, {platform.machine()}, {os.cpu_count()} cores"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -65,23 +130,31 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("source", choices=SOURCES)
+    parser.add_argument("--section", nargs="+", default=[], metavar="TITLE", help="only these")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="results of the commands")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "papers")
     given = parser.parse_args(arguments)
-    source = SOURCES[given.source]
+    source, path = SOURCES[given.source], given.out / f"{given.source}.md"
+    template, now = source.TEMPLATE.read_text(encoding="utf-8"), where()
+    titles = list(sections(template))[1:]
+    again = [title for title in titles if title.startswith(tuple(given.section))]
     missing = [
-        f"{command} (it writes {path})"
-        for path, command in source.NEEDED.items()
-        if not (given.runs.parent / path).exists()
+        f"{command} (it writes {file})"
+        for file, command in source.NEEDED.items()
+        if not given.section and not (given.runs.parent / file).exists()
     ]
     if missing:
         raise InputError("to be run first: " + "; ".join(missing))
+    if given.section and not (again and path.exists()):
+        raise InputError(f"section: expected one of those of {path}, got {given.section}")
     given.out.mkdir(parents=True, exist_ok=True)
-    kept = keeper(given.runs / "papers" / given.source)
-    values = source.values(given.runs, kept, given.out)
-    page = fill(source.TEMPLATE, where=where(), **values)
-    write_text(given.out / f"{given.source}.md", page)
-    print(f"{given.out / given.source}.md")
+    parts = source.parts(given.runs, keeper(given.runs / "papers" / given.source), given.out)
+    if given.section:
+        page = remade(path.read_text(encoding="utf-8"), template, again, parts, now)
+    else:
+        page = whole([filled(template, parts)], {now: []})
+    write_text(path, page)
+    print(path)
     return 0
 
 

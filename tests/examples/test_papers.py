@@ -1,14 +1,95 @@
 """The pages on the sources: what they compute, and that they name what is missing."""
 
+from pathlib import Path
+from string import Formatter
+
 import pytest
 
-from examples.studies import paper_slides, papers
+from examples.studies import paper_slides_rates as rates
+from examples.studies import paper_you_pictures, papers
+
+PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"
 
 
 @pytest.mark.parametrize(("d", "exponent"), [(2, 1.0), (2, 3.5), (3, 2.5)])
 def test_the_rate_of_the_quadrature_is_the_claimed_one(d, exponent):
-    found = paper_slides.pointwise(d, exponent, 3)
+    found = rates.pointwise(d, exponent, 3)
     assert found["rate"] == pytest.approx(found["claimed"], abs=0.1)
+
+
+@pytest.mark.parametrize(("d", "name", "degree"), [(2, "∂₁u", 3), (3, "u", 2), (3, "∂₁∂₂u", 3)])
+def test_functionals_of_least_squares_have_the_claimed_rate_and_keep_the_bound(d, name, degree):
+    found = rates.functional(d, name, degree)
+    assert found["rate"] == pytest.approx(found["claimed"], abs=0.1)
+    assert 0 < found["share"] <= 1
+
+
+def test_a_code_that_weighs_cells_does_not_converge_and_the_quadrature_does():
+    """Claimed on the slides: swapping the weights restores convergence."""
+    errors = {"cells": [], "quadrature": []}
+    for number in (8, 16, 32):
+        horizon = 3 * rates.LENGTH / number
+        points = rates.lattice(number, horizon, rates.LENGTH)
+        u = rates.no_dilatation(points.x)
+        fields = u, 2 * rates.MU * u
+        errors["cells"].append(rates.solved_by_cells(points, horizon, rates.MU, *fields))
+        solid = rates.plain(rates.MU, rates.MU, horizon, points.spacing)
+        errors["quadrature"].append(rates.error_of(solid, points, *fields))
+    assert errors["cells"][-1] > errors["cells"][0]
+    assert errors["quadrature"][-1] < errors["quadrature"][0] / 15
+
+
+@pytest.mark.parametrize("name", papers.SOURCES)
+def test_a_page_says_what_its_template_says(name):
+    """Lines without numbers of a run stand on the page: neither goes on without the other."""
+    template = papers.SOURCES[name].TEMPLATE.read_text(encoding="utf-8")
+    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    assert list(papers.sections(template)) == list(papers.sections(page))
+    lines = [line for line in template.splitlines() if "{" not in line]
+    assert [line for line in lines if line not in page.splitlines()] == []
+    named = [title for titles in papers.foot_of(page).values() for title in titles]
+    assert set(named) <= set(papers.sections(page))
+
+
+@pytest.mark.parametrize("name", ["you_2021", "polymer_gp", "slides"])
+def test_every_part_of_a_page_is_asked_for_and_given(name, tmp_path):
+    source = papers.SOURCES[name]
+    parts = source.parts(tmp_path / "runs", papers.keeper(tmp_path), tmp_path)
+    template = source.TEMPLATE.read_text(encoding="utf-8")
+    assert {part for _, part, _, _ in Formatter().parse(template) if part} == set(parts)
+
+
+def test_the_family_of_a_node_is_drawn(tmp_path):
+    paper_you_pictures.family(tmp_path / "family.png")
+    assert (tmp_path / "family.png").stat().st_size > 10_000
+
+
+def test_thirty_sections_each_with_its_command():
+    commands = 0
+    for name in papers.SOURCES:
+        page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+        commands += sum("\n```\n" in text for text in papers.sections(page).values())
+    assert commands >= 30
+
+
+def test_a_section_is_made_again_and_the_foot_says_where():
+    template = "# P\n\n## A\n\n{a}\n\n## B\n\n{b}\n\n## C\n\nc\n"
+    page = papers.whole(
+        ["# P\n\n", "## A\n\n1\n\n", "## B\n\n2\n\n"], {"commit x": [], "commit y": ["B"]}
+    )
+    parts = {"a": "3", "b": lambda: 1 / 0}
+    again = papers.remade(page, template, ["A"], parts, "commit z")
+    assert papers.sections(again) == {
+        "": "# P\n\n", "A": "## A\n\n3\n\n", "B": "## B\n\n2\n\n", "C": "## C\n\nc\n",
+    }  # fmt: skip
+    assert papers.foot_of(again) == {"commit x": [], "commit y": ["B"], "commit z": ["A", "C"]}
+    last = papers.remade(again, template, ["B"], {"a": "4", "b": "5"}, "commit z")
+    assert papers.foot_of(last) == {"commit x": [], "commit z": ["A", "B", "C"]}
+
+
+def test_sections_that_are_not_there_are_refused(tmp_path):
+    with pytest.raises(papers.InputError, match="section: expected one of those of"):
+        papers.main(["slides", "--section", "Nothing", "--out", str(tmp_path)])
 
 
 def test_what_is_to_be_run_first_is_named(tmp_path, capsys):
@@ -22,7 +103,8 @@ def test_the_page_on_the_slides(tmp_path):
     assert papers.main(given) == 0
     text = (tmp_path / "slides.md").read_text(encoding="utf-8")
     assert "| 3 | 3.5 | 4 |" in text
-    rows = [line for line in text.splitlines() if line.startswith(("| bond", "| state"))]
-    orders = [float(line.split("|")[-2]) for line in rows]
-    assert len(orders) == 2
-    assert min(orders) > 1.9
+    rows = papers.sections(text)["To the local solution at a fixed ratio"].splitlines()
+    orders = [float(line.split("|")[-2]) for line in rows if line.startswith(("| bond", "| state"))]
+    assert len(orders) == 3
+    assert min(orders[:2]) > 1.9
+    assert abs(orders[2]) < 0.3  # cells as weights
