@@ -44,9 +44,9 @@ SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
 
 TYPED_BOX = 1e-3
+"""Relative difference of a typed period from that of the dump."""
 WIDTH = 100
 """Of a line: words that are longer stand one in a line."""
-"""Relative difference of a typed period from that of the dump."""
 
 
 def check_output(given: argparse.Namespace) -> None:
