@@ -110,11 +110,11 @@ def _print_table(tables: dict[str, dict[str, Any]], unit: str) -> None:
         if "error" in table:
             print(_printable(f"{name:{width}}  {table['error']}"))
             continue
-        absolute = table.get("E_res_abs")
+        left = table.get("E_res_abs")
         print(
             f"{_printable(name):{width}}  {table['samples']:7d}  "
             f"{_percent(table.get('E_res')):>10}  "
-            f"{'–' if absolute is None else format(absolute, '.3e'):>17}  "
+            f"{'–' if left is None else format(left, '.3e'):>17}  "
             f"{_percent(table.get('E_u')):>8}  {_percent(table.get('E_shape')):>11}"
         )
 
