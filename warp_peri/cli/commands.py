@@ -308,8 +308,8 @@ def run_solve(given: argparse.Namespace) -> Result:
     model = load(given.model)
     data = data_for(given, model)
     points = data[given.set]
-    typed = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
-    asked = {name: value for name, value in typed.items() if value is not (name == "transfer")}
+    asked = {"allow_uncertified": True} if given.allow_uncertified else {}
+    asked |= {} if given.transfer else {"transfer": False}  # laws without these know no default
     problem = warp_peri.Dirichlet(points, points.loads, points.u)
     u = warp_peri.solve(model, problem, solver=_solver(given.method, model), **asked).u
     solved = dataclasses.replace(points, u=u)
