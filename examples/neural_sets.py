@@ -68,7 +68,8 @@ def mirrored(samples: Samples, reach: int) -> Samples:
     wide = np.where(outside, 2 * u[:, edge[:, 0], edge[:, 1]] - there, there)
     loads = np.where(outside, 0.0, b[:, image[:, 0], image[:, 1]])
     interior: np.ndarray = np.all((place > 0) & (place < NODES - 1), axis=1)
-    return Samples(Points(SPACING * place, interior, SPACING), wide, loads)
+    points = Points(SPACING * place, interior, SPACING, units=samples.points.units)
+    return Samples(points, wide, loads)
 
 
 def leaflet(folder: Path, *, jobs: int, progress: bool) -> Sets:

@@ -38,6 +38,7 @@ from warp_peri.files.atomic import locked, whole_file
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import REDUCED
 from warp_peri.storage import save
 
 NODES = 21
@@ -141,7 +142,7 @@ def square_points(square: str = "square") -> Points:
     side, collar = side_of(square), 2 * SQUARES[square]
     steps = np.argwhere(np.ones((side, side), bool))
     inner: np.ndarray = np.all((steps >= collar) & (steps < side - collar), axis=1)
-    return Points(SPACING * steps, inner, SPACING)
+    return Points(SPACING * steps, inner, SPACING, units=REDUCED)
 
 
 def disk_points() -> Points:
@@ -151,7 +152,7 @@ def disk_points() -> Points:
     r = SPACING * np.hypot(*steps.T)
     kept = r <= DISK_RADIUS + 2 * HORIZON * SPACING + 1e-9
     interior: np.ndarray = np.less_equal(r[kept], DISK_RADIUS + 1e-9)
-    return Points(SPACING * steps[kept], interior, SPACING)
+    return Points(SPACING * steps[kept], interior, SPACING, units=REDUCED)
 
 
 def solved(

@@ -30,6 +30,7 @@ from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import locked, whole_file
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import REDUCED
 
 PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
 """Pull along x and y, as parts of the largest."""
@@ -106,7 +107,7 @@ def make_leaflet(
         )
     steps = np.argwhere(np.ones((NODES, NODES), bool))
     inner: np.ndarray = np.all((steps >= COLLAR) & (steps < NODES - COLLAR), axis=1)
-    points = Points(SPACING * (steps - NODES // 2), inner, SPACING)
+    points = Points(SPACING * (steps - NODES // 2), inner, SPACING, units=REDUCED)
     sets = {}
     for name, held in (("train", False), ("test", True)):
         chosen = [n for n in range(len(PROTOCOLS)) if (n not in LEARNED) == held]

@@ -29,7 +29,11 @@ def test_the_mirror_continues_a_straight_field_and_keeps_the_square():
         np.testing.assert_allclose(wide.u[0], wide.x @ [[0.1, 0.2], [0.0, 0.3]], atol=1e-12)
         assert wide.interior.sum() == 19**2
         assert np.abs(wide.b[0][wide.interior] - 1).max() == 0
-        assert Operator(reach * points.spacing, (2, 2), (2, 2)).on(wide.points).bonds.acting
+        assert (
+            Operator(reach * points.spacing, (2, 2), (2, 2), units="reduced")
+            .on(wide.points)
+            .bonds.acting
+        )
 
 
 @pytest.mark.parametrize(("square", "side"), [("square", 21), ("square_4", 25), ("square_5", 29)])
@@ -37,7 +41,7 @@ def test_equations_stand_where_surroundings_are_data(square, side):
     points = square_points(square)
     assert len(points.x) == side**2
     assert points.interior.sum() == 81
-    Operator(SQUARES[square] * points.spacing, (2, 2), (2, 2)).on(points)
+    Operator(SQUARES[square] * points.spacing, (2, 2), (2, 2), units="reduced").on(points)
 
 
 def test_the_plain_version_is_the_same_force():

@@ -120,14 +120,15 @@ def test_bands_hold_the_truth_on_a_few_sets():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "options"),
+    ("kind", "sets", "options"),
     [
-        *((kind, {"leave_one_out": True}) for kind in KINDS),
-        pytest.param("crystal", {"draws": 40}, marks=pytest.mark.xfail(reason="98 %: too wide")),
+        *((kind, 20, {"leave_one_out": True}) for kind in KINDS),
+        ("crystal", 60, {"draws": 40}),
     ],
 )
-def test_bands_of_90_percent_hold_the_truth_of_twenty_sets(kind, options):
-    assert 0.85 <= covered(range(100, 120), kind, **options) <= 0.97
+def test_bands_of_90_percent_hold_the_truth_of_so_many_sets(kind, sets, options):
+    """Quantities of a set stand or fall together, so that twenty sets say it to some 5 % only."""
+    assert 0.85 <= covered(range(100, 100 + sets), kind, **options) <= 0.97
 
 
 def test_more_loads_than_four_and_levels_that_are_probabilities():

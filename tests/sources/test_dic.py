@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
-from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
+from warp_peri.sources.dic import frames_of_folder, frames_on_lattice, noise_of, read_frame
 
 X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
 
@@ -150,3 +150,38 @@ def test_what_is_no_frame_is_refused(tmp_path):
     (tmp_path / "small.csv").write_text(plain(X[:40], field(X[:40])))
     with pytest.raises(InputError, match="nodes a side"):
         frames_on_lattice([read_frame(tmp_path / "small.csv")])
+
+
+def folder_of(path, frames):
+    """Tables of a lattice of 15 x 16 points, so many of each."""
+    path.mkdir()
+    for number, count in enumerate(frames):
+        (path / f"frame{number}.csv").write_text(plain(X[:count], field(X[:count])))
+    return path
+
+
+def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
+    whole = folder_of(tmp_path / "whole", [len(X)] * 4)
+    (whole / "force.csv").write_text("time,load\n0,1\n")
+    with pytest.warns(UserWarning, match=r"passed over: .*force.csv: expected columns x, y"):
+        assert len(frames_of_folder(whole, 7, radius=0.0)) == 4
+    (whole / "frame1.csv").unlink()
+    with pytest.raises(InputError, match="4 frames, got 3; .*force.csv: expected columns"):
+        frames_of_folder(whole, 7, radius=0.0)
+    unequal = folder_of(tmp_path / "unequal", [len(X)] * 3 + [100])
+    with pytest.raises(InputError, match="frame3.csv has 100 nodes of 240, frame0.csv has 240"):
+        frames_of_folder(unequal, 7, radius=0.0)
+    for wrong, words in (
+        ({"pixel": "2 inch"}, "pixel: expected a length"),
+        ({"count": 3}, "count: expected at least 4 frames, got 3"),
+        ({"radius": -1.0}, "radius: expected spacings"),
+    ):
+        with pytest.raises(InputError, match=words):
+            frames_of_folder(unequal, **{"count": 7, "radius": 0.0} | wrong)
+
+
+def test_frames_in_several_units_are_named(tmp_path):
+    (tmp_path / "a.csv").write_text(plain(X, field(X)))
+    frames = [read_frame(tmp_path / "a.csv", pixel=pixel) for pixel in ("mm", 1.0)]
+    with pytest.raises(InputError, match="one unit of length, got mm in a.csv, no unit in a.csv"):
+        frames_on_lattice(frames)

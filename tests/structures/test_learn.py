@@ -53,6 +53,19 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     assert (graphene / "law.png").stat().st_size > 10_000
 
 
+def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, capsys):
+    (tmp_path / "a b.dump").write_text("ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0 0 0\n")
+    (tmp_path / "a b.txt").write_text("nothing of ASE's")
+    for name, words in (("a b.dump", "got a dump without"), ("a b.txt", "UnknownFileType")):
+        line = ["learn", str(tmp_path / name), "--calculator", "ase.calculators.emt:EMT", "--out"]
+        assert main([*line, str(tmp_path / "out")]) == 2
+        assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").write_text("")
+    assert main([*line, str(tmp_path / "file" / "out")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
 def test_any_calculator_of_ase_does():
     found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
     assert off(found) < 0.005
@@ -121,6 +134,18 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
     assert "Born charges" in found.said["force constants"]
 
 
+def test_a_supercell_that_forces_leave_is_said():
+    nickel = ase.build.bulk("Ni")
+    with pytest.warns(UserWarning, match=r"moduli: those of long waves are \d+.\d% off"):
+        found = wp.from_atoms(nickel, EMT(), supercell=(3, 3, 3))
+    assert 0.02 < off(found) < 0.2
+    assert "forces reach further than 3 x 3 x 3 cells" in repr(found)
+    with pytest.raises(wp.InputError, match="forces reach further than 2 x 2 x 2 cells"):
+        wp.from_atoms(ase.build.bulk("Al"), EMT(), supercell=(2, 2, 2))
+    with pytest.raises(wp.InputError, match="forces between atoms, got none in 1 atoms"):
+        wp.from_atoms(ase.build.bulk("Al"), EMT(), supercell=(1, 1, 1))
+
+
 def test_loads_give_the_law_that_phonons_give():
     calculator = lammps_calculator("tersoff", ["C"], TERSOFF)
     found = wp.from_atoms(ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35)
@@ -133,11 +158,21 @@ def test_an_unstable_structure_is_refused_with_its_worst_wave():
         wp.from_atoms(square, EMT(), supercell=(4, 4, 4))
 
 
+def shared_site(occupancy):
+    """A crystal as ASE reads it from a CIF file with a site of some elements."""
+    atoms = ase.build.bulk("Cu")
+    atoms.info["occupancy"] = {"0": occupancy}
+    return atoms
+
+
 @pytest.mark.parametrize(
     ("atoms", "what"),
     [
         (ase.build.molecule("H2O"), "free cluster"),
         (ase.build.molecule("N2", vacuum=10, pbc=True), "along 3 edges"),
+        (shared_site({"Cu": 0.7, "Ni": 0.3}), "got one of Cu 0.7, Ni 0.3"),
+        (shared_site({"Cu": 0.9}), "sites that one element fills"),
+        (ase.Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], cell=[4, 4, 4], pbc=True), "is a site there"),
     ],
 )
 def test_what_is_no_crystal_is_refused(atoms, what):
@@ -183,6 +218,11 @@ def test_a_file_of_one_element_is_read_by_the_style_eam():
     assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
     with pytest.raises(wp.InputError, match="one element, got Cu, Pd"):
         lammps_calculator("eam", ["Pd", "Cu"], "Pd_u3.eam")
+
+
+def test_a_potential_that_is_not_there_is_told_its_neighbours():
+    with pytest.raises(wp.InputError, match=r"got 'Sii.sw'; LAMMPS came with Si.sw"):
+        lammps_calculator("sw", ["Si"], "Sii.sw")
 
 
 def test_what_lammps_refuses_is_said_in_its_words():

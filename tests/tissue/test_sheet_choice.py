@@ -79,6 +79,8 @@ def test_fewer_frames_than_four_are_refused():
     points = square(3)
     with pytest.raises(wp.InputError, match="frames: expected at least 4, got 3"):
         wp.tissue.choose_sheet(wp.Samples(points, np.zeros((3, *points.x.shape))))
+    with pytest.raises(wp.InputError, match="fibres: expected a number of directions"):
+        wp.tissue.choose_sheet(wp.Samples(points, np.zeros((4, *points.x.shape))), fibres=-1)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from warp_peri.cli.predict import run_plan as run_plan
 from warp_peri.cli.predict import run_predict as run_predict
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import destination, locked, write_json
+from warp_peri.files.atomic import destination, finite, locked, plain, write_json
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
@@ -44,9 +44,9 @@ SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
 
 TYPED_BOX = 1e-3
+"""Relative difference of a typed period from that of the dump."""
 WIDTH = 100
 """Of a line: words that are longer stand one in a line."""
-"""Relative difference of a typed period from that of the dump."""
 
 
 def check_output(given: argparse.Namespace) -> None:
@@ -247,6 +247,8 @@ def in_percent(metrics: Result) -> Result:
 def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
     material = load(given.model)
+    if not hasattr(material, "linear") and hasattr(material, "certified"):
+        return _certified_at_home(material, given.spacing)
     model = linear_of(material)
     own = model.trained_on if model.transferred_from is None else model.certified_on
     spacings = given.spacing or list(own)
@@ -267,6 +269,16 @@ def run_certify(given: argparse.Namespace) -> Result:
     return proven
 
 
+def _certified_at_home(material: Any, spacings: Sequence[float] | None) -> Result:
+    """The certificate of a law that has one lattice alone, as a crystal has."""
+    if spacings:
+        raise InputError(f"spacing: this law is for nodes {material.spacing:g} apart alone")
+    proof = material.certified().certificate
+    holds = proof is not None and bool(proof.proven > 0)
+    name = f"{material.spacing:g} {symbols(material.units)[0]}"
+    return {name: {"holds": holds, "statement": proof.statement if holds else "nothing is proven"}}
+
+
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Errors of a model on the sets of a file."""
     model = load(given.model)
@@ -276,7 +288,7 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     for name in given.sets or data:
         points = data[name]
         try:
-            tables[name] = warp_peri.evaluate(
+            tables[name] = {"samples": len(points)} | warp_peri.evaluate(
                 model,
                 points,
                 transfer=given.transfer,
@@ -296,7 +308,8 @@ def run_solve(given: argparse.Namespace) -> Result:
     model = load(given.model)
     data = data_for(given, model)
     points = data[given.set]
-    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+    asked = {"allow_uncertified": True} if given.allow_uncertified else {}
+    asked |= {} if given.transfer else {"transfer": False}  # laws without these know no default
     problem = warp_peri.Dirichlet(points, points.loads, points.u)
     u = warp_peri.solve(model, problem, solver=_solver(given.method, model), **asked).u
     solved = dataclasses.replace(points, u=u)
@@ -393,8 +406,10 @@ def run_sweep(given: argparse.Namespace) -> Result:
 def run_info(given: argparse.Namespace) -> Result:
     """What a model or data file holds."""
     if given.file.suffix == ".json":
-        summary: Result = load(given.file).summary()
-        return summary
+        material = load(given.file)
+        given.told = repr(material)
+        told: Any = getattr(material, "summary", None) or getattr(material, "rows", list)
+        return dict(finite(plain(dict(told()))))
     data = load_dataset(given.file)
     return {
         "format": "data set",

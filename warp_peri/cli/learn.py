@@ -12,6 +12,7 @@ import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
+from warp_peri.sources.dump_files import LARGEST_HEADER
 from warp_peri.storage import save
 
 
@@ -20,12 +21,12 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
     begin = time.perf_counter()
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     nodes = {"spacing": given.spacing, "horizon": given.horizon, "symmetry": given.symmetry}
-    if given.calculator is None:
-        constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
-        found = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
-    else:
-        found = _from_structure(given, nodes, units)
-    with locked(given.out):
+    with locked(given.out):  # a place that takes no files is told before the calculator works
+        if given.calculator is None:
+            constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
+            found = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
+        else:
+            found = _from_structure(given, nodes, units)
         save(given.out / "model.json", found.material)
         write_json(given.out / "learn.json", finite(plain(found.content())))
         given.told = "\n".join(repr(found).split("\n")[1:])
@@ -60,13 +61,21 @@ def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any
 
 
 def read_structure(path: Path) -> Any:
-    """The last structure of a file that ASE reads; InputError for any other."""
+    """The last structure of a file that ASE reads; InputError for any other.
+
+    Of a dump that names no elements ASE would take the types for atomic numbers.
+    """
     import ase.io
 
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    with path.open("rb") as file:
+        head = file.read(LARGEST_HEADER)
+    if head.startswith(b"ITEM:") and b" element" not in head:
+        raise InputError(f"{path}: expected a structure with its elements, got a dump without")
     try:
         found: Any = ase.io.read(path, index=-1)
     except Exception as error:  # ASE's readers raise whatever their parsing runs into
-        raise InputError(f"{path}: ASE reads no structure from it ({error})") from None
+        why = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: ASE reads no structure from it ({why})") from None
     return found

@@ -96,8 +96,8 @@ def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
         print(json.dumps(result))
     elif given.command == "evaluate":
         _print_table(result, given.unit)
-    elif given.command == "learn":
-        print(given.told)
+    elif hasattr(given, "told"):
+        print("\n".join(map(_printable, given.told.split("\n"))))
     else:
         result = commands.in_percent(result) if given.command == "train" else result
         print("\n".join(map(_printable, commands.lines_of(result))))
@@ -110,11 +110,12 @@ def _print_table(tables: dict[str, dict[str, Any]], unit: str) -> None:
         if "error" in table:
             print(_printable(f"{name:{width}}  {table['error']}"))
             continue
-        count = len(table["E_u_samples"])
+        left = table.get("E_res_abs")
         print(
-            f"{_printable(name):{width}}  {count:7d}  {_percent(table['E_res']):>10}  "
-            f"{table['E_res_abs']:17.3e}  {_percent(table['E_u']):>8}  "
-            f"{_percent(table.get('E_shape')):>11}"
+            f"{_printable(name):{width}}  {table['samples']:7d}  "
+            f"{_percent(table.get('E_res')):>10}  "
+            f"{'–' if left is None else format(left, '.3e'):>17}  "
+            f"{_percent(table.get('E_u')):>8}  {_percent(table.get('E_shape')):>11}"
         )
 
 

@@ -16,7 +16,14 @@ from warp_peri.models.lps import read_content
 from warp_peri.models.nonlinear import CUBIC
 from warp_peri.points.arrays import is_number
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
+from warp_peri.points.unit_names import (
+    USUAL,
+    Units,
+    check_units,
+    factors,
+    shown_moduli,
+    symbols,
+)
 from warp_peri.shown import as_table, in_rows
 from warp_peri.stability.uniqueness import curvature_bound, largest_parts
 
@@ -130,13 +137,13 @@ class FiniteSolid:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        length, stress = symbols(self.units)
-        constants = ", ".join(f"{getattr(self, name):.4g}" for name in CUBIC)
+        length = symbols(self.units)[0]
+        constants = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
         proven = f"one solution up to |H| = {self.strain:.2%}" if self.strain else "nothing"
         return [
             ("spacing", f"{self.spacing:g} {length}"),
-            ("λ, μ", f"{self.lam:.4g}, {self.mu:.4g} {stress}"),
-            (", ".join(CUBIC), f"{constants} {stress}"),
+            ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
+            (", ".join(CUBIC), constants),
             ("G; F", f"{self.along:.4g}, {self.across:.4g}; {self.share:.4g}"),
             ("proven", proven),
         ]

@@ -61,6 +61,11 @@ class Uncertainty:
 
     pairs: list[tuple[Model, Model, float]]
 
+    @property
+    def knows(self) -> str:
+        """What the bands hold and what they do not, in a sentence."""
+        return "the fields of noise that were given; no error of the model, no bias of a loss"
+
     def deviation(self, quantity: Callable[[Model], np.ndarray | float]) -> np.ndarray:
         """Standard deviation of anything a model determines, of the shape of the quantity."""
         total: np.ndarray | float = 0.0

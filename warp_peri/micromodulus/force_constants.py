@@ -238,7 +238,8 @@ def from_supercell(
             supercell.
         stress: that the crystal is held under [TPa], shape [d, d].
 
-    Raises InputError for atoms that are not on sites, shapes that do not fit, or polar sheets.
+    Raises InputError for atoms that are not on sites, shapes that do not fit, no forces at all, or
+    polar sheets.
     """
     cell, box = np.array(structure.cell), np.array(supercell.cell)
     x, X = np.array(structure.positions), np.array(supercell.positions)
@@ -246,6 +247,8 @@ def from_supercell(
     if phi.shape != (n, 3, len(X), 3) or len(displaced) != n:
         raise InputError(f"phi: expected shape [{n}, 3, {len(X)}, 3], got {list(phi.shape)}")
     inverse = np.linalg.inv(cell)
+    if not np.abs(phi).max() > 0:
+        raise InputError(f"phi: expected forces between atoms, got none in {len(X)} atoms")
     to_site = (X[:, None] - X[list(displaced)][None]) @ inverse
     off = np.abs(to_site - np.rint(to_site)).max(axis=2)
     kind = off.argmin(axis=1)

@@ -186,7 +186,10 @@ def coarse_grain(
     density = np.asarray(weighted.sum(axis=1))
     if not (density > 0).all():
         bad = np.flatnonzero(~(density > 0))
-        raise InputError(f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}")
+        raise InputError(
+            f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}: expected "
+            "nodes inside the body, or its periods (box)"
+        )
     u = _apply(weighted, fields["displacement"]) / density[:, None]
     b = _apply(omega, fields["force"]) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
     return u, b

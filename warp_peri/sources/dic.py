@@ -7,9 +7,9 @@ with units in brackets. Separators are commas, semicolons, tabs or blanks.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,8 @@ NAMES = {
 NODEMAP = {"x": 1, "y": 2, "u": 4, "v": 5}
 """Columns of a nodemap.txt, whose header is a comment: number, x, y, z, ux, uy, uz and strains."""
 LARGEST_FILE = 2**28
+LEAST = 4
+"""Frames of a folder."""
 FIRST = 0.25
 """Frames of a folder before this part of a test are left: little moves there but errors."""
 ON_LATTICE = 0.02
@@ -191,7 +193,10 @@ def frames_on_lattice(
         raise InputError("frames: expected at least one, got none")
     first, lengths = frames[0].x, {frame.length for frame in frames}
     if len(lengths) > 1:
-        raise InputError(f"frames: expected one unit of length, got {sorted(map(str, lengths))}")
+        said = {frame.length: f"{frame.length or 'no unit'} in {frame.name}" for frame in frames}
+        raise InputError(f"frames: expected one unit of length, got {', '.join(said.values())}")
+    if not radius >= 0:
+        raise InputError(f"radius: expected spacings ≥ 0, got {radius}")
     (length,) = lengths
     named = check_units(units or (USUAL if length is None else (length, "MPa")))
     if length not in (None, named[0]):
@@ -216,7 +221,12 @@ def frames_on_lattice(
     ball = a**2 + b**2 <= reach**2
     interior = binary_erosion(binary_erosion(grid, ball), ball).ravel()[there]
     if not interior.any():
-        raise InputError(f"frames: no node has all nodes within {2 * reach} spacings around it")
+        seen = np.isfinite(fields).all(axis=2).sum(axis=1)
+        raise InputError(
+            f"frames: expected nodes with all nodes within {2 * reach} spacings around them in "
+            f"every frame, got none; {frames[seen.argmin()].name} has {seen.min()} nodes of "
+            f"{len(x)}, {frames[seen.argmax()].name} has {seen.max()}"
+        )
     points = Points(x[there], interior, step, units=named)
     return Samples(points, fields[:, there])
 
@@ -226,8 +236,8 @@ def frames_of_folder(
 ) -> Samples:
     """So many frames of a folder, in the order of their names, on one lattice.
 
-    They are spread from a quarter of the test to its end. Files that are no frames are passed over:
-    tables of forces lie beside frames.
+    They are spread from a quarter of the test to its end. Files that are no frames are passed over
+    with a warning: tables of forces lie beside frames.
 
     Args:
         folder: with files for `read_frame`.
@@ -235,16 +245,25 @@ def frames_of_folder(
         pixel: as for `read_frame`.
         radius: as for `frames_on_lattice`.
 
-    Raises InputError for what is no folder, or has fewer than four frames.
+    Raises InputError for what is no folder, or has fewer than four frames; for a pixel, a count or
+    a radius of no sense.
     """
+    length_of(pixel)
+    if count < LEAST:
+        raise InputError(f"count: expected at least {LEAST} frames, got {count}")
     if not folder.is_dir():
         raise InputError(f"folder: expected one with frames, got {folder}")
-    frames = []
+    frames, others = [], []
     for path in sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt")):
-        with contextlib.suppress(InputError):
+        try:
             frames.append(read_frame(path, pixel=pixel))
-    if len(frames) < 4:
-        raise InputError(f"{folder}: expected at least four frames, got {len(frames)}")
+        except InputError as error:
+            others.append(str(error))
+    if len(frames) < LEAST:
+        why = f"; {others[0]}" if others else ""
+        raise InputError(f"{folder}: expected at least {LEAST} frames, got {len(frames)}{why}")
+    for why in others:
+        warnings.warn(f"passed over: {why}", stacklevel=2)
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
     return frames_on_lattice([frames[n] for n in chosen], radius=radius)

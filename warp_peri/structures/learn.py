@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,6 +40,8 @@ WIDEST = {2: 20.0, 3: 6.0}
 """Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
+AGREE, TOO_FAR = 0.02, 0.2
+"""Relative difference of two ways to the same moduli: worth a word above, refused above."""
 SIZES, DIRECTIONS = 80, 60
 """Of the waves that are looked at for it."""
 UNSEEN = {"waves ≥ 4 spacings": (18.0, 4.0, 8, 2), "waves of 2.7 to 4 spacings": (4.0, 2.7, 4, 3)}
@@ -76,9 +79,7 @@ class LearnedCrystal:
     @cached_property
     def tensor(self) -> np.ndarray:
         """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
-        d, symmetry = self.atoms.dimension, self.material.symmetry
-        allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
-        return self.atoms.elastic(allowed)
+        return _of_long_waves(self.atoms, self.material.symmetry)
 
     @cached_property
     def local(self) -> Symbol:
@@ -199,6 +200,22 @@ class LearnedCrystal:
         }
 
 
+def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
+    d = atoms.dimension
+    return atoms.elastic(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
+
+
+def _off_long_waves(atoms: ForceConstants, strained: np.ndarray, symmetry: Symmetry) -> float:
+    """Largest difference of long waves' moduli from those of finite strains, over the largest."""
+    group = _group(atoms, symmetry)
+    off = np.abs(_of_long_waves(atoms, group) - strained).max()
+    return float(off / np.abs(strained).max())
+
+
+def _group(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
+    return atoms.group() if isinstance(symmetry, str) and symmetry == "auto" else symmetry
+
+
 def _length(wave: float) -> str:
     return f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
 
@@ -236,7 +253,9 @@ def from_atoms(
         symmetry: "auto" asks spglib, or a point group by name.
         units: of the law: "ase", "metal", "si", or names of a length and a stress.
 
-    Raises InputError for what is no crystal, does not come to rest, or has imaginary phonons.
+    Moduli of long waves that are 2 % off those of finite strains are warned of. Raises InputError
+    for what is no crystal, does not come to rest, or has imaginary phonons, and for moduli that are
+    20 % off.
     """
     units = check_units(units)
     calculator = atoms.calc if calculator is None else calculator
@@ -249,6 +268,15 @@ def from_atoms(
     constants, taken = force_constants(reference, calculator, supercell)
     said = reference.said | {"force constants": taken}
     strained = strained_moduli(reference, calculator)
+    if strained is not None and (off := _off_long_waves(constants, strained, symmetry)) > AGREE:
+        told = (
+            f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
+            f"than {taken}, or the calculator is not that precise"
+        )
+        if off > TOO_FAR:
+            raise InputError(f"moduli: {told}")
+        warnings.warn(f"moduli: {told}", stacklevel=2)
+        said["moduli disagree"] = told
     samples = None
     if source == "loads":
         reach = h * REACH[reference.dimension] if horizon is None else horizon
@@ -303,8 +331,7 @@ def _learned(
 ) -> LearnedCrystal:
     d = atoms.dimension
     reach = spacing * REACH[d] if horizon is None else horizon
-    auto = isinstance(symmetry, str) and symmetry == "auto"
-    group = atoms.group() if auto else symmetry
+    group = _group(atoms, symmetry)
     if samples is None:
         law = from_phonons(atoms, spacing, reach, symmetry=group)
     else:

@@ -11,6 +11,7 @@ import ase
 import numpy as np
 from ase.data import vdw_radii
 from ase.filters import FrechetCellFilter
+from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.stress import voigt_6_to_full_3x3_stress
 
@@ -35,6 +36,8 @@ MOVED = 0.01
 """Strain by which the cell may relax without a word."""
 VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+FULL, UPON = 0.999, 0.5
+"""Occupancy of a site that an atom fills; distance [Å] that no two atoms are nearer than."""
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
 
@@ -79,8 +82,8 @@ def at_rest(
             Waals radius beyond each.
         hold: strains that stay as they are: of xx, yy, zz, yz, xz, xy, or "all".
 
-    Raises InputError for a structure that is no crystal, for strains that are not known, and where
-    relaxation leaves a force or a stress.
+    Raises InputError for a structure that is no crystal, sites that are not full, strains that are
+    not known, and where relaxation leaves a force or a stress.
     """
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
@@ -112,8 +115,27 @@ def at_rest(
     return Reference(cell, size, stress, usual_spacing(cell, flat), said)
 
 
+def _check_sites(atoms: ase.Atoms) -> None:
+    """Raise InputError for atoms upon each other, and shared sites, of which ASE keeps one atom."""
+    for site in (atoms.info.get("occupancy") or {}).values():
+        if len(site) > 1 or min(site.values()) < FULL:
+            shared = ", ".join(f"{kind} {part:g}" for kind, part in site.items())
+            raise InputError(
+                f"structure: expected sites that one element fills, got one of {shared}; "
+                "give a cell with every atom on a site of its own"
+            )
+    first, second, apart = neighbor_list("ijd", atoms, UPON)
+    if len(apart):
+        n = apart.argmin()
+        raise InputError(
+            f"structure: expected atoms {UPON:g} Å apart or more, got {apart[n]:.2g} Å between "
+            f"atoms {first[n]} and {second[n]} of {len(atoms)}; is a site there twice?"
+        )
+
+
 def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
     """The structure with a sheet across z, amid a high box, and whether it is one."""
+    _check_sites(atoms)
     periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
     if not periodic.any():
         raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")

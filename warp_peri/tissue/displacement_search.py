@@ -171,6 +171,7 @@ class Search:
             self.c,
             op.points.spacing,
             largest_stretch(op, samples.u),
+            {"stresses": "scaled to a stiffness of one at rest, no force is known"},
             units=op.points.units,
         )
         return DisplacementFit(solid, np.sqrt(self.squares), history, self.left_out, self.thickness)

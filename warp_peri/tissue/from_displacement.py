@@ -200,4 +200,5 @@ def scaled_by_force(
     if not size > 0 or not float(carried @ forces) > 0:
         raise InputError("forces: expected a pull with the sign of the solid's stress")
     factor = float(carried @ forces) / size
-    return replace(solid, coefficients=factor * solid.coefficients)
+    known = {name: value for name, value in solid.provenance.items() if name != "stresses"}
+    return replace(solid, coefficients=factor * solid.coefficients, provenance=known)

@@ -113,6 +113,8 @@ def choose_sheet(
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
+    if fibres < 0:
+        raise InputError(f"fibres: expected a number of directions, or 0, got {fibres}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = (Samples(frames.points, frames.u[part]) for part in (pick, ~pick))
     tried = []

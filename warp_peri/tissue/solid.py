@@ -17,6 +17,7 @@ from warp_peri.points.unit_names import (
     Units,
     check_units,
     factors,
+    shown_moduli,
     symbols,
     unit_content,
     units_of,
@@ -235,7 +236,7 @@ class HyperelasticSolid:
         coefficients: one for each [stress], shape [K].
         spacing: of the lattice it was learned on [length]; others take the same coefficients.
         stretch: largest nodal stretch of the data it was learned from, if known.
-        provenance: of data and fit.
+        provenance: of data and fit; `stresses` says where they are scaled, in no unit.
         units: names of the units of length and stress that it is in, those of its data.
 
     Raises InputError for coefficients of another number or not finite, and units not known.
@@ -294,13 +295,19 @@ class HyperelasticSolid:
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, energies by the size of their coefficients."""
-        length, stress = symbols(self.units)
+        length = symbols(self.units)[0]
         stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
         rows = [("learned on", f"{self.spacing:g} {length}"), ("stretch of the data", stretch)]
         rows.append(("energies", f"{len(self.dictionary)}"))
         order = np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]
         labels, values = self.dictionary.labels, self.coefficients
-        rows += [(labels[n], f"{values[n]:.4g} {stress}") for n in order if values[n]]
+        scaled = self.provenance.get("stresses")  # where no force says what they are in
+        rows += [("stresses", str(scaled))] if scaled else []
+        rows += [
+            (labels[n], f"{values[n]:.4g}" if scaled else shown_moduli(self.units, (values[n],)))
+            for n in order
+            if values[n]
+        ]
         return rows
 
     def __repr__(self) -> str:

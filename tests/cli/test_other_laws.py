@@ -1,0 +1,73 @@
+"""Commands on laws other than the LPS: what a crystal or a sheet is, proves, answers and misses."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.support.problems import lattice, smooth
+from tests.support.sheets import NEAREST, square, waves
+from warp_peri.cli.main import main
+from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.points.dataset_file import load_dataset
+
+MODULI = wp.micromodulus.from_voigt([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.5]])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A crystal and a sheet as files, each with data on its nodes."""
+    folder = tmp_path_factory.mktemp("laws")
+
+    def symbol(k):
+        return np.einsum("ijkl,nj,nl->nik", MODULI, k, k)
+
+    crystal = fit_symbol(symbol, 1.0, 2.0, symmetry="4mm", tensor=MODULI)
+    points = dataclasses.replace(lattice(8, 2.0, 1.0), axis=0.0)
+    u = 0.01 * smooth(points.x, 2, wave_number=0.4)
+    b = np.zeros_like(u)
+    b[:, points.interior] = crystal.on(points)(u)
+    term = wp.tissue.Term("plane_stress")
+    numbers = np.array([0.1] * 4 + [0.4])
+    sheet = wp.tissue.HyperelasticSolid(
+        wp.tissue.Dictionary(3.0, (), NEAREST, (term,)), numbers, 0.1
+    )
+    bent = 0.1 * waves(square(5), 0.25, 1)[None]
+    for name, law, samples in (
+        ("crystal", crystal, wp.Samples(points, u, b)),
+        ("sheet", sheet, wp.Samples(square(5), bent)),
+    ):
+        wp.save(folder / f"{name}.json", law)
+        data = wp.Dataset({"test": samples}, thickness=1.0, density=1.0)
+        wp.save(folder / f"{name}.h5", data)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["crystal", "sheet"])
+def test_what_it_is_and_how_far_off(folder, capsys, name):
+    assert main(["info", f"{folder / name}.json"]) == 0
+    text = capsys.readouterr().out
+    assert "GPa" in text
+    assert "TPa" not in text
+    assert main(["info", f"{folder / name}.json", "--json"]) == 0
+    assert any("GPa" in str(value) for value in json.loads(capsys.readouterr().out).values())
+    assert main(["evaluate", f"{folder / name}.json", f"{folder / name}.h5"]) == 0
+    (line,) = [each for each in capsys.readouterr().out.splitlines() if each.startswith("test")]
+    assert ("–" in line) == (name == "sheet")  # without loads there is no residual
+
+
+def test_a_crystal_is_certified_and_solved_by_its_commands(folder, tmp_path, capsys):
+    assert main(["certify", f"{folder}/crystal.json", "--json"]) == 0
+    (proven,) = json.loads(capsys.readouterr().out).values()
+    assert proven["holds"]
+    assert "exactly one solution" in proven["statement"]
+    assert main(["certify", f"{folder}/crystal.json", "--spacing", "2"]) == 2
+    assert "nodes 1 apart alone" in capsys.readouterr().err
+    line = ["solve", f"{folder}/crystal.json", f"{folder}/crystal.h5", "--out"]
+    assert main([*line, str(tmp_path / "solved.h5")]) == 0
+    found, true = (
+        load_dataset(p)["test"].u for p in (tmp_path / "solved.h5", f"{folder}/crystal.h5")
+    )
+    np.testing.assert_allclose(found, true, atol=1e-8 * np.abs(true).max())
