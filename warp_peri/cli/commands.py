@@ -24,6 +24,7 @@ from warp_peri.cli.predict import run_predict as run_predict
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, locked, write_json
+from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
@@ -247,6 +248,8 @@ def in_percent(metrics: Result) -> Result:
 def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
     material = load(given.model)
+    if isinstance(material, Crystal):  # it has the proof of its own lattice, and no other
+        return proven_on_its_nodes(material)
     model = linear_of(material)
     own = model.trained_on if model.transferred_from is None else model.certified_on
     spacings = given.spacing or list(own)
@@ -265,6 +268,14 @@ def run_certify(given: argparse.Namespace) -> Result:
             proof = warp_peri.proofs.uniqueness(material, spacing=spacing)
             proven[name]["nonlinear"] = proof.figures()
     return proven
+
+
+def proven_on_its_nodes(law: Crystal) -> Result:
+    """The certificate of a law of micromodulus tensors; it is computed where the file has none."""
+    proof = law.certificate or law.certified().certificate
+    assert proof is not None
+    figures = {"holds": proof.holds, "statement": proof.statement, **proof.content()}
+    return {f"{law.spacing:g} {symbols(law.units)[0]}": figures}
 
 
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -331,7 +342,8 @@ def _solver(name: str, material: Any) -> Any:
 def run_export(given: argparse.Namespace) -> Result:
     """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
     material, settings = load(given.model), given.out.with_suffix(".export.toml")
-    model = linear_of(material)
+    if given.what in ("influence", "kernel"):
+        model = linear_of(material)
     if given.what == "influence":
         if given.spacing is None and not model.trained_on:
             raise InputError("spacing: the model names no training lattice; give --spacing")
@@ -347,11 +359,13 @@ def run_export(given: argparse.Namespace) -> Result:
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = data_for(given, model)[given.set]
+        points = data_for(given, material)[given.set]
+        solid = warp_peri.export.is_linear_solid(material)  # other laws are of one lattice
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+        asked = asked if solid else {}
         if given.what == "operator":
-            model = model.on(points, **asked).model
-            paths = [warp_peri.export.write_operator(given.out, model, points)]
+            operator = (material.linear if solid else material).on(points, **asked)
+            paths = [warp_peri.export.write_operator(given.out, operator.model, points)]
         else:
             settings = given.out / "export.toml"
             operator = material.on(points, **asked)
@@ -393,8 +407,8 @@ def run_sweep(given: argparse.Namespace) -> Result:
 def run_info(given: argparse.Namespace) -> Result:
     """What a model or data file holds."""
     if given.file.suffix == ".json":
-        summary: Result = load(given.file).summary()
-        return summary
+        material = load(given.file)
+        return dict(material.summary() if hasattr(material, "summary") else material.rows())
     data = load_dataset(given.file)
     return {
         "format": "data set",

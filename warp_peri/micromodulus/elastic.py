@@ -12,6 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import Symmetry
+from warp_peri.points.arrays import checked
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
 """Voigt's order."""
@@ -77,9 +78,9 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
 def from_voigt(matrix: np.ndarray) -> np.ndarray:
     """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
 
-    Raises InputError for another shape or a matrix that is not symmetric.
+    Raises InputError for another shape, a matrix that is not symmetric or not finite.
     """
-    matrix = np.asarray(matrix, dtype=float)
+    matrix = checked("moduli", matrix, float)
     if matrix.shape not in ((3, 3), (6, 6)):
         raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
     if np.abs(matrix - matrix.T).max() > 1e-8 * np.abs(matrix).max():

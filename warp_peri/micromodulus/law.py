@@ -364,6 +364,20 @@ class Crystal:
             raise InputError(f"unit: expected one of {', '.join(STRESSES)}, got {unit!r}")
         return factors(self.units, (self.units[0], unit))[1]
 
+    def summary(self) -> dict[str, Any]:
+        """Symmetry, moduli, lattice and proof as plain values."""
+        named = self.symmetry if isinstance(self.symmetry, str) else "rotations"
+        return {
+            "format": "crystal",
+            "symmetry": named,
+            "moduli": self.moduli(),
+            "units": list(self.units),
+            "spacing": self.spacing,
+            "horizon": self.horizon,
+            "bonds": self.bonds,
+            "certificate": None if self.certificate is None else self.certificate.content(),
+        }
+
     def content(self) -> dict[str, Any]:
         """What a file holds, plain values."""
         named = isinstance(self.symmetry, str)
