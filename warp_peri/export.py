@@ -282,7 +282,7 @@ def is_linear_solid(model: Any) -> bool:
 
 
 def _of_linear(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """What interior nodes have of a linear peridynamic solid and what was added to it, [S, I, …]."""
+    """What interior nodes have of a linear peridynamic solid, and what was added, [S, I, …]."""
     fields, added = node_fields(model.linear, points, u), {}
     if model.linear is not model:
         operator = model.on(points, transfer=False, allow_uncertified=True)

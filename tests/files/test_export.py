@@ -157,7 +157,7 @@ def test_fields_in_space(law, tmp_path):
     )
     np.testing.assert_allclose(symmetric(mesh.point_data["stress"][inside])[0], expected)
     assert np.abs(expected[[1, 0], [2, 2]]).min() > 0  # YZ and XZ
-    light, heavy = write_fields(tmp_path / "x", material, points, u, format="xdmf")
+    light, _ = write_fields(tmp_path / "x", material, points, u, format="xdmf")
     with meshio.xdmf.TimeSeriesReader(light) as reader:
         _, (cells,) = reader.read_points_cells()
     assert cells.type == "hexahedron"

@@ -27,6 +27,7 @@ from warp_peri.micromodulus.groups import (
     LEAST,
     Symmetry,
     checked_orientation,
+    name_of,
     orbit_grid,
     point_group,
     shared_with_nodes,
@@ -53,6 +54,10 @@ LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
 """Long waves among the rows, their |k| h, and what they weigh together."""
 ENOUGH = 3
 """Numbers for each equation that holds moduli, from which holding them costs short waves little."""
+OFF = 0.05
+"""Of the largest modulus: what is missed by more is warned of."""
+FAR = 1e3
+"""Nodes over the cell of the atoms, or the cell over nodes, beyond which units are mistaken."""
 ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
 """Of a grid on the rest of the zone."""
 
@@ -309,7 +314,13 @@ def from_phonons(
     length, stress = factors(units, USUAL)
     turn = checked_orientation(orientation, d)
     auto = isinstance(symmetry, str) and symmetry == "auto"
-    name: Symmetry = atoms.group() if auto else symmetry
+    name: Symmetry = name_of(atoms.group()) if auto else symmetry
+    cell = atoms.volume ** (1 / d) if d == 3 else (atoms.volume / (atoms.thickness or 1.0)) ** 0.5
+    if not 1 / FAR < spacing * length / cell < FAR:
+        raise InputError(
+            f"spacing: expected nodes about as far apart as a cell of the atoms is long, "
+            f"{cell / length:.3g} {symbols(units)[0]}, got {spacing:g}"
+        )
 
     def target(k: np.ndarray) -> np.ndarray:
         D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
@@ -323,7 +334,7 @@ def from_phonons(
     C = atoms.elastic(allowed)  # also where it is not held: refuses what is no elastic solid
     tensor = turned(C, turn) / stress if hold_moduli else None
     held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
-    return fit_symbol(
+    law = fit_symbol(
         target,
         spacing,
         horizon,
@@ -335,6 +346,15 @@ def from_phonons(
         largest_wave=largest_wave,
         record={"from": "phonons"},
     )
+    true = turned(C, turn) / stress
+    off = float(np.abs(law.tensor() - true).max() / np.abs(true).max())
+    if off > OFF:
+        warnings.warn(
+            f"moduli: with {law.bonds} bonds they are up to {off:.0%} of the largest away from "
+            "those of the atoms; a longer horizon, or hold_moduli=True, brings them back",
+            stacklevel=2,
+        )
+    return law
 
 
 def _solve(
