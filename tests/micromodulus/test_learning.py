@@ -338,6 +338,13 @@ def test_a_linear_peridynamic_solid_is_one_of_twice_the_range(name):
     assert law.horizon <= 2 * model.horizon
 
 
+def test_what_is_no_solid_or_no_file_is_named():
+    with pytest.raises(InputError, match="expected a linear peridynamic solid, got Crystal"):
+        tensors_of(learned(2), 1.5)
+    with pytest.raises(InputError, match="nowhere: no such file"):
+        read_force_constants("nowhere", None, [0], [0])
+
+
 def test_phonons_of_an_unstable_crystal_are_refused():
     cell = ase.build.bulk("Cu", "sc", a=2.6)
     atoms = from_calculator(cell, EMT(), (5, 5, 5))
