@@ -108,6 +108,16 @@ def test_nonsense_is_named(horizon, moduli, message):
         fit(samples, horizon, symmetry="4mm", moduli=moduli)
 
 
+def test_moduli_that_long_waves_do_not_tell_are_warned_of():
+    law = learned(2)
+    samples = waves(law, lattice(2, 7, 2), 6)
+    noise = 0.5 * samples.b.std() * np.random.default_rng(0).normal(size=samples.b.shape)
+    samples = Samples(samples.points, samples.u, samples.b + noise)
+    with pytest.warns(UserWarning, match="moduli: those of the longest waves leave .*%"):
+        found = fit(samples, law.horizon, symmetry="4mm")
+    assert found.provenance["fit"]["long_wave_misfit"] > 0.1
+
+
 def test_moduli_are_held_as_given():
     law = learned(2)
     samples = waves(law, lattice(2, 12, 2), 8)

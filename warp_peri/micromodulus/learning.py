@@ -47,7 +47,8 @@ SMALL = 0.003
 """and this much of the loads."""
 MUCH, MUCH_OF_ALL = 1.5, 0.01
 """The same of one that is told: data contradict it beyond that."""
-LONG_WAVE_MODULI = "long waves"
+LONG_WAVE_MODULI, POOR = "long waves", 0.1
+"""Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
 WAVES, LARGEST_WAVE = 400, 2.0
 """Waves that a symbol is matched on, and their largest |k| h."""
 LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
@@ -88,7 +89,8 @@ def fit(
     of the best group (`symmetry_ratio`), cuts and numbers.
 
     Raises InputError for samples that do not carry the horizon or do not determine the law. A
-    UserWarning says where data contradict the symmetry that is told.
+    UserWarning says where data contradict the symmetry that is told, and where long waves are too
+    few or too short to tell moduli.
     """
     axes = lattice_steps(samples.points)[1]
     d = len(axes)
@@ -112,6 +114,12 @@ def fit(
     C, misfit = None, None
     if isinstance(moduli, str):
         C, misfit = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))
+        if misfit > POOR:
+            warnings.warn(
+                f"moduli: those of the longest waves leave {misfit:.0%} of what these loads do to "
+                "them, and may be as far off: give them, or loads of longer waves on more nodes",
+                stacklevel=4,
+            )
     elif moduli is not None:
         C = turned(moduli, turn)
     learned = _solve(R, y, bonds, shared, C, samples.spacing)
