@@ -49,6 +49,8 @@ MUCH, MUCH_OF_ALL = 1.5, 0.01
 """The same of one that is told: data contradict it beyond that."""
 LONG_WAVE_MODULI, POOR = "long waves", 0.1
 """Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
+ABSURD = 10.0
+"""Times the loads, that no law leaves of data in its own units, however noisy."""
 WAVES, LARGEST_WAVE = 400, 2.0
 """Waves that a symbol is matched on, and their largest |k| h."""
 LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
@@ -123,7 +125,7 @@ def fit(
     elif moduli is not None:
         C = turned(moduli, turn)
     learned = _solve(R, y, bonds, shared, C, samples.spacing)
-    if not learned.loss < 1:
+    if not learned.loss < ABSURD:
         raise InputError(
             f"data: the law leaves {learned.loss:.3g} times the loads themselves; are moduli in "
             f"{symbols(samples.points.units)[1]}, and loads the forces on the nodes?"
@@ -152,6 +154,8 @@ def _judged(
     where data contradict the symmetry that is told.
     """
     d, auto = len(turn), isinstance(told, str) and told == "auto"
+    if len(samples) < 2 and not auto:
+        return told, None
     none = point_group(LEAST[d], d)
     least, any_tensor = family(reach, none.astype(int)), allowed_tensors(LEAST[d], none, turn)
     u, b = samples.u, samples.loads
@@ -163,7 +167,6 @@ def _judged(
             f"data: expected enough to tell {R.shape[1]} numbers without any symmetry apart; name "
             "one, or give more loads"
         )
-
     try:
         long = [fields.long_wave_equations(half, any_tensor) for half in halves]
     except InputError:  # too few nodes to see long waves on
