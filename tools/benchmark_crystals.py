@@ -70,7 +70,7 @@ def numba_loop(operator: Operator) -> Callable[[np.ndarray], np.ndarray] | None:
     offset = np.concatenate([operator.steps, -operator.steps]) @ strides
     inputs = operator.nodes.interior, offset, np.tile(operator.tensors, (2, 1, 1))
 
-    @numba.njit(fastmath=True)  # type: ignore[untyped-decorator]
+    @numba.njit(fastmath=True)
     def pulled(
         unknown: np.ndarray, offset: np.ndarray, C: np.ndarray, u: np.ndarray, force: np.ndarray
     ) -> None:
