@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -203,7 +203,7 @@ def _judged(
     return told, float((own / np.maximum(best, SMALL)).max())
 
 
-def _crossed(equations: list[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
+def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
     """‖R M p − y‖ / ‖y‖, of each part with the p of the other; of one part with its own.
 
     Infinite where a part does not determine p.
