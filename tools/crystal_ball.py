@@ -22,7 +22,7 @@ from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
 """Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""
 TOLERANCE = 1e-6
-BONDED = {"Si": 0.5, "Ge": 0.5, "SiC": 0.5}
+BONDED = {"Si": 0.5, "Ge": 0.5}
 """Of the spacing: atoms closer than that are bonded, where few bonds can be left."""
 PUSH = 1e-5
 """Largest displacement of the differences that stand for a product with the Hessian [Å]."""

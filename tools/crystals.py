@@ -106,9 +106,6 @@ RECIPES = {
     "Pd": _cubic("Pd", "fcc", 3.89, "eam", "Pd_u3.eam", 24.0),
     "Ta": _cubic("Ta", "bcc", 3.30, "eam/alloy", "CuTa.eam.alloy", 28.0),
     "Ge": _cubic("Ge", "diamond", 5.43, "tersoff", "Ge.tersoff", 21.0),
-    "Ag": _cubic("Ag", "fcc", 4.09, "eam", "Ag_u3.eam", 26.0),
-    "V": _cubic("V", "bcc", 3.03, "eam/fs", "VFe_mm.eam.fs", 25.0),
-    "SiC": _cubic("SiC", "zincblende", 4.3, "tersoff", "SiC_1994.tersoff", 17.0),
     "Mg": _close_packed("Mg", 3.18, 5.19, "Mg_mm.eam.fs"),
     "Zr": _close_packed("Zr", 3.23, 5.15, "Zr_mm.eam.fs"),
     "MgO": Recipe(
