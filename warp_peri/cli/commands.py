@@ -24,7 +24,6 @@ from warp_peri.cli.predict import run_predict as run_predict
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, locked, write_json
-from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
@@ -248,7 +247,7 @@ def in_percent(metrics: Result) -> Result:
 def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
     material = load(given.model)
-    if isinstance(material, Crystal):  # it has the proof of its own lattice, and no other
+    if hasattr(material, "certified"):  # a crystal has the proof of its own lattice, and no other
         return proven_on_its_nodes(material)
     model = linear_of(material)
     own = model.trained_on if model.transferred_from is None else model.certified_on
@@ -270,10 +269,9 @@ def run_certify(given: argparse.Namespace) -> Result:
     return proven
 
 
-def proven_on_its_nodes(law: Crystal) -> Result:
+def proven_on_its_nodes(law: Any) -> Result:
     """The certificate of a law of micromodulus tensors; it is computed where the file has none."""
     proof = law.certificate or law.certified().certificate
-    assert proof is not None
     figures = {"holds": proof.holds, "statement": proof.statement, **proof.content()}
     return {f"{law.spacing:g} {symbols(law.units)[0]}": figures}
 
