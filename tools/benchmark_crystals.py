@@ -21,6 +21,7 @@ from warp_peri.micromodulus.certificate import certify
 from warp_peri.micromodulus.family import half_ball
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import from_phonons, transferred
+from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.points.points import Points
 
@@ -54,6 +55,44 @@ def least(function: Callable[[], Any], rounds: int) -> float:
     return min(seconds)
 
 
+def numba_loop(operator: Operator) -> Callable[[np.ndarray], np.ndarray] | None:
+    """A plain loop of Numba over nodes and all their bonds, on one thread; None without Numba.
+
+    Takes the planes of rows [1, 3, *shape] and gives theirs.
+    """
+    try:
+        import numba
+    except ImportError:
+        print("Numba is not installed: pip install 'warp_peri[bench]'")
+        return None
+    shape = operator.nodes.shape
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
+    offset = np.concatenate([operator.steps, -operator.steps]) @ strides
+    inputs = operator.nodes.interior, offset, np.tile(operator.tensors, (2, 1, 1))
+
+    @numba.njit(fastmath=True)
+    def pulled(
+        unknown: np.ndarray, offset: np.ndarray, C: np.ndarray, u: np.ndarray, force: np.ndarray
+    ) -> None:
+        for i in unknown:
+            f0 = f1 = f2 = 0.0
+            for n in range(len(offset)):
+                j = i + offset[n]
+                e0, e1, e2 = u[i, 0] - u[j, 0], u[i, 1] - u[j, 1], u[i, 2] - u[j, 2]
+                f0 += C[n, 0, 0] * e0 + C[n, 0, 1] * e1 + C[n, 0, 2] * e2
+                f1 += C[n, 0, 1] * e0 + C[n, 1, 1] * e1 + C[n, 1, 2] * e2
+                f2 += C[n, 0, 2] * e0 + C[n, 1, 2] * e1 + C[n, 2, 2] * e2
+            force[i, 0], force[i, 1], force[i, 2] = f0, f1, f2
+
+    def product(planes: np.ndarray) -> np.ndarray:
+        u = np.ascontiguousarray(planes[0].reshape(3, -1).T)
+        force = np.zeros_like(u)
+        pulled(*inputs, u, force)
+        return force.T.reshape(planes.shape)
+
+    return product
+
+
 def forces(law: Crystal, *, side: int, rounds: int) -> dict[str, float]:
     """Seconds of a force on a cube, on one thread and on two; CSR's scaled from half the side."""
     points = cube(law, side)
@@ -65,6 +104,10 @@ def forces(law: Crystal, *, side: int, rounds: int) -> dict[str, float]:
         planes = operator.nodes.lay_out(u[None])
         key = f"{method}, {threads} thread{'s'[: threads - 1]}"
         found[key] = least(functools.partial(operator.pull, planes), rounds)
+        if method == "rows" and threads == 1 and (loop := numba_loop(operator)) is not None:
+            off = np.abs(loop(planes) - operator.pull(planes)).max()
+            assert off < 1e-12 * np.abs(operator.pull(planes)).max()
+            found["plain Numba, 1 thread"] = least(functools.partial(loop, planes), rounds)
     small = cube(law, side // 2)
     matrix = law.on(small).matrix()
     v = np.random.default_rng(0).normal(size=small.x.size)

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
+from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.models.lps import Model
@@ -26,7 +27,15 @@ if TYPE_CHECKING:
 KERNEL_ROWS = 400
 """Distances that a kernel for many lattices is written at."""
 
-XDMF_CELLS = {"quad": "Quadrilateral", "vertex": "Polyvertex"}
+XDMF_CELLS = {"quad": "Quadrilateral", "hexahedron": "Hexahedron", "vertex": "Polyvertex"}
+AROUND = {
+    2: ("quad", ((0, 0), (1, 0), (1, 1), (0, 1))),
+    3: (
+        "hexahedron",
+        ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
+    ),
+}
+"""Cells of a lattice and the steps to their corners, in VTK's order."""
 XDMF_TYPES = {
     1: "Scalar",
     3: "Vector",
@@ -45,19 +54,20 @@ def write_fields(
 ) -> list[Path]:
     """What a displacement does, and how far off it is, for ParaView.
 
-    Points are the nodes; four neighbours on a lattice make a quadrilateral, other points stand
-    alone. On all nodes displacement [Å], its error against the set's own u [Å], body_force (a
-    density) [TPa/Å] where it is known, and interior (1 or 0). On interior nodes, NaN elsewhere:
-    stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ with zeros out of the plane,
-    dilatation, energy density [TPa]. Those are of the linear solid; of a nonlinear model also
-    piola, P = Ψ′(H) [TPa], which is to be added to the stress, as XX, XY, XZ, YX, … (theory.md,
-    N2).
+    Points are the nodes; four neighbours on a lattice make a quadrilateral, in space eight a
+    hexahedron, other points stand alone. On all nodes displacement [Å], its error against the set's
+    own u [Å], body_force (a density) [TPa/Å] where it is known, and interior (1 or 0). On interior
+    nodes, NaN elsewhere: stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ, of a
+    plane with zeros out of it, dilatation, energy density [TPa]. Those are of the linear solid; of
+    a nonlinear model also piola, P = Ψ′(H) [TPa], which is to be added to the stress, as XX, XY,
+    XZ, YX, … (theory.md, N2). Of other laws the stress, and with a gradient of their own (crystals)
+    strain and dilatation, where they have them.
 
     Args:
         folder: for the files; it is made if it is not there.
-        model: linear or nonlinear.
+        model: a material.
         points: the set, with u to compare, and b where it is known.
-        u: displacement [Å], shape [S, N, 2].
+        u: displacement [Å], shape [S, N, d].
         format: "vtu" for one file a sample, sample_0000.vtu and so on; "xdmf" for one file with
             the samples as time steps 0 to S - 1, samples.xdmf, and its arrays in samples.h5.
 
@@ -71,7 +81,7 @@ def write_fields(
     u = np.asarray(u, dtype=float)
     if u.shape != points.u.shape:
         raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
-    x = np.column_stack([points.x, np.zeros(len(points.x))])
+    x = _vector(points.x)
     return writers[format](Path(folder), x, *_cells(points), _samples(model, points, u))
 
 
@@ -133,12 +143,17 @@ def write_kernel(path: str | os.PathLike[str], model: Model) -> Path:
     return Path(path)
 
 
-def write_operator(path: str | os.PathLike[str], model: Model, points: PointsLike) -> Path:
-    """L [TPa/Å²] as a sparse matrix, shape [2 I, 2 N], for scipy.sparse.load_npz.
+def write_operator(path: str | os.PathLike[str], model: Any, points: PointsLike) -> Path:
+    """L [TPa/Å²] as a sparse matrix, shape [d I, d N], for scipy.sparse.load_npz.
 
-    Component a of node i is number 2 i + a; rows are interior nodes in their order.
+    Of a linear solid or a crystal. Component a of node i is number d i + a; rows are interior nodes
+    in their order.
     """
-    L = matrices(model, points).operator(model.lam, model.mu)
+    if isinstance(model, Model):
+        L = matrices(model, points).operator(model.lam, model.mu)
+    else:
+        kinds = "the operator of a linear solid or of a crystal"
+        L = offered(model.on(points), "matrix", "write_operator", kinds)()
     with whole_file(path) as temporary, open(temporary, "wb") as file:
         sp.save_npz(file, L)
     return Path(path)
@@ -248,41 +263,69 @@ def _write_xdmf(
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
-    piola: np.ndarray | None = None
-    if model.linear is not model:
-        operator = model.on(points, transfer=False, allow_uncertified=True)
-        _, P = operator.gradients(u)
-        piola = P[:, points.interior[operator.sweeps.full]]
-    fields = node_fields(model.linear, points, u)
+    inside = _of_linear(model, points, u) if is_linear_solid(model) else _of_law(model, points, u)
     return [
         {
             "displacement": _vector(field),
             "error": _vector(field - points.u[s]),
             **({} if points.b is None else {"body_force": _vector(points.b[s])}),
-            "stress": _everywhere(points, _tensor(fields.stress[s])),
-            **({} if piola is None else {"piola": _everywhere(points, _matrix(piola[s]))}),
-            "strain": _everywhere(points, _tensor(fields.strain[s])),
-            "dilatation": _everywhere(points, fields.dilatation[s]),
-            "energy": _everywhere(points, fields.energy[s]),
+            **{name: _everywhere(points, values[s]) for name, values in inside.items()},
             "interior": points.interior.astype(float),
         }
         for s, field in enumerate(u)
     ]
 
 
+def is_linear_solid(model: Any) -> bool:
+    """Whether its linear part is that of `node_fields`."""
+    return isinstance(getattr(model, "linear", None), Model)
+
+
+def _of_linear(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
+    """What interior nodes have of a linear peridynamic solid, and what was added, [S, I, …]."""
+    fields, added = node_fields(model.linear, points, u), {}
+    if model.linear is not model:
+        operator = model.on(points, transfer=False, allow_uncertified=True)
+        _, P = operator.gradients(u)
+        added = {"piola": _matrix(P[:, points.interior[operator.sweeps.full]])}
+    return {
+        "stress": _tensor(fields.stress),
+        **added,
+        "strain": _tensor(fields.strain),
+        "dilatation": fields.dilatation,
+        "energy": fields.energy,
+    }
+
+
+def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
+    """What interior nodes have of any other law, [S, I, …]."""
+    operator = model.on(points.points)
+    found, stress = {}, operator.stress(u)
+    if stress is not None:
+        found["stress"] = _tensor(np.asarray(stress))
+    if hasattr(operator, "gradient"):
+        H = operator.gradient(u)
+        found["strain"] = _tensor((H + H.swapaxes(-1, -2)) / 2)
+        found["dilatation"] = np.trace(H, axis1=-2, axis2=-1)
+    return found
+
+
 def _tensor(field: np.ndarray) -> np.ndarray:
     """ParaView's symmetric tensors have six components: XX, YY, ZZ, XY, YZ, XZ."""
-    d = field.shape[-1]
-    full = np.zeros((len(field), 3, 3))
-    full[:, :d, :d] = field
-    return np.stack([full[:, a, c] for a, c in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))], 1)
+    full = _full(field)
+    places = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+    return np.stack([full[..., a, c] for a, c in places], axis=-1)
 
 
 def _matrix(field: np.ndarray) -> np.ndarray:
     """The nine components of tensors that are not symmetric, row by row."""
-    out = np.zeros((len(field), 3, 3))
-    out[:, :2, :2] = field
-    return out.reshape(-1, 9)
+    return _full(field).reshape(*field.shape[:-2], 9)
+
+
+def _full(field: np.ndarray) -> np.ndarray:
+    """Tensors [..., d, d] as [..., 3, 3], zero out of their plane."""
+    beyond = 3 - field.shape[-1]
+    return np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, beyond)] * 2)
 
 
 def _vector(field: np.ndarray) -> np.ndarray:
@@ -297,7 +340,7 @@ def _everywhere(points: PointsLike, values: np.ndarray) -> np.ndarray:
 
 
 def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
-    """Quadrilaterals of a lattice along the axes whose four corners are there, else vertices."""
+    """Cells of a lattice along the axes whose corners are all there, else vertices."""
     vertices = "vertex", np.arange(len(points.x))[:, None]
     if points.spacing == 0:
         return vertices
@@ -305,9 +348,9 @@ def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
     steps = np.rint(place).astype(int)
     if np.abs(place - steps).max() > 1e-3:  # a turned lattice
         return vertices
-    number = -np.ones(steps.max(axis=0) + 1, dtype=int)
+    kind, around = AROUND[points.x.shape[1]]
+    number = -np.ones(steps.max(axis=0) + 2, dtype=int)
     number[tuple(steps.T)] = np.arange(len(steps))
-    corners = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
-    quads = np.stack([corner.ravel() for corner in corners], axis=1)
-    quads = quads[(quads >= 0).all(axis=1)]
-    return ("quad", quads) if len(quads) else vertices
+    cells = np.stack([number[tuple((steps + corner).T)] for corner in around], axis=1)
+    cells = cells[(cells >= 0).all(axis=1)]
+    return (kind, cells) if len(cells) else vertices

@@ -1,5 +1,6 @@
 """Files for other tools, read back."""
 
+import json
 import sys
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from tests.micromodulus import crystals
 from tests.support.clouds import cloud, plain
+from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
 from warp_peri import Dataset, InputError, Samples
@@ -125,6 +128,70 @@ def test_refused_formats_and_folders(model, points, tmp_path):
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
         write_fields(tmp_path, model, single, single.u)
     write_fields(tmp_path, model, points, points.u)  # as many as before: they are replaced
+
+
+@pytest.mark.parametrize("law", ["linear solid", "crystal"])
+def test_fields_in_space(law, tmp_path):
+    """Bricks of eight nodes, and the stress of an affine field in all six components."""
+    known = crystals.learned(3)
+    material, reach = (solid(2.0), 2.0) if law == "linear solid" else (known, 1.0)
+    points = cube(2, reach * known.spacing, known.spacing) if law == "crystal" else cube(2, reach)
+    H = np.array([[1.0, 0.3, -0.2], [0.1, -0.4, 0.5], [0.7, 0.2, 0.6]])
+    u = 1e-3 * points.x[None] @ H.T
+    points = Samples(points, u, 0 * u)
+    paths = write_fields(tmp_path, material, points, u)
+    mesh = meshio.read(paths[0])
+    side = round(len(points.x) ** (1 / 3))
+    corners = mesh.points[mesh.cells_dict["hexahedron"]]
+    assert len(corners) == (side - 1) ** 3
+    edges = corners[:, [1, 3, 4]] - corners[:, :1]  # of VTK's hexahedron, right-handed
+    np.testing.assert_allclose(edges, np.tile(points.spacing * np.eye(3), (len(edges), 1, 1)))
+    np.testing.assert_allclose(corners[:, 6] - corners[:, 0], edges.sum(axis=1))
+    inside, strain = points.interior, 0.5e-3 * (H + H.T)
+    np.testing.assert_allclose(symmetric(mesh.point_data["strain"][inside])[0], strain)
+    np.testing.assert_allclose(mesh.point_data["dilatation"][inside], np.trace(strain))
+    expected = (
+        node_fields(material, points, u).stress[0, 0]
+        if law == "linear solid"
+        else np.einsum("ijkl,kl->ij", known.tensor(), strain)
+    )
+    np.testing.assert_allclose(symmetric(mesh.point_data["stress"][inside])[0], expected)
+    assert np.abs(expected[[1, 0], [2, 2]]).min() > 0  # YZ and XZ
+    light, _ = write_fields(tmp_path / "x", material, points, u, format="xdmf")
+    with meshio.xdmf.TimeSeriesReader(light) as reader:
+        _, (cells,) = reader.read_points_cells()
+    assert cells.type == "hexahedron"
+
+
+def test_a_crystal_from_the_shell(tmp_path, capsys):
+    law = crystals.learned(2)
+    points = waves_on(law, 3)
+    law.save(tmp_path / "m.json")
+    save_dataset(tmp_path / "d.h5", Dataset({"test": points}, 3.35, 2200.0))
+    m, d = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
+    assert main(["export", "fields", m, "--data", d, "--out", str(tmp_path / "vtu")]) == 0
+    data = meshio.read(tmp_path / "vtu" / "sample_0000.vtu").point_data
+    np.testing.assert_allclose(data["displacement"][:, :2], points.u[0], atol=1e-7)
+    assert main(["export", "operator", m, "--data", d, "--out", str(tmp_path / "L.npz")]) == 0
+    force = (sp.load_npz(tmp_path / "L.npz") @ points.u[0].ravel()).reshape(-1, 2)
+    np.testing.assert_allclose(force, points.b[0][points.interior], atol=1e-12)
+    capsys.readouterr()
+    assert main(["info", m, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["moduli"] == pytest.approx(law.moduli())
+    assert main(["certify", m, "--json"]) == 0
+    (proof,) = json.loads(capsys.readouterr().out).values()
+    assert proof["holds"]
+    assert proof["proven"] == law.certificate.proven
+    assert main(["export", "influence", m, "--out", str(tmp_path / "K.csv")]) == 2
+
+
+def waves_on(law, number):
+    """Two random fields around so many nodes each way, with the loads of a law."""
+    points = crystals.lattice(law.dimension, number, 3)
+    u = 1e-3 * np.random.default_rng(0).normal(size=(2, *points.x.shape))
+    b = np.zeros_like(u)
+    b[:, points.interior] = law.on(points)(u)
+    return Samples(points, u, b)
 
 
 def test_scattered_points_stand_alone(tmp_path):

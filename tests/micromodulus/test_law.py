@@ -9,7 +9,12 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus import elastic
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.family import family
-from warp_peri.micromodulus.groups import point_group, shared_with_nodes
+from warp_peri.micromodulus.groups import (
+    checked_orientation,
+    name_of,
+    point_group,
+    shared_with_nodes,
+)
 from warp_peri.micromodulus.law import Crystal, load_crystal
 from warp_peri.micromodulus.planes import plane_strain, plane_stress
 
@@ -99,6 +104,59 @@ def test_directional_moduli_and_anisotropy():
     assert elastic.plane_stress(isotropic)[0, 0, 1, 1] == pytest.approx(
         2 * lam * mu / (lam + 2 * mu)
     )
+
+
+def test_extremes_bound_every_direction_and_are_met():
+    C = cubic_tensor(3)
+    E, nu = elastic.extremes(C)
+    edge, corner = np.array([1.0, 1, 0]) / 2**0.5, np.array([1.0, 1, 1]) / 3**0.5
+    assert E[0] == pytest.approx(elastic.directional(C, np.eye(3)[0], np.eye(3)[1])[0])
+    assert E[1] == pytest.approx(elastic.directional(C, corner, np.array([1, -1, 0]) / 2**0.5)[0])
+    assert nu[0] == pytest.approx(elastic.directional(C, edge, np.array([1, -1, 0]) / 2**0.5)[1])
+    assert nu[1] == pytest.approx(elastic.directional(C, edge, np.eye(3)[2])[1])
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(6, 6))
+    C = elastic.from_voigt(matrix @ matrix.T + np.eye(6))
+    E, nu = elastic.extremes(C)
+    frames = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(2000)]
+    some = np.array([elastic.directional(C, Q[0], Q[1]) for Q in frames])
+    for (low, high), values in zip((E, nu), some.T):
+        room = 0.01 * (high - low)
+        assert low - 0.02 * room <= values.min()
+        assert values.max() <= high + 0.02 * room
+    flat = cubic_tensor(2)
+    E, _ = elastic.extremes(flat)
+    diagonal = np.array([[1.0, 1], [-1, 1]]) / 2**0.5
+    ends = [elastic.directional(flat, *axes)[0] for axes in (np.eye(2), diagonal)]
+    assert E == pytest.approx(sorted(ends))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_turned_crystal_is_told_in_its_own_axes(d):
+    law = learned(d)
+    told, turned = law.describe("GPa"), learned(d, orientation=20.0).describe("GPa")
+    for key in ("symmetry", "moduli", "zener", "universal_anisotropy"):
+        expected = told[key] if isinstance(told[key], str) else pytest.approx(told[key], rel=1e-8)
+        assert turned[key] == expected
+    assert turned["E_range"] == pytest.approx(told["E_range"], rel=1e-8)
+    assert turned["nu_range"] == pytest.approx(told["nu_range"], rel=1e-8)
+
+
+def test_zener_is_of_cubic_crystals_alone():
+    matrix = np.diag([3.0, 3.0, 4.0, 1.0, 1.0, 1.2])
+    matrix[:3, :3] += 1 - np.eye(3)
+    steps, tensors = q1_tensors(elastic.from_voigt(matrix))
+    told = Crystal(1.0, steps, tensors).describe()
+    assert told["symmetry"] == "tetragonal"
+    assert told["zener"] is None
+
+
+@pytest.mark.parametrize(("name", "d"), [("4mm", 2), ("6mm", 2), ("m-3m", 3), ("6/mmm", 3)])
+def test_a_group_is_known_by_its_rotations(name, d):
+    group = point_group(name, d)
+    assert name_of(group[::-1]) == name
+    turn = checked_orientation(10.0, d)
+    np.testing.assert_array_equal(name_of(turn @ group @ turn.T), turn @ group @ turn.T)
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -70,8 +70,52 @@ def test_the_symmetry_is_found_and_one_that_is_wrong_costs():
     assert fit(samples, turned.horizon, moduli=None).symmetry == "4"
     exact = fit(samples, turned.horizon, symmetry="4mm", orientation=20.0, moduli=None)
     assert exact.provenance["fit"]["loss"] < 1e-9
-    wrong = fit(samples, turned.horizon, symmetry="4mm", moduli=None)
+    with pytest.warns(UserWarning, match=r"contradict what is told: in .* leaves .*% of the loads"):
+        wrong = fit(samples, turned.horizon, symmetry="4mm", moduli=None)
     assert wrong.provenance["fit"]["loss"] > 0.01
+    assert wrong.provenance["fit"]["symmetry_ratio"] > 1.5
+
+
+def test_few_loads_do_not_make_a_crystal_isotropic():
+    """What no symmetry fits badly for want of loads is no measure for what a symmetry may cost."""
+    law, rng = learned(3), np.random.default_rng(0)
+    points = lattice(3, 8, 2, box=True)
+    k = 2 * np.pi / points.box[0] * rng.integers(-2, 3, size=(4, 6, 3))
+    phase = np.einsum("swd,nd->swn", k, points.x) + rng.uniform(0, 6, size=(4, 6, 1))
+    u = np.einsum("swn,swd->snd", np.cos(phase), rng.normal(size=(4, 6, 3)))
+    found = fit(Samples(points, u, law.on(points)(u)), 1.5 * law.spacing)
+    assert found.symmetry == "m-3m"
+    assert found.provenance["fit"]["symmetry_ratio"] < 1.02
+
+
+@pytest.mark.parametrize(
+    ("horizon", "moduli", "message"),
+    [
+        (np.nan, None, "horizon: expected a number > 0, got nan"),
+        ("wide", None, "horizon: expected a number > 0, got 'wide'"),
+        (np.inf, None, "horizon: expected a number > 0, got inf"),
+        (3.0, "phonons", "expected 'long waves', None or a Voigt matrix, got 'phonons'"),
+        (3.0, {"C11": 0.2}, "moduli: expected float values"),
+        (3.0, np.eye(6), "moduli: expected those of 2 dimensions, got 3"),
+        (3.0, np.full((3, 3), np.nan), "moduli: expected finite values"),
+        (3.0, 1e3 * voigt(cubic_tensor(2)), r"times the loads themselves; are moduli in TPa"),
+    ],
+)
+def test_nonsense_is_named(horizon, moduli, message):
+    law = learned(2)
+    samples = waves(law, lattice(2, 8, 2), 4)
+    with pytest.raises(InputError, match=message):
+        fit(samples, horizon, symmetry="4mm", moduli=moduli)
+
+
+def test_moduli_that_long_waves_do_not_tell_are_warned_of():
+    law = learned(2)
+    samples = waves(law, lattice(2, 7, 2), 6)
+    noise = 0.5 * samples.b.std() * np.random.default_rng(0).normal(size=samples.b.shape)
+    samples = Samples(samples.points, samples.u, samples.b + noise)
+    with pytest.warns(UserWarning, match="moduli: those of the longest waves leave .*%"):
+        found = fit(samples, law.horizon, symmetry="4mm")
+    assert found.provenance["fit"]["long_wave_misfit"] > 0.1
 
 
 def test_moduli_are_held_as_given():
@@ -127,6 +171,7 @@ def test_a_crystal_from_phonons_alone(copper):
     atoms, _ = copper
     assert len(atoms.group()) == 48
     law = from_phonons(atoms, 3.59, 3.59 * 6**0.5)
+    assert law.symmetry == "m-3m"
     C = atoms.elastic(allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3)))
     np.testing.assert_allclose(law.elastic_tensor(), voigt(C), rtol=1e-6, atol=1e-9)
     e = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1]]) / np.sqrt([[1], [2], [3]])
@@ -134,6 +179,14 @@ def test_a_crystal_from_phonons_alone(copper):
         true, own = atoms.effective(size * e), law.symbol(size * e)
         ratio = np.sqrt(np.linalg.eigvalsh(own) / np.linalg.eigvalsh(true))
         assert np.abs(ratio - 1).max() < 0.03
+
+
+def test_bonds_that_are_too_few_and_units_that_are_mistaken_are_told(copper):
+    atoms, _ = copper
+    with pytest.warns(UserWarning, match="with 6 bonds they are up to .*% of the largest away"):
+        from_phonons(atoms, 3.59, 3.59, symmetry="m-3m")
+    with pytest.raises(InputError, match=r"a cell of the atoms is long, 3.59e-10 m, got 3.59"):
+        from_phonons(atoms, 3.59, 8.8, symmetry="m-3m", units=("m", "Pa"))
 
 
 def test_a_larger_cell_of_the_same_crystal_has_the_same_symbol():
@@ -249,6 +302,12 @@ def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
     np.testing.assert_allclose(turned.stress, [[-0.01, -0.004], [-0.004, 0.02]], atol=1e-12)
 
 
+@pytest.mark.parametrize("spacing", [np.nan, 0, "4"])
+def test_a_law_is_not_carried_to_nonsense(spacing):
+    with pytest.raises(InputError, match="spacing: expected a number > 0"):
+        transferred(learned(2), spacing)
+
+
 def test_a_law_carried_to_other_nodes_answers_smooth_waves_alike():
     law = learned(2)
     finer = transferred(law, 1.2)
@@ -287,6 +346,13 @@ def test_a_linear_peridynamic_solid_is_one_of_twice_the_range(name):
     force = LPSOperator(model, points, allow_uncertified=True)(u)
     np.testing.assert_allclose(law.on(Points(points.x, points.interior, 1.0))(u), force, atol=1e-11)
     assert law.horizon <= 2 * model.horizon
+
+
+def test_what_is_no_solid_or_no_file_is_named():
+    with pytest.raises(InputError, match="expected a linear peridynamic solid, got Crystal"):
+        tensors_of(learned(2), 1.5)
+    with pytest.raises(InputError, match="nowhere: no such file"):
+        read_force_constants("nowhere", None, [0], [0])
 
 
 def test_phonons_of_an_unstable_crystal_are_refused():

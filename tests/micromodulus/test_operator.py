@@ -8,8 +8,10 @@ import pytest
 
 import warp_peri
 from tests.micromodulus.crystals import lattice, learned, plain_force, random_law
+from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
+from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.statics import solve
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -218,6 +220,24 @@ def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once(tmp_path):
     path = tmp_path / "turned.h5"
     warp_peri.save(path, warp_peri.Dataset({"train": Samples(stated, u)}, 1.0, 1.0))
     assert warp_peri.load(path)["train"].axis == stated.axis
+
+
+def test_a_law_that_is_not_positive_is_refused_in_words_that_are_true():
+    steps = np.array([[1, 0], [0, 1], [2, 0], [0, 2]])
+    one = np.eye(2)
+    law = Crystal(1.5, steps, np.array([one, one, -0.4 * one, -0.4 * one])).certified()
+    assert not law.certificate.holds
+    points = lattice(2, 6, 2)
+    u = np.random.default_rng(0).normal(size=points.x.shape)
+    with pytest.raises(InputError, match=r"indefinite: .* (energy|work) -"):
+        warp_peri.solve(law, warp_peri.Dirichlet(points, None, u))
+
+
+def test_a_body_that_nothing_moves_loses_no_energy():
+    law, points = learned(2), lattice(2, 4, 3)
+    step = 0.9 * critical_time_step(law, spacing=law.spacing, density=8960.0)
+    problem = warp_peri.Dirichlet(points, None, np.zeros_like(points.x))
+    assert warp_peri.move(law, problem, density=8960.0, step=step, steps=3).drift == 0
 
 
 def test_rest_is_what_the_one_face_solves_with():

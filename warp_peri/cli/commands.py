@@ -248,7 +248,7 @@ def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
     material = load(given.model)
     if not hasattr(material, "linear") and hasattr(material, "certified"):
-        return _certified_at_home(material, given.spacing)
+        return proven_on_its_nodes(material, given.spacing)
     model = linear_of(material)
     own = model.trained_on if model.transferred_from is None else model.certified_on
     spacings = given.spacing or list(own)
@@ -269,14 +269,18 @@ def run_certify(given: argparse.Namespace) -> Result:
     return proven
 
 
-def _certified_at_home(material: Any, spacings: Sequence[float] | None) -> Result:
-    """The certificate of a law that has one lattice alone, as a crystal has."""
+def proven_on_its_nodes(law: Any, spacings: Sequence[float] | None = None) -> Result:
+    """The certificate of a law that has one lattice alone, computed where the file has none.
+
+    Raises InputError where another spacing is asked for.
+    """
     if spacings:
-        raise InputError(f"spacing: this law is for nodes {material.spacing:g} apart alone")
-    proof = material.certified().certificate
-    holds = proof is not None and bool(proof.proven > 0)
-    name = f"{material.spacing:g} {symbols(material.units)[0]}"
-    return {name: {"holds": holds, "statement": proof.statement if holds else "nothing is proven"}}
+        raise InputError(f"spacing: this law is for nodes {law.spacing:g} apart alone")
+    proof = law.certificate or law.certified().certificate
+    figures: Result = {"holds": False, "statement": "nothing is proven"}
+    if proof is not None and proof.proven > 0:
+        figures = {"holds": True, "statement": proof.statement, **proof.content()}
+    return {f"{law.spacing:g} {symbols(law.units)[0]}": figures}
 
 
 def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -344,7 +348,8 @@ def _solver(name: str, material: Any) -> Any:
 def run_export(given: argparse.Namespace) -> Result:
     """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
     material, settings = load(given.model), given.out.with_suffix(".export.toml")
-    model = linear_of(material)
+    if given.what in ("influence", "kernel"):
+        model = linear_of(material)
     if given.what == "influence":
         if given.spacing is None and not model.trained_on:
             raise InputError("spacing: the model names no training lattice; give --spacing")
@@ -360,11 +365,13 @@ def run_export(given: argparse.Namespace) -> Result:
     elif given.data is None:
         raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
     else:
-        points = data_for(given, model)[given.set]
+        points = data_for(given, material)[given.set]
+        solid = warp_peri.export.is_linear_solid(material)  # other laws are of one lattice
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+        asked = asked if solid else {}
         if given.what == "operator":
-            model = model.on(points, **asked).model
-            paths = [warp_peri.export.write_operator(given.out, model, points)]
+            operator = (material.linear if solid else material).on(points, **asked)
+            paths = [warp_peri.export.write_operator(given.out, operator.model, points)]
         else:
             settings = given.out / "export.toml"
             operator = material.on(points, **asked)

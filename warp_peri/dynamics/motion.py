@@ -45,9 +45,10 @@ class Motion:
 
     @property
     def drift(self) -> float:
-        """Largest departure of the energy from its first value, relative."""
+        """Largest departure of the energy from its first value, relative; 0 where there is none."""
         energy = self.energy
-        return float(np.abs(energy - energy[0]).max() / np.abs(energy[0]))
+        gone = float(np.abs(energy - energy[0]).max())
+        return gone / float(np.abs(energy[0])) if gone else 0.0
 
     @property
     def missing(self) -> float:

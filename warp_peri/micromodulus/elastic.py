@@ -12,9 +12,13 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import Symmetry
+from warp_peri.micromodulus.regression import directions
+from warp_peri.points.arrays import checked
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
 """Voigt's order."""
+DIRECTIONS = 2880
+"""Along which extremes are looked for; in the plane every sixteenth of a degree."""
 SAME = 1e-3
 """Entries within this of one another, relative to the largest, count as equal in a name."""
 
@@ -77,9 +81,9 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
 def from_voigt(matrix: np.ndarray) -> np.ndarray:
     """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
 
-    Raises InputError for another shape or a matrix that is not symmetric.
+    Raises InputError for another shape, a matrix that is not symmetric or not finite.
     """
-    matrix = np.asarray(matrix, dtype=float)
+    matrix = checked("moduli", matrix, float)
     if matrix.shape not in ((3, 3), (6, 6)):
         raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
     if np.abs(matrix - matrix.T).max() > 1e-8 * np.abs(matrix).max():
@@ -147,6 +151,25 @@ def directional(tensor: np.ndarray, along: np.ndarray, across: np.ndarray) -> tu
     long = np.einsum("ijkl,i,j,k,l", S, along, along, along, along)
     wide = np.einsum("ijkl,i,j,k,l", S, along, along, across, across)
     return float(1 / long), float(-wide / long)
+
+
+def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
+    """Smallest and largest Young's modulus and Poisson's number over all directions, [E], [ν].
+
+    Along a dense set of directions; across each, ν is a quadratic form whose extremes are exact.
+    """
+    d, S = tensor.shape[0], compliance(tensor)
+    if d == 2:
+        angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        e = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    else:  # with those of a cube's edges, faces and corners, where a cubic crystal has its extremes
+        e = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)], dtype=float) - 1
+        e = np.concatenate([e / np.linalg.norm(e, axis=1)[:, None], directions(DIRECTIONS, d)])
+    across = np.linalg.svd(e[:, None])[2][:, 1:]  # [n, d − 1, d], at right angles to e
+    long = np.einsum("ijkl,ni,nj,nk,nl->n", S, e, e, e, e, optimize=True)
+    wide = np.einsum("ijkl,ni,nj,nak,nbl->nab", S, e, e, across, across, optimize=True)
+    nu = np.linalg.eigvalsh(-wide / long[:, None, None])
+    return [float(1 / long.max()), float(1 / long.min())], [float(nu.min()), float(nu.max())]
 
 
 def averages(tensor: np.ndarray) -> tuple[float, float, float, float]:

@@ -399,6 +399,8 @@ def read_force_constants(
 
     Raises InputError for a file that is not one, naming the line.
     """
+    if not os.path.isfile(path):
+        raise InputError(f"{path}: no such file")
     if os.path.getsize(path) > LARGEST_FILE:
         raise InputError(f"{path}: expected less than {LARGEST_FILE} bytes")
     with open(path, encoding="ascii", errors="replace") as file:

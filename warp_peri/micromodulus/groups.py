@@ -89,6 +89,18 @@ def _named(name: str, dimension: int) -> list[np.ndarray]:
     return generators
 
 
+def name_of(group: np.ndarray) -> Symmetry:
+    """The name of a group along the axes as `point_group` has it; the rotations where none is."""
+    d = group.shape[1]
+    for name in reversed(_PLANE if d == 2 else _SOLID):
+        known = point_group(name, d)
+        if name != "isotropic" and len(known) == len(group):
+            off = np.abs(group[:, None] - known).max(axis=(2, 3)).min(axis=1)
+            if off.max() < TOLERANCE:
+                return name
+    return group
+
+
 def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
     """All products of generators and of the inversion."""
     found = [np.eye(dimension), -np.eye(dimension)]

@@ -186,17 +186,22 @@ class Crystal:
     def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
         """Voigt matrix of long waves, 3 × 3 in the plane (11, 22, 12) and 6 × 6 in space.
 
-        In the law's own unit of stress, or another by name, as "GPa". Raises InputError for a name
-        that is not known.
+        Along the nodes' axes. In the law's own unit of stress, or another by name, as "GPa". Raises
+        InputError for a name that is not known.
         """
         return elastic.voigt(self.tensor()) * self._stress(unit)
 
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Elastic constants by name that are not zero, those of a cubic crystal as C11, C12, C44.
 
-        In the plane C44 is the shear modulus, as for the other laws.
+        In the crystal's own axes, however it lies on its nodes. In the plane C44 is the shear
+        modulus, as for the other laws.
         """
-        return elastic.named_moduli(self.tensor() * self._stress(unit))
+        return elastic.named_moduli(self._own_tensor() * self._stress(unit))
+
+    def _own_tensor(self) -> np.ndarray:
+        """C_ijkl in the crystal's own axes."""
+        return elastic.turned(self.tensor(), np.asarray(self.orientation).T)
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
@@ -218,25 +223,21 @@ class Crystal:
         return as_table(self.rows())
 
     def describe(self, unit: str | None = None) -> dict[str, Any]:
-        """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν."""
-        C = self.tensor() * self._stress(unit)
-        V = elastic.voigt(C)
-        d = self.dimension
-        shear = V[-1, -1] if d == 2 else V[3, 3]
-        e = np.array([v for v in np.ndindex((3,) * d) if v != (1,) * d], dtype=float) - 1
-        e /= np.linalg.norm(e, axis=1)[:, None]
-        young = {}
-        for v in e:
-            across = np.linalg.svd(v[None])[2][1]
-            young[tuple(np.round(v, 3).tolist())] = elastic.directional(C, v, across)
-        values = np.array(list(young.values()))
+        """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν.
+
+        In the crystal's own axes; Zener's ratio of cubic and square crystals, None for others.
+        """
+        C = self._own_tensor() * self._stress(unit)
+        M, name = elastic.voigt(C), elastic.named_symmetry(C)
+        cubic = name in ("cubic", "square", "isotropic")
+        young, poisson = elastic.extremes(C)
         return {
-            "symmetry": elastic.named_symmetry(C),
+            "symmetry": name,
             "moduli": self.moduli(unit),
-            "zener": float(2 * shear / (V[0, 0] - V[0, 1])),
+            "zener": float(2 * M[-1, -1] / (M[0, 0] - M[0, 1])) if cubic else None,
             "universal_anisotropy": elastic.universal_anisotropy(C),
-            "E_range": [float(values[:, 0].min()), float(values[:, 0].max())],
-            "nu_range": [float(values[:, 1].min()), float(values[:, 1].max())],
+            "E_range": young,
+            "nu_range": poisson,
         }
 
     def surface_traction(self) -> float:
@@ -363,6 +364,20 @@ class Crystal:
         if unit not in STRESSES:
             raise InputError(f"unit: expected one of {', '.join(STRESSES)}, got {unit!r}")
         return factors(self.units, (self.units[0], unit))[1]
+
+    def summary(self) -> dict[str, Any]:
+        """Symmetry, moduli, lattice and proof as plain values."""
+        named = self.symmetry if isinstance(self.symmetry, str) else "rotations"
+        return {
+            "format": "crystal",
+            "symmetry": named,
+            "moduli": self.moduli(),
+            "units": list(self.units),
+            "spacing": self.spacing,
+            "horizon": self.horizon,
+            "bonds": self.bonds,
+            "certificate": None if self.certificate is None else self.certificate.content(),
+        }
 
     def content(self) -> dict[str, Any]:
         """What a file holds, plain values."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from warp_peri.micromodulus.groups import (
     LEAST,
     Symmetry,
     checked_orientation,
+    name_of,
     orbit_grid,
     point_group,
     shared_with_nodes,
@@ -35,20 +37,30 @@ from warp_peri.micromodulus.regression import Learned, compressed, directions, l
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import USUAL, Units, factors
+from warp_peri.points.unit_names import USUAL, Units, factors, symbols
 
 FLOOR = 0.3
 """ζ over the softest acoustic modulus."""
 AS_GOOD = 1.02
-"""A group is taken while the loss with it is at most so many times that without any,"""
+"""A group is taken while the loss with it is at most so many times that of the best group,"""
 SMALL = 0.003
 """and this much of the loads."""
+MUCH, MUCH_OF_ALL = 1.5, 0.01
+"""The same of one that is told: data contradict it beyond that."""
+LONG_WAVE_MODULI, POOR = "long waves", 0.1
+"""Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
+ABSURD = 10.0
+"""Times the loads, that no law leaves of data in its own units, however noisy."""
 WAVES, LARGEST_WAVE = 400, 2.0
 """Waves that a symbol is matched on, and their largest |k| h."""
 LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
 """Long waves among the rows, their |k| h, and what they weigh together."""
 ENOUGH = 3
 """Numbers for each equation that holds moduli, from which holding them costs short waves little."""
+OFF = 0.05
+"""Of the largest modulus: what is missed by more is warned of."""
+FAR = 1e3
+"""Nodes over the cell of the atoms, or the cell over nodes, beyond which units are mistaken."""
 ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
 """Of a grid on the rest of the zone."""
 
@@ -76,26 +88,48 @@ def fit(
         normalise: weigh each sample by 1/‖b‖.
 
     Returns a law with its certificate. `provenance["fit"]` has the loss, the group's loss over that
-    of the smallest group, cuts and numbers.
+    of the best group (`symmetry_ratio`), cuts and numbers.
 
-    Raises InputError for samples that do not carry the horizon or do not determine the law.
+    Raises InputError for samples that do not carry the horizon or do not determine the law. A
+    UserWarning says where data contradict the symmetry that is told, and where long waves are too
+    few or too short to tell moduli.
     """
     axes = lattice_steps(samples.points)[1]
     d = len(axes)
     turn = np.eye(d) if orientation is None else axes.T @ checked_orientation(orientation, d)
-    reach, ratio, name = horizon / samples.spacing, None, symmetry
-    if isinstance(symmetry, str) and symmetry == "auto":
-        name, ratio = _found(samples, reach, turn, normalise)
+    if not is_positive(horizon):
+        raise InputError(f"horizon: expected a number > 0, got {horizon!r:.60}")
+    if not (moduli is None or isinstance(moduli, str)):
+        moduli = from_voigt(moduli)
+        if len(moduli) != d:
+            raise InputError(f"moduli: expected those of {d} dimensions, got {len(moduli)}")
+    elif moduli not in (None, LONG_WAVE_MODULI):
+        raise InputError(
+            f"moduli: expected {LONG_WAVE_MODULI!r}, None or a Voigt matrix, got {moduli!r:.60}"
+        )
+    reach = horizon / samples.spacing
+    name, ratio = _judged(samples, reach, turn, normalise, symmetry)
     group = point_group(name, d)
     shared = shared_with_nodes(group, turn)
     bonds = family(reach, shared)
     R, y = fields.rows(samples, bonds, normalise=normalise)
     C, misfit = None, None
-    if moduli is not None and isinstance(moduli, str):
+    if isinstance(moduli, str):
         C, misfit = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))
+        if misfit > POOR:
+            warnings.warn(
+                f"moduli: those of the longest waves leave {misfit:.0%} of what these loads do to "
+                "them, and may be as far off: give them, or loads of longer waves on more nodes",
+                stacklevel=4,
+            )
     elif moduli is not None:
-        C = turned(from_voigt(moduli), turn)
+        C = turned(moduli, turn)
     learned = _solve(R, y, bonds, shared, C, samples.spacing)
+    if not learned.loss < ABSURD:
+        raise InputError(
+            f"data: the law leaves {learned.loss:.3g} times the loads themselves; are moduli in "
+            f"{symbols(samples.points.units)[1]}, and loads the forces on the nodes?"
+        )
     record = {
         "from": "fields",
         "loss": learned.loss,
@@ -108,46 +142,78 @@ def fit(
     return _law(learned, bonds, samples.spacing, samples.points.units, name, turn, record)
 
 
-def _found(samples: Samples, reach: float, turn: np.ndarray, normalise: bool) -> tuple[str, float]:
-    """The largest group that costs nothing, and its loss over that of the smallest.
+def _judged(
+    samples: Samples, reach: float, turn: np.ndarray, normalise: bool, told: Symmetry
+) -> tuple[Symmetry, float | None]:
+    """The symmetry that is told, or the largest group that costs nothing; and what it costs.
 
     It is to cost nothing in L u = b, nor in the moduli of long waves. Each half of the samples is
-    judged by the fit of the other: hundreds of numbers without symmetry fit few samples too well.
+    judged by the fit of the other, and the best of all groups is what others are held against:
+    hundreds of numbers without symmetry fit few samples too well. The figure is the larger of both
+    losses over the best, None where the data do not determine the group. A UserWarning says
+    where data contradict the symmetry that is told.
     """
-    d = len(turn)
-    least = family(reach, shared_with_nodes(point_group(LEAST[d], d), turn))
+    d, auto = len(turn), isinstance(told, str) and told == "auto"
+    if len(samples) < 2 and not auto:
+        return told, None
+    none = point_group(LEAST[d], d)
+    least, any_tensor = family(reach, none.astype(int)), allowed_tensors(LEAST[d], none, turn)
     u, b = samples.u, samples.loads
     halves = [Samples(samples.points, u[n::2], b[n::2]) for n in range(min(2, len(u)))]
     equations = [fields.rows(half, least, normalise=normalise) for half in halves]
     R = np.concatenate([rows for rows, _ in equations])
-    if np.linalg.matrix_rank(R) < R.shape[1]:
+    if auto and np.linalg.matrix_rank(R) < R.shape[1]:
         raise InputError(
             f"data: expected enough to tell {R.shape[1]} numbers without any symmetry apart; name "
             "one, or give more loads"
         )
-    free: tuple[float, float] | None = None
-    for name in (LEAST[d], *CANDIDATES[d]):
+    try:
+        long = [fields.long_wave_equations(half, any_tensor) for half in halves]
+    except InputError:  # too few nodes to see long waves on
+        long = []
+
+    def losses(name: Symmetry) -> np.ndarray:
         group = point_group(name, d)
         bonds = family(reach, shared_with_nodes(group, turn))
-        mix = np.einsum("anij,bnij->ba", bonds.basis, least.basis)
-        loss = _crossed([(rows @ mix, right) for rows, right in equations])
         allowed = allowed_tensors(name, group, turn)
-        long = _crossed([fields.long_wave_equations(half, allowed) for half in halves])
-        if free is None:
-            free = (loss, long)
-        elif loss <= AS_GOOD * free[0] + SMALL and long <= AS_GOOD * free[1] + SMALL:
-            break
-    return name, loss / max(free[0], 1e-300) if free else 1.0
+        return np.array(
+            [
+                _crossed(equations, np.einsum("anij,bnij->ba", bonds.basis, least.basis)),
+                _crossed(long, np.einsum("aijkl,bijkl->ba", allowed, any_tensor)) if long else 0.0,
+            ]
+        )
+
+    found = {name: losses(name) for name in CANDIDATES[d]}
+    own = None if auto else found[told] if isinstance(told, str) and told in found else losses(told)
+    best = np.min([*found.values(), *([] if own is None else [own])], axis=0)
+    if own is None:
+        costs_nothing = (name for name in found if (found[name] <= AS_GOOD * best + SMALL).all())
+        told = next(costs_nothing, LEAST[d])
+        own = found[told]
+    elif np.isfinite(own).all() and (own > MUCH * best + MUCH_OF_ALL).any():
+        worst = int(np.argmax(own - best))
+        what = ("L u = b", "the moduli of long waves")[worst]
+        warnings.warn(
+            f"symmetry: the data contradict what is told: in {what} it leaves {own[worst]:.1%} of "
+            f"the loads, another group {best[worst]:.1%}; symmetry='auto' looks for it",
+            stacklevel=5,
+        )
+    if not np.isfinite(own).all():
+        return told, None
+    return told, float((own / np.maximum(best, SMALL)).max())
 
 
-def _crossed(equations: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """‖R p − y‖ / ‖y‖, of each part with the p of the other; of one part with its own."""
-    fits = [np.linalg.lstsq(R, y)[0] for R, y in equations]
-    left = [R @ p - y for (R, y), p in zip(equations, fits[::-1])]
-    return float(
-        np.linalg.norm(np.concatenate(left))
-        / np.linalg.norm(np.concatenate([y for _, y in equations]))
-    )
+def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
+    """‖R M p − y‖ / ‖y‖, of each part with the p of the other; of one part with its own.
+
+    Infinite where a part does not determine p.
+    """
+    parts = [(R @ mix, y) for R, y in equations]
+    if any(np.linalg.matrix_rank(R) < R.shape[1] for R, _ in parts):
+        return np.inf
+    fits = [np.linalg.lstsq(R, y)[0] for R, y in parts]
+    left = np.concatenate([R @ p - y for (R, y), p in zip(parts, fits[::-1])])
+    return float(np.linalg.norm(left) / np.linalg.norm(np.concatenate([y for _, y in parts])))
 
 
 def fit_symbol(
@@ -259,7 +325,13 @@ def from_phonons(
     length, stress = factors(units, USUAL)
     turn = checked_orientation(orientation, d)
     auto = isinstance(symmetry, str) and symmetry == "auto"
-    name: Symmetry = atoms.group() if auto else symmetry
+    name: Symmetry = name_of(atoms.group()) if auto else symmetry
+    cell = atoms.volume ** (1 / d) if d == 3 else (atoms.volume / (atoms.thickness or 1.0)) ** 0.5
+    if not 1 / FAR < spacing * length / cell < FAR:
+        raise InputError(
+            f"spacing: expected nodes about as far apart as a cell of the atoms is long, "
+            f"{cell / length:.3g} {symbols(units)[0]}, got {spacing:g}"
+        )
 
     def target(k: np.ndarray) -> np.ndarray:
         D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
@@ -273,7 +345,7 @@ def from_phonons(
     C = atoms.elastic(allowed)  # also where it is not held: refuses what is no elastic solid
     tensor = turned(C, turn) / stress if hold_moduli else None
     held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
-    return fit_symbol(
+    law = fit_symbol(
         target,
         spacing,
         horizon,
@@ -285,6 +357,15 @@ def from_phonons(
         largest_wave=largest_wave,
         record={"from": "phonons"},
     )
+    true = turned(C, turn) / stress
+    off = float(np.abs(law.tensor() - true).max() / np.abs(true).max())
+    if off > OFF:
+        warnings.warn(
+            f"moduli: with {law.bonds} bonds they are up to {off:.0%} of the largest away from "
+            "those of the atoms; a longer horizon, or hold_moduli=True, brings them back",
+            stacklevel=2,
+        )
+    return law
 
 
 def _solve(
@@ -357,6 +438,9 @@ def transferred(
 
     Returns a law with its certificate. Raises InputError where the symbol is not positive.
     """
+    for what, value in (("spacing", spacing), ("horizon", horizon)):
+        if not (is_positive(value) or (value is None and what == "horizon")):
+            raise InputError(f"{what}: expected a number > 0, got {value!r:.60}")
     d = law.dimension
     turn = checked_orientation(rotation, d)
     orientation = turn @ law.orientation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import stiffnesses
@@ -23,7 +24,11 @@ def tensors_of(model: Model, spacing: float) -> Crystal:
     Args:
         model: linear.
         spacing: of the lattice, in the model's units.
+
+    Raises InputError for what is no linear peridynamic solid, and a spacing without bonds.
     """
+    if not isinstance(model, Model):
+        raise InputError(f"model: expected a linear peridynamic solid, got {type(model).__name__}")
     d = model.dimension
     classes = bond_classes(spacing, model.horizon, dimension=d)
     v, z, kappa = stiffnesses(model, classes)

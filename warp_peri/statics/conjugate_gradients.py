@@ -145,9 +145,10 @@ def _descend(
         q = product(p)
         energy = inner.dot(p, q)
         if not (energy > 0 and rz > 0):
-            raise InputError(
-                f"the operator{where} is indefinite: a direction has the energy {energy:.1e}"
-            )
+            shown = f"a direction has the energy {energy:.1e}"
+            if energy > 0:
+                shown = f"the inverse of its waves answers a force with the work {rz:.1e}"
+            raise InputError(f"the operator{where} is indefinite: {shown}")
         record.iterations += 1
         step, last = rz / energy, rz
         inner.add(u, step, p)

@@ -44,6 +44,11 @@ def on_lattice(
     for word, value in {"spacing": spacing, **asked}.items():
         if not (is_number(value) or (value is None and word != "spacing")):
             raise InputError(f"{word}: expected a number > 0, got {value!r}")
+    if not isinstance(model, Model):
+        raise InputError(
+            f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
+            "micromodulus.transferred(law, spacing) carries a crystal"
+        )
     home = model_content(model)["sha256"]
     named = {"spacing": spacing, **asked}
     name = "_".join(f"{key}_{value:.9g}" for key, value in named.items() if value is not None)
