@@ -27,6 +27,7 @@ class Base:
     One site a node x: its strains are B · u(x + corners)/h.
 
     Attributes:
+        kind: "elements" or "bonds".
         corners: in spacings, shape [P, d].
         strains: B, shape [S, P, d]; one whose nodes are not all there is left out.
         parts: M_a, shape [A, S, S].
@@ -35,6 +36,7 @@ class Base:
         middle: how much each corner says of a site's own modulus, shape [P].
     """
 
+    kind: str
     corners: np.ndarray
     strains: np.ndarray
     parts: np.ndarray
@@ -96,9 +98,8 @@ def _elements(tensor: np.ndarray) -> Base:
                 strain[:, j] += slope[i] * 0.5**0.5
             strains.append(strain)
     parts = [np.kron(np.eye(count), shape) / count for shape in shapes]
-    return Base(
-        corner, np.array(strains), np.array(parts), moduli, names, np.full(count, 1 / count)
-    )
+    middle = np.full(count, 1 / count)
+    return Base("elements", corner, np.array(strains), np.array(parts), moduli, names, middle)
 
 
 def gauss_shapes(at: np.ndarray) -> np.ndarray:
@@ -151,7 +152,8 @@ def _bonds(tensor: np.ndarray) -> Base:
         strains[j, 0], strains[j, j + 1] = -direction, direction
     theta = np.outer(2 * w * length, 2 * w * length)
     parts = np.array([theta, 8 * np.diag(w) - 2 * theta])
-    return Base(corner, strains, parts, np.array([bulk, shear]), ("bulk", "shear"), np.eye(9)[0])
+    moduli, names = np.array([bulk, shear]), ("bulk", "shear")
+    return Base("bonds", corner, strains, parts, moduli, names, np.eye(9)[0])
 
 
 def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:

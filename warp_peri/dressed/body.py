@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.dressed.bases import composed, half, spread
 from warp_peri.dressed.broken import key, pairs
 from warp_peri.dressed.grains import Grains, grains_of
 from warp_peri.dressed.outline import cut_elements
@@ -49,7 +50,7 @@ class Body:
         solid: the law.
         points: nodes on a lattice of its spacing, or periodic; those that are not interior are
             held.
-        edges, maps, broken, grains: as of DressedSolid.on.
+        edges, maps, broken, grains, dtype: as of DressedSolid.on.
 
     Attributes:
         factors: modulus of each part over that of the even solid at each site, [A, N].
@@ -65,6 +66,7 @@ class Body:
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
         grains: Grains | None = None,
+        dtype: Any = np.float64,
     ) -> None:
         self.points, self.model = solid.crystal.fitting(points), solid
         self.grid, self.axes = lattice_steps(self.points)
@@ -91,6 +93,12 @@ class Body:
         self._even = (
             alive and len(self.laws) == 1 and not edges and not len(torn)
         )  # whole rows of G at every unknown
+        self.dtype = np.dtype(dtype)
+        if self.dtype != np.float64 and not (self.dtype == np.float32 and self._sweep):
+            raise InputError(
+                "dtype: expected float64, or float32 of a sheet with or without maps that nothing "
+                f"cuts, got {self.dtype}"
+            )
 
     def _neighbours(self, steps: np.ndarray) -> np.ndarray:
         """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
@@ -161,15 +169,18 @@ class Body:
         return whole
 
     def _refuse_edges(self) -> None:
-        """Raise InputError where an interior node lacks one that L leads to."""
-        steps = self.model.crystal.steps
+        """Raise InputError where an interior node lacks one that L leads to, whatever its maps."""
+        law = self.model
+        K = np.abs(law.parts.stencils).sum(axis=0)
+        G = np.abs(spread(law.steps, np.abs(law.tensors).sum(axis=0)))
+        steps, _ = half(composed(G, composed(K, G)))
         there = self._neighbours(np.concatenate([steps, -steps])) >= 0
         lacking = int((~there.all(axis=1) & self.points.interior).sum())
         if lacking:
             raise InputError(
                 f"points: {lacking} of {int(self.points.interior.sum())} interior nodes have cut "
-                f"bonds; give a collar {self.model.horizon:g} wide, or edges=True where the body "
-                "itself ends there"
+                f"bonds; give a collar {law.spacing * np.linalg.norm(steps, axis=1).max():g} wide, "
+                "or edges=True where the body itself ends there"
             )
 
     @cached_property
@@ -260,9 +271,9 @@ class Body:
 
     @cached_property
     def _sweep(self) -> tuple[Nodes, ByLayers] | None:
-        """L by rows, of sheets of square elements that nothing cuts."""
+        """L by rows, of sheets that nothing cuts."""
         law = self.model
-        if not (self._even and law.layered and law.base == "elements" and law.dimension == 2):
+        if not (self._even and law.layered and law.dimension == 2):
             return None
         nodes = lay_out(self.points, law.crystal.steps)
         factors = np.ones((len(self.factors), int(np.prod(nodes.shape))))
@@ -270,8 +281,9 @@ class Body:
         factors = factors.reshape(-1, *nodes.shape)
         if nodes.periodic:
             factors = np.pad(factors, [(0, 0), *[(nodes.reach,) * 2] * 2], mode="wrap")
-        sweep = ByLayers(nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors)
-        return nodes, sweep
+        return nodes, ByLayers(
+            nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors, self.dtype
+        )
 
     @cached_property
     def layers(self) -> list[sp.csr_array]:
@@ -301,7 +313,7 @@ class Body:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
         if self._sweep is not None:
             nodes, sweep = self._sweep
-            found = nodes.take_up(sweep(nodes.lay_out(self._fields(u))))
+            found = nodes.take_up(sweep(nodes.lay_out(self._fields(u), self.dtype)))
             return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
         flat = self._flat(u)
         force = (self.L @ flat.T).T.reshape(*np.shape(u)) @ self.axes.T

@@ -119,7 +119,7 @@ class DressedSolid:
         """Whether L is swept as G, K, G: of one G whose reach, with the base's, is that of L."""
         if len(self.tensors) > 1 or not len(self.steps):
             return False
-        reach = 2 * np.abs(self.steps).max() + np.abs(half(self.parts.stencils.sum(0))[0]).max()
+        reach = 2 * np.abs(self.steps).max() + self.parts.stencils.shape[1] // 2
         return bool(np.abs(self.crystal.steps).max() == reach)
 
     @property
@@ -202,7 +202,7 @@ class DressedSolid:
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
             grains: laws, and the number of that which each node belongs to, [N]; as for turned
                 grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (D24).
-            dtype: float64 or float32, of even solids.
+            dtype: float64, or float32 of even solids and of sheets with maps that nothing cuts.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
@@ -212,7 +212,9 @@ class DressedSolid:
         from warp_peri.micromodulus.operator import Operator
 
         if edges or maps or broken is not None or grains is not None:
-            return Body(self, points, edges=edges, maps=maps, broken=broken, grains=grains)
+            return Body(
+                self, points, edges=edges, maps=maps, broken=broken, grains=grains, dtype=dtype
+            )
         law = self.crystal
 
         def layers(nodes: Nodes, dtype: Any) -> ByLayers:
