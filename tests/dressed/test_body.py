@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.dressed.solids import SPACING, nodes, rigid, solid
-from tests.micromodulus.crystals import lattice
+from tests.dressed.solids import ISOTROPIC, SPACING, nodes, rigid, solid
+from tests.micromodulus.crystals import cubic_tensor, lattice
 from warp_peri.dressed import grown, torn
+from warp_peri.dressed.bases import dilatation_range
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
 
+BONDS = cubic_tensor(2, **ISOTROPIC)
 REACHES = {2: (1.0, 2**0.5, 2.0, 5**0.5), 3: (1.0, 2**0.5, 3**0.5)}
 
 
@@ -22,7 +24,8 @@ def random_body(seed):
     d = 2 + seed % 2
     base = "bonds" if d == 2 and rng.random() < 0.5 else "elements"
     reach = REACHES[d][rng.integers(len(REACHES[d]))]
-    law = solid(d, base, reach, 0.05, bool(rng.integers(2)), seed)
+    p = 1 / 8 + (base == "bonds") * rng.uniform(-1, 1) * dilatation_range(BONDS)
+    law = solid(d, base, reach, 0.05, bool(rng.integers(2)), seed, p)
     n = {2: 10, 3: 4}[d]
     points = nodes(d, n, rng.random(n**d) < rng.uniform(0.9, 1))
     x = points.x
@@ -198,6 +201,8 @@ def test_a_crack_costs_what_it_costs_the_base():
     assert np.abs(u - base.u).max() > 1e-3 * np.abs(u).max()
     with pytest.raises(InputError, match="got elements"):
         _ = solid().plain
+    with pytest.raises(InputError, match="got two influence functions"):
+        _ = replace(law, dilatation=0.15).plain
     with pytest.raises(InputError, match="split"):
         solid(split=True).on(points, edges=True).displacement(u)
 
@@ -221,11 +226,11 @@ def test_what_does_not_fit_is_refused(options, message):
         solid().on(nodes(2, 10), **({"edges": True} | options))
 
 
-@pytest.mark.parametrize("base", ["elements", "bonds"])
+@pytest.mark.parametrize(("base", "p"), [("elements", 1 / 8), ("bonds", 1 / 8), ("bonds", 0.2)])
 @pytest.mark.parametrize("periodic", [True, False])
-def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, periodic):
+def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, p, periodic):
     """L as G, K, G by rows: of even solids, on one precision and two, and with maps."""
-    law = solid(2, base, 2.0 if base == "bonds" else 2**0.5)
+    law = solid(2, base, 2.0 if base == "bonds" else 2**0.5, dilatation=p)
     points = wp.Points.sheet((15, 18), SPACING) if periodic else lattice(2, 5, 7, SPACING)
     rng = np.random.default_rng(0)
     u = rng.normal(size=(2, *points.x.shape))

@@ -47,6 +47,8 @@ class Dressed:
             the Smoothing of the data finds better ones (D20). They are never learned with G: left
             free they drift.
         split: a G for each part of the base (bulk, shear, …) in place of one.
+        two_functions: learn an influence function of the dilatation too, one number more; of a base
+            of bonds and one G. It keeps what is proven (D26).
     """
 
     base: str = "elements"
@@ -55,6 +57,7 @@ class Dressed:
     orientation: Any = None
     moduli: Any = "long waves"
     split: bool = False
+    two_functions: bool = False
 
     def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> DressedFit:
         """The fit; errors as of learning.fit. It takes a few steps, with no progress to show."""

@@ -164,10 +164,13 @@ def bond_table(base: Base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of bonds that vary (D25): steps of one half, [H, 2]; a d and the upper triangle of w d ⊗ d,
     [H, 5]; and the matrix that leads from factors of the parts to κ − 2 μ and 8 μ, [2, 2]."""
     bulk, shear = base.moduli
-    a = np.sqrt(np.diag(base.parts[0]))
-    w = np.diag(base.parts[1] + 2 * base.parts[0]) / 8
+    theta, rest = base.parts
+    apart = ~np.eye(len(theta), dtype=bool)
+    share = -(rest[apart] @ theta[apart]) / (theta[apart] @ theta[apart])  # 2/M of (D26)
+    a = theta[np.argmax(np.diag(theta))] / np.sqrt(np.diag(theta).max())
+    w = np.diag(rest + share * theta) / 8
     half = slice(len(a) // 2, None)  # the others are opposite
     d = base.strains[np.arange(len(a)), 1 + np.arange(len(a))][half]
     square = entries(w[half, None, None] * d[:, :, None] * d[:, None])
     table = np.concatenate([a[half, None] * d, square], axis=1)
-    return base.corners[1:][half], table, np.array([[bulk, -2 * shear], [0, 8 * shear]])
+    return base.corners[1:][half], table, np.array([[bulk, -share * shear], [0, 8 * shear]])
