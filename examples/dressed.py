@@ -24,7 +24,7 @@ import numpy as np
 import warp_peri as wp
 from examples.crystals import Unseen
 from examples.nonlinear import add_files, strained_file
-from examples.studies.dressed_bodies import faces, free_ball, hole, squeezed_law, without
+from examples.studies.dressed_bodies import STRIP, faces, free_ball, plate, squeezed_law, without
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
@@ -293,7 +293,7 @@ def main(arguments: list[str] | None = None) -> int:
         numbers |= {key: best[key] for key in ("E_res", "E_u")}
         numbers["breaking"] = breaking(laws["bonds 12"])
         numbers["breaking"]["beside atoms"] = faces()
-        numbers["free"] = {"disk": free(laws["elements 8"]), "hole": hole()}
+        numbers["free"] = {"disk": free(laws["elements 8"]), "hole": plate(), "strip": plate(STRIP)}
         numbers["finite_strain"] = finite_strain(data, wp.load(strained_file(given)))
         names = ("Cu", "Al", "W", "Si") if given.all else ("Cu",)
         numbers["split"] = {name: crystal(name, given.all) for name in names}
