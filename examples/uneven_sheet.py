@@ -95,6 +95,11 @@ def correlation(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.corrcoef(first, second)[0, 1])
 
 
+def within(found: np.ndarray, true: np.ndarray, spread: np.ndarray) -> float:
+    """Share of the nodes where a value is off by less than two standard deviations."""
+    return float((np.abs(found - true) < 2 * spread).mean())
+
+
 def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Path) -> None:
     """Truth, map, error and correlation of each modulus, over that of the even sheet."""
     figure, axes = plt.subplots(2, 4, figsize=(13, 6), layout="constrained")
@@ -155,7 +160,9 @@ def main(arguments: list[str] | None = None) -> int:
             "resolution": found.resolution,
             "correlation": {p: correlation(found.maps[p], true[p]) for p in true},
             "off": {p: float(np.abs(found.maps[p] - true[p]).mean()) for p in true},
-            "spread": {p: float(found.spread[p].mean()) for p in true},
+            "within two spreads": {
+                p: within(found.maps[p], true[p], found.spread[p]) for p in true
+            },
         }
         if given.all:
             numbers["density"] = vacancies(LOADS_OF_DENSITY)

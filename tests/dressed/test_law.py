@@ -202,3 +202,9 @@ def test_a_file_with_a_fault_is_named(tmp_path):
     samples = waves(solid(), lattice(2, 8, 4, SPACING), 2)
     with pytest.raises(InputError, match="neighbours: expected one of 4, 8, 12, 20"):
         wp.fit(samples, wp.Dressed("elements", 9, moduli=solid().elastic))
+
+
+def test_a_poorer_law_has_a_smaller_dressing():
+    assert [wp.Dressed(neighbours=n).poorer().neighbours for n in (20, 8, 26)] == [12, 4, 18]
+    with pytest.raises(InputError, match="more than the fewest, got 6"):
+        wp.Dressed(neighbours=6).poorer()
