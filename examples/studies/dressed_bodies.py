@@ -80,15 +80,12 @@ def plate(of: Plate = HOLED, spacing: float = 5.0) -> dict[str, Any]:
         return (np.linalg.norm(at, axis=1) > R) & (np.abs(at[:, 1]) < half)
 
     x = lattice(REACH, spacing, 2)
-    x = x[
-        (np.linalg.norm(x, axis=1) > R - 1.5 * spacing) & (np.abs(x[:, 1]) < half + 1.5 * spacing)
-    ]
-    inner = (np.abs(x) < np.array([1, 1 if R else np.inf]) * (REACH - (KEPT - 0.5) * spacing)).all(
-        1
-    )
+    near = 1.5 * spacing
+    x = x[(np.linalg.norm(x, axis=1) > R - near) & (np.abs(x[:, 1]) < half + near)]
+    inner = np.abs(x if R else x[:, :1]).max(axis=1) < REACH - (KEPT - 0.5) * spacing
     points = wp.Points(x, inner, spacing, axis=ZIGZAG)
     seen, ended = [], []
-    filled = (np.abs(x) < INSIDE - SMOOTHING_RADIUS).all(axis=1) & (of.edge_distance(x) > OFF)
+    far = inner & (np.abs(x) < INSIDE - SMOOTHING_RADIUS).all(axis=1) & (of.edge_distance(x) > OFF)
     mesh = mesh_of(of, bond)
     for sample in samples:
         seen.append(smoothed(sample.reference, sample.displacement, x))
@@ -107,7 +104,7 @@ def plate(of: Plate = HOLED, spacing: float = 5.0) -> dict[str, Any]:
         load = np.array(b) / (spacing**2 * THICKNESS)
         answers[name] = wp.solve(cut, wp.Dirichlet(points, load, u)).u
     for name, answer in answers.items():
-        each = {load.name: relative(v[None], w[None], filled & inner)
+        each = {load.name: relative(v[None], w[None], far)
                 for load, v, w in zip(loads_of(of, TENSION), answer, u)}  # fmt: skip
         found[name] = float(np.mean(list(each.values())))
         found[f"{name}, each"] = each
@@ -117,7 +114,7 @@ def plate(of: Plate = HOLED, spacing: float = 5.0) -> dict[str, Any]:
 def smoothed(atoms: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Displacement at nodes by a plane through that of the atoms around, [N, 2]: at a free edge
     their middle lies beside the node."""
-    cone = smoothing_matrix(atoms, x, radius=SMOOTHING_RADIUS, spacing=5.0).tocoo()
+    cone = smoothing_matrix(atoms, x, radius=SMOOTHING_RADIUS, density=True).tocoo()
     node, weight, arm = cone.row, cone.data, atoms[cone.col] - x[cone.row]
     terms = np.column_stack([np.ones(len(arm)), arm / SMOOTHING_RADIUS])
     A, y = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3, 2))

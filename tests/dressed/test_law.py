@@ -14,10 +14,11 @@ from tests.micromodulus.crystals import cubic_tensor, lattice
 from tests.micromodulus.test_learning import waves
 from warp_peri.dressed.bases import base, bonds, dilatation_range, half
 from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.learning import from_phonons, transferred
+from warp_peri.dressed.learning import _dressing, _Monomials, from_phonons, transferred
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import from_calculator
+from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
 from warp_peri.micromodulus.states import tensors_of
 
@@ -208,3 +209,16 @@ def test_a_poorer_law_has_a_smaller_dressing():
     assert [wp.Dressed(neighbours=n).poorer().neighbours for n in (20, 8, 26)] == [12, 4, 18]
     with pytest.raises(InputError, match="more than the fewest, got 6"):
         wp.Dressed(neighbours=6).poorer()
+
+
+@pytest.mark.parametrize(
+    ("kind", "split", "two"), [("elements", True, False), ("bonds", False, True)]
+)
+def test_slopes_are_those_of_central_differences(kind, split, two):
+    C = cubic_tensor(2, **SHEET)
+    dressing = _dressing(8, point_group("4mm", 2).astype(int))
+    found = _Monomials(kind, C, dressing, split, 1.0, two)
+    x = 0.05 * np.random.default_rng(0).normal(size=len(found.bases) * found.count + two)
+    step = 1e-5 * np.eye(len(x))
+    slopes = [(found.coefficients(x + e) - found.coefficients(x - e)) / 2e-5 for e in step]
+    np.testing.assert_allclose(found.slopes(x), np.transpose(slopes), atol=1e-10)
