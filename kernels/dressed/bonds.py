@@ -2,7 +2,7 @@
 
 Planes and pieces are those of micromodulus/rows.py. Bond p of one half of the family leads
 `offset[p]` places on; its row of the table is a d and the upper triangle of w d ⊗ d. Factors are
-two planes, p = (κ − 2 μ)/h² and q = 8 μ/h². The site sweep leaves t = p θ with
+two planes, c = (κ − 2 μ)/h² and q = 8 μ/h². The site sweep leaves t = c θ with
 θ = Σ a d·(u₊ − u₋), the node sweep pulls with t and q:
 
     f(x) = Σ w d ⊗ d [(q + q₊)(u − u₊) + (q + q₋)(u − u₋)] − a d (t₊ − t₋).
