@@ -19,6 +19,7 @@ sys.path.insert(0, str(ROOT))
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import Normalize
 
 import warp_peri as wp
 from examples.graphene_report import save_figure
@@ -110,9 +111,9 @@ def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Pa
         both = np.append(true[part], map_)
         low, high, wide = both.min(), both.max(), np.abs(map_ - true[part]).max()
         for ax, (title, values) in zip(row, shown.items()):
-            colours = plt.Normalize(low, high), "viridis"
+            colours = Normalize(low, high), "viridis"
             if title == "error":
-                colours = plt.Normalize(-wide, wide), "RdBu"
+                colours = Normalize(-wide, wide), "RdBu"
             drawn = ax.scatter(
                 *at.T, c=values, norm=colours[0], cmap=colours[1], s=10, marker="s", linewidths=0
             )

@@ -91,8 +91,8 @@ def plate(of: Plate = HOLED, spacing: float = 5.0) -> dict[str, Any]:
         seen.append(smoothed(sample.reference, sample.displacement, x))
         there = (np.abs(sample.reference) <= INSIDE).all(axis=1)
         atoms = sample.reference[there]
-        b = force_on_mesh(mesh, atoms, sample.force[there], thickness=THICKNESS)
-        body = solve_body(law.crystal, mesh, displacement=held_sides(of, sample), b=b)
+        density = force_on_mesh(mesh, atoms, sample.force[there], thickness=THICKNESS)
+        body = solve_body(law.crystal, mesh, displacement=held_sides(of, sample), b=density)
         atoms = atoms[mesh.holding(atoms) >= 0]
         ended.append(smoothed(atoms, body.displacement(atoms), x))
     u = np.array(seen)

@@ -62,19 +62,18 @@ class ByLayers:
         places = int(np.prod(nodes.wide))
         ends = [int(p.numpy()[-1, 0]) + int(o.numpy().max()) for p, _, o, _ in self.stages]
         self.beyond = max(ends) + self.kernels.lanes + int(self.strides.sum()) > places
-        self.kind, self.maps, row = base.kind, None, int(self.strides[0])
+        self.kind, self.maps = base.kind, None
         if factors is not None:
             sites = self._pieces(maximum_filter(mask, 2 * (own + 1) + 1))
             flat = factors.reshape(len(factors), -1) / spacing**2
+            where: Any  # offsets of bonds, or of the next row of elements
             if base.kind == "bonds":
+                self.uneven = bonds(self.scalar)
                 along, table, mixed = bond_table(base)
-                self.uneven, where, flat = (
-                    bonds(self.scalar),
-                    ints(along @ self.strides),
-                    mixed @ flat,
-                )
+                where, flat = ints(along @ self.strides), mixed @ flat
             else:
-                self.uneven, where, table = elements(self.scalar), row, element_modes(base)
+                self.uneven, table = elements(self.scalar), element_modes(base)
+                where = int(self.strides[0])
             self.maps = sites, (where, self._floats(table), self._floats(flat, spare=True))
         self._buffers: dict[tuple[int, int], np.ndarray] = {}
 
@@ -108,8 +107,8 @@ class ByLayers:
         stresses = self._buffer(3, len(given), MODES[self.kind] * int(np.prod(self.nodes.wide)))
         self._launch(self.uneven.stressed, sites, inputs, given, stresses)
         if self.kind == "bonds":
-            inputs = (*inputs, floats(stresses, self.scalar))
-            self._launch(self.uneven.gathered, nodes, inputs, given, found)
+            both = (*inputs, floats(stresses, self.scalar))
+            self._launch(self.uneven.gathered, nodes, both, given, found)
         else:
             self._launch(self.uneven.gathered, nodes, inputs[:1], stresses, found)
 
