@@ -24,7 +24,7 @@ def random_body(seed):
     d = 2 + seed % 2
     base = "bonds" if d == 2 and rng.random() < 0.5 else "elements"
     reach = REACHES[d][rng.integers(len(REACHES[d]))]
-    p = 1 / 8 + (base == "bonds") * rng.uniform(-1, 1) * dilatation_range(BONDS)
+    p = 1 / 8 + (base == "bonds") * rng.integers(2) * rng.uniform(-1, 1) * dilatation_range(BONDS)
     law = solid(d, base, reach, 0.05, bool(rng.integers(2)), seed, p)
     n = {2: 10, 3: 4}[d]
     points = nodes(d, n, rng.random(n**d) < rng.uniform(0.9, 1))
