@@ -175,7 +175,8 @@ def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
     if not path.exists():
         from tools.make_graphene import LOADS, make_graphene
 
-        print("making graphene data with LAMMPS (once; finished samples are kept)")
+        said = "making graphene data with LAMMPS (once; finished samples are kept)"
+        print(said, file=sys.stderr)
         cache = DATA.with_suffix(".cache")  # atoms depend neither on smoothing nor on other loads
         make_graphene(
             path,

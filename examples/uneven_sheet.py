@@ -19,12 +19,14 @@ sys.path.insert(0, str(ROOT))
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import Normalize
 
 import warp_peri as wp
+from examples.graphene_report import save_figure
 from tools.graphene_phonons import force_constants
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.uneven_sheets import Sheet, moduli, uneven_sheet
-from warp_peri.dressed import DressedSolid, fit_density, fit_maps, from_phonons
+from warp_peri.dressed import DressedSolid, MapFit, fit_density, fit_maps, from_phonons
 from warp_peri.errors import exit_status
 
 LOADS_OF_DENSITY = 12
@@ -84,8 +86,45 @@ def vacancies(loads: int) -> dict[str, Any]:
         "densities": {"learned": [found.least, found.most],
                       "used": [float(blob.density.min()), float(blob.density.max())]},
         "unseen": errors,
+        "correlation of the maps": correlation(own.maps["shear"], maps["density"]["shear"]),
         "over its own map": over,
     }  # fmt: skip
+
+
+def correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """Pearson's, over the nodes."""
+    return float(np.corrcoef(first, second)[0, 1])
+
+
+def within(found: np.ndarray, true: np.ndarray, spread: np.ndarray) -> float:
+    """Share of the nodes where a value is off by less than two standard deviations."""
+    return float((np.abs(found - true) < 2 * spread).mean())
+
+
+def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Path) -> None:
+    """Truth, map, error and correlation of each modulus, over that of the even sheet."""
+    figure, axes = plt.subplots(2, 4, figsize=(13, 6), layout="constrained")
+    for row, (part, letter) in zip(axes, {"bulk": "κ", "shear": "μ"}.items()):
+        map_ = found.maps[part]
+        shown = {f"{letter}, as the share of each": true[part], f"{letter}, its map": map_,
+                 "error": map_ - true[part]}  # fmt: skip
+        both = np.append(true[part], map_)
+        low, high, wide = both.min(), both.max(), np.abs(map_ - true[part]).max()
+        for ax, (title, values) in zip(row, shown.items()):
+            colours = Normalize(low, high), "viridis"
+            if title == "error":
+                colours = Normalize(-wide, wide), "RdBu"
+            drawn = ax.scatter(
+                *at.T, c=values, norm=colours[0], cmap=colours[1], s=10, marker="s", linewidths=0
+            )
+            figure.colorbar(drawn)
+            ax.set(aspect="equal", title=title, xlabel="x [Å]", ylabel="y [Å]")
+        row[3].plot([low, high], [low, high], color="0.7")
+        row[3].plot(true[part], map_, ".", markersize=3)
+        row[3].set(aspect="equal", xlabel="truth", ylabel="map")
+        row[3].set_title(f"correlation {correlation(map_, true[part]):.3f}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(figure, path)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -117,7 +156,15 @@ def main(arguments: list[str] | None = None) -> int:
                 **displacement_errors(body, sheet), "smoothness": fit.smoothness,
             }  # fmt: skip
         found = fits["each"]
-        numbers["maps"]["resolution"] = found.resolution
+        true = {part: 1 - sheet.inside * (1 - nitride[part] / carbon[part]) for part in even}
+        numbers["maps"] |= {
+            "resolution": found.resolution,
+            "correlation": {p: correlation(found.maps[p], true[p]) for p in true},
+            "off": {p: float(np.abs(found.maps[p] - true[p]).mean()) for p in true},
+            "within two spreads": {
+                p: within(found.maps[p], true[p], found.spread[p]) for p in true
+            },
+        }
         if given.all:
             numbers["density"] = vacancies(LOADS_OF_DENSITY)
         numbers["moduli"] = {
@@ -129,17 +176,7 @@ def main(arguments: list[str] | None = None) -> int:
             for part in law.parts.names
         }
         print(json.dumps(numbers, indent=None if given.json else 1))
-        figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
-        at = points.x - points.x.mean(axis=0)
-        shown = {"share of boron nitride": sheet.inside,
-                 "κ over graphene's": found.maps["bulk"],
-                 "μ over graphene's": found.maps["shear"]}  # fmt: skip
-        for ax, (title, values) in zip(axes, shown.items()):
-            drawn = ax.scatter(*at.T, c=values, s=14, marker="s", linewidths=0)
-            figure.colorbar(drawn)
-            ax.set(aspect="equal", title=title, xlabel="x [Å]", ylabel="y [Å]")
-        given.out.mkdir(parents=True, exist_ok=True)
-        figure.savefig(given.out / "maps.png", dpi=100)
+        picture(points.x - points.x.mean(axis=0), found, true, given.out / "maps.png")
 
     return exit_status(work)
 

@@ -35,10 +35,10 @@ def ways(law: DressedSolid, points: Points) -> dict[str, Callable[[], Any]]:
         "G, K, G": functools.partial(layers.pull, planes),
         "G, K, G, float32": functools.partial(single.pull, planes.astype(np.float32)),
     }
-    if law.base == "elements":
-        factors = np.ones((len(law.parts.names), *layers.nodes.wide))
-        uneven = ByLayers(layers.nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors)
-        found["G, K, G with maps"] = functools.partial(uneven, planes)
+    factors = np.ones((len(law.parts.names), *layers.nodes.wide))
+    own = layers.nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors
+    found["with maps"] = functools.partial(ByLayers(*own), planes)
+    found["with maps, float32"] = functools.partial(ByLayers(*own, np.float32), planes.astype("f4"))
     known = found["bonds of L by rows"]()
     for name, way in found.items():
         off = np.abs(way() - known).max() / np.abs(known).max()

@@ -1,6 +1,6 @@
 """Dressed bodies that end or are torn, against atoms: a hole and a crack in graphene, free balls.
 
-python examples/studies/dressed_bodies.py    the hole and the crack
+python examples/studies/dressed_bodies.py    the hole, the strip and the crack
 """
 
 from __future__ import annotations
@@ -17,22 +17,24 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 import numpy as np
 
 import warp_peri as wp
+from examples.hole_against_atoms import INSIDE, held_sides, mesh_of
 from tools.cracked_fields import opened_sheet
 from tools.crystal_ball import Ball
 from tools.crystals import force_constants
-from tools.graphene import THICKNESS, area_per_atom, bond_length
+from tools.graphene import THICKNESS, bond_length
 from tools.graphene_phonons import force_constants as graphene
-from tools.holed_sheet import Plate, held_samples, loads_of
+from tools.holed_sheet import STRIP, Plate, held_samples, loads_of
 from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
 from warp_peri.dressed import DressedSolid, from_phonons, torn
-from warp_peri.sources.coarse_graining import smoothing_matrix
+from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
+from warp_peri.statics.body import solve_body
 from warp_peri.structures.waves import CONE, EV_IN_TPA, relative, smoothing
 
-PLATE = Plate((120.0, 120.0), 30.0)
+HOLED = Plate((120.0, 120.0), 30.0)
 TENSION = 3e-4
 """Stress about the loads of the plate [TPa], small enough for it to be linear."""
-OFF, FILLED = 10.0, 0.93
-"""Distance from the hole that is compared [Å], and how much of a node's cone atoms must fill."""
+OFF = 10.0
+"""Distance from free edges beyond which displacement is compared [Å]."""
 REACH, KEPT = 110.0, 3
 """Of the plate's nodes, and layers of them that are held."""
 WITHIN = 8.6
@@ -61,36 +63,64 @@ def loaded(body: Any, x: np.ndarray, atoms: np.ndarray, forces: np.ndarray, cone
     return b * EV_IN_TPA
 
 
-def hole(spacing: float = 5.0) -> dict[str, Any]:
-    """E_u [%] of a plate with a hole of 30 Å, as large as its missing atoms, under five loads."""
+def plate(of: Plate = HOLED, spacing: float = 5.0) -> dict[str, Any]:
+    """E_u [%] of a plate with a hole, or of a strip, as large as their atoms, under their loads.
+
+    By dressed elements that the outline cuts, by the same without G, and by the same law in a Body,
+    which ends in triangles.
+    """
     law = from_phonons(graphene(), spacing, "elements", 8, symmetry="isotropic", split=False)
     with tempfile.TemporaryDirectory() as cache:
-        samples = held_samples(cache, plates=[PLATE], tension=TENSION, progress=False)[PLATE]
+        samples = held_samples(cache, plates=[of], tension=TENSION, progress=False)[of]
     bond = bond_length()
-    R = PLATE.effective_radius(bond)
+    R = of.effective_radius(bond) if of.radius else 0.0
+    half = np.inf if R else of.effective_height(bond)
+
+    def inside(at: np.ndarray) -> np.ndarray:
+        return (np.linalg.norm(at, axis=1) > R) & (np.abs(at[:, 1]) < half)
+
     x = lattice(REACH, spacing, 2)
-    x = x[np.linalg.norm(x, axis=1) > R - 1.5 * spacing]
-    inner = np.abs(x).max(axis=1) < REACH - (KEPT - 0.5) * spacing
+    near = 1.5 * spacing
+    x = x[(np.linalg.norm(x, axis=1) > R - near) & (np.abs(x[:, 1]) < half + near)]
+    inner = np.abs(x if R else x[:, :1]).max(axis=1) < REACH - (KEPT - 0.5) * spacing
     points = wp.Points(x, inner, spacing, axis=ZIGZAG)
-    seen, filled = [], np.ones(len(x), bool)
+    seen, ended = [], []
+    far = inner & (np.abs(x) < INSIDE - SMOOTHING_RADIUS).all(axis=1) & (of.edge_distance(x) > OFF)
+    mesh = mesh_of(of, bond)
     for sample in samples:
-        cone = smoothing_matrix(sample.reference, x, radius=SMOOTHING_RADIUS, spacing=spacing)
-        density = np.asarray(cone.sum(axis=1)).reshape(-1, 1)
-        seen.append((cone @ sample.displacement) / np.maximum(density, 1e-9))
-        filled &= density.ravel() * area_per_atom(bond) / spacing**2 > FILLED
+        seen.append(smoothed(sample.reference, sample.displacement, x))
+        there = (np.abs(sample.reference) <= INSIDE).all(axis=1)
+        atoms = sample.reference[there]
+        density = force_on_mesh(mesh, atoms, sample.force[there], thickness=THICKNESS)
+        body = solve_body(law.crystal, mesh, displacement=held_sides(of, sample), b=density)
+        atoms = atoms[mesh.holding(atoms) >= 0]
+        ended.append(smoothed(atoms, body.displacement(atoms), x))
     u = np.array(seen)
-    far = inner & filled & (np.linalg.norm(x, axis=1) > R + OFF)
-    found: dict[str, Any] = {"radius": R}
+    found: dict[str, Any] = {"radius": R} if R else {"half height": half}
+    answers = {"body": np.array(ended)}
     for name, solid in {"dressed": law, "elements": without(law)}.items():
-        body = solid.on(points, edges=lambda at: np.linalg.norm(at, axis=1) > R)
-        b = [loaded(body, x, s.reference, s.force[None], SMOOTHING_RADIUS)[0] for s in samples]
-        answer = wp.solve(body, wp.Dirichlet(points, np.array(b) / (spacing**2 * THICKNESS), u)).u
+        cut = solid.on(points, edges=inside)
+        b = [loaded(cut, x, s.reference, s.force[None], SMOOTHING_RADIUS)[0] for s in samples]
+        load = np.array(b) / (spacing**2 * THICKNESS)
+        answers[name] = wp.solve(cut, wp.Dirichlet(points, load, u)).u
+    for name, answer in answers.items():
         each = {load.name: relative(v[None], w[None], far)
-                for load, v, w in zip(loads_of(PLATE, TENSION), answer, u)}  # fmt: skip
+                for load, v, w in zip(loads_of(of, TENSION), answer, u)}  # fmt: skip
         found[name] = float(np.mean(list(each.values())))
-        if name == "dressed":
-            found["each"] = each
+        found[f"{name}, each"] = each
     return found
+
+
+def smoothed(atoms: np.ndarray, u: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Displacement at nodes by a plane through that of the atoms around, [N, 2]: at a free edge
+    their middle lies beside the node."""
+    cone = smoothing_matrix(atoms, x, radius=SMOOTHING_RADIUS, density=True).tocoo()
+    node, weight, arm = cone.row, cone.data, atoms[cone.col] - x[cone.row]
+    terms = np.column_stack([np.ones(len(arm)), arm / SMOOTHING_RADIUS])
+    A, y = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3, 2))
+    np.add.at(A, node, weight[:, None, None] * terms[:, :, None] * terms[:, None])
+    np.add.at(y, node, weight[:, None, None] * terms[:, :, None] * u[cone.col][:, None])
+    return np.asarray((np.linalg.pinv(A, rcond=1e-4, hermitian=True) @ y)[:, 0])
 
 
 def squeezed_law(name: str, seen: Ball) -> DressedSolid:
@@ -192,4 +222,4 @@ def faces() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps({"hole": hole(), "faces": faces()}, indent=1))
+    print(json.dumps({"hole": plate(), "strip": plate(STRIP), "faces": faces()}, indent=1))

@@ -1,1 +1,1 @@
-"""Dressed solids: elements whose moduli vary."""
+"""Dressed solids: elements and bonds whose moduli vary, and finite strain."""

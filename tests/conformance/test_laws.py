@@ -165,6 +165,12 @@ def dressed():
     return wp.dressed.DressedSolid(1.0, "elements", C, steps, [g], symmetry="4mm").certified()
 
 
+def dressed_bonds():
+    """Bonds of two influence functions under a G of eight neighbours."""
+    C = [[1.25, -0.2, 0], [-0.2, 1.25, 0], [0, 0, 0.725]]
+    return replace(dressed(), base="bonds", elastic=C, dilatation=0.15).certified()
+
+
 def finite():
     """The same elements under a G and an F of numbers, with third-order constants."""
     return wp.dressed.FiniteSolid(1.0, -0.2, 0.72, -0.05, 0.02, 0.04, *CONSTANTS)
@@ -227,7 +233,12 @@ LAWS = {
     "third order, filtered": Law(third_order(Smoothing(2.0)), energy=False, **CUBIC),
     "third order, energy": Law(third_order(None), **CUBIC),
     "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),
-    "dressed": Law(dressed, plain, of_tensors, sheet=plain_cell, horizon=18**0.5),
+    "dressed": Law(
+        dressed, plain, of_tensors, sheet=plain_cell, single=single_tensors, horizon=18**0.5
+    ),
+    "dressed, bonds": Law(
+        dressed_bonds, plain, of_tensors, sheet=plain_cell, single=single_tensors, horizon=32**0.5
+    ),
     "dressed, finite strain": Law(
         finite,
         crystal,

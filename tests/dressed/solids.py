@@ -16,7 +16,7 @@ ISOTROPIC = {"C11": 1.25, "C12": -0.2, "C44": 0.725}
 NAMES = {2: "4mm", 3: "m-3m"}
 
 
-def solid(d=2, base="elements", reach=2**0.5, size=0.03, split=False, seed=0):
+def solid(d=2, base="elements", reach=2**0.5, size=0.03, split=False, seed=0, dilatation=1 / 8):
     """Of given moduli, under a random G of the symmetry of the nodes."""
     rng = np.random.default_rng(seed)
     dressing = family(reach, point_group(NAMES[d], d).astype(int))
@@ -24,7 +24,9 @@ def solid(d=2, base="elements", reach=2**0.5, size=0.03, split=False, seed=0):
     count = 3 if split and base == "elements" else 1 + split
     q = size * rng.normal(size=(count, len(dressing.basis)))
     tensors = np.tensordot(q, dressing.basis, 1)
-    return DressedSolid(SPACING, base, C, dressing.steps, tensors, symmetry=NAMES[d])
+    return DressedSolid(
+        SPACING, base, C, dressing.steps, tensors, symmetry=NAMES[d], dilatation=dilatation
+    )
 
 
 def nodes(d, n, kept=None, interior=None):

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.dressed.solids import SPACING, nodes, rigid, solid
-from tests.micromodulus.crystals import lattice
+from tests.dressed.solids import ISOTROPIC, SPACING, nodes, rigid, solid
+from tests.micromodulus.crystals import cubic_tensor, lattice
 from warp_peri.dressed import grown, torn
+from warp_peri.dressed.bases import dilatation_range
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
+from warp_peri.launch import set_threads, threads
 
+BONDS = cubic_tensor(2, **ISOTROPIC)
 REACHES = {2: (1.0, 2**0.5, 2.0, 5**0.5), 3: (1.0, 2**0.5, 3**0.5)}
 
 
@@ -21,7 +24,8 @@ def random_body(seed):
     d = 2 + seed % 2
     base = "bonds" if d == 2 and rng.random() < 0.5 else "elements"
     reach = REACHES[d][rng.integers(len(REACHES[d]))]
-    law = solid(d, base, reach, 0.05, bool(rng.integers(2)), seed)
+    p = 1 / 8 + (base == "bonds") * rng.integers(2) * rng.uniform(-1, 1) * dilatation_range(BONDS)
+    law = solid(d, base, reach, 0.05, bool(rng.integers(2)), seed, p)
     n = {2: 10, 3: 4}[d]
     points = nodes(d, n, rng.random(n**d) < rng.uniform(0.9, 1))
     x = points.x
@@ -197,6 +201,8 @@ def test_a_crack_costs_what_it_costs_the_base():
     assert np.abs(u - base.u).max() > 1e-3 * np.abs(u).max()
     with pytest.raises(InputError, match="got elements"):
         _ = solid().plain
+    with pytest.raises(InputError, match="got two influence functions"):
+        _ = replace(law, dilatation=0.15).plain
     with pytest.raises(InputError, match="split"):
         solid(split=True).on(points, edges=True).displacement(u)
 
@@ -210,6 +216,7 @@ def test_a_crack_costs_what_it_costs_the_base():
         ({"broken": [[0, 100]]}, "numbers of nodes below 100"),
         ({"broken": [0, 1]}, "pairs of nodes"),
         ({"edges": lambda x: x[:, 0]}, "one bool a position"),
+        ({"dtype": np.float32}, "dtype: expected float64, or float32 of a sheet"),
     ],
 )
 def test_what_does_not_fit_is_refused(options, message):
@@ -219,11 +226,11 @@ def test_what_does_not_fit_is_refused(options, message):
         solid().on(nodes(2, 10), **({"edges": True} | options))
 
 
-@pytest.mark.parametrize("base", ["elements", "bonds"])
+@pytest.mark.parametrize(("base", "p"), [("elements", 1 / 8), ("bonds", 1 / 8), ("bonds", 0.2)])
 @pytest.mark.parametrize("periodic", [True, False])
-def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, periodic):
+def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, p, periodic):
     """L as G, K, G by rows: of even solids, on one precision and two, and with maps."""
-    law = solid(2, base, 2.0 if base == "bonds" else 2**0.5)
+    law = solid(2, base, 2.0 if base == "bonds" else 2**0.5, dilatation=p)
     points = wp.Points.sheet((15, 18), SPACING) if periodic else lattice(2, 5, 7, SPACING)
     rng = np.random.default_rng(0)
     u = rng.normal(size=(2, *points.x.shape))
@@ -237,8 +244,43 @@ def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, periodic):
     maps = {name: rng.uniform(0, 2, len(points.x)) for name in law.parts.names}
     body = law.on(points, maps=maps)
     by_matrix = (body.L @ u.reshape(2, -1).T).T.reshape(u.shape)[:, points.interior]
+    assert body._sweep is not None
     np.testing.assert_allclose(body(u), by_matrix, atol=1e-13 * size)
-    assert (body._sweep is not None) == (base == "elements")
+    single = law.on(points, maps=maps, dtype=np.float32)(u)
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, by_matrix, atol=1e-5 * size)
+
+
+@pytest.mark.parametrize("base", ["elements", "bonds"])
+def test_an_uneven_sheet_has_the_same_bits_on_any_threads(base):
+    law, points = solid(2, base), wp.Points.sheet((90, 100), SPACING)
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=points.x.shape)
+    maps = {name: rng.uniform(0, 2, len(points.x)) for name in law.parts.names}
+    before, found = threads(), []
+    try:
+        for count in (1, 3):
+            set_threads(count)
+            found.append(law.on(points, maps=maps)(u))
+    finally:
+        set_threads(before)
+    np.testing.assert_array_equal(*found)
+
+
+def test_maps_reach_further_than_an_even_sheet_of_equal_lame_constants():
+    """λ = μ: no even bond feels a dilatation, but with κ and μ of their own they do."""
+    C = np.array([[3.0, 1, 0], [1, 3, 0], [0, 0, 1]])
+    law = replace(solid(2, "bonds"), elastic=C)
+    rng = np.random.default_rng(0)
+    near, far = (lattice(2, 6, collar, SPACING) for collar in (3, 4))
+    law.on(near)
+    maps = {name: rng.uniform(0, 2, len(far.x)) for name in law.parts.names}
+    with pytest.raises(InputError, match="have cut bonds; give a collar 7.3"):
+        law.on(near, maps={"bulk": maps["bulk"][: len(near.x)]})
+    u = rng.normal(size=far.x.shape)
+    body = law.on(far, maps=maps)
+    whole = law.on(far, edges=True, maps=maps)(u)
+    np.testing.assert_allclose(body(u), whole, atol=1e-13 * np.abs(whole).max())
 
 
 def test_cracks_grow_in_the_base_and_the_atoms_show_them():

@@ -12,12 +12,13 @@ import warp_peri as wp
 from tests.dressed.solids import SPACING, solid
 from tests.micromodulus.crystals import cubic_tensor, lattice
 from tests.micromodulus.test_learning import waves
-from warp_peri.dressed.bases import base, half
+from warp_peri.dressed.bases import base, bonds, dilatation_range, half
 from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.learning import from_phonons, transferred
+from warp_peri.dressed.learning import _dressing, _Monomials, from_phonons, transferred
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import from_calculator
+from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
 from warp_peri.micromodulus.states import tensors_of
 
@@ -50,6 +51,44 @@ def test_bonds_are_the_peridynamic_solid_of_two_spacings():
         base("bonds", cubic_tensor(2))
 
 
+@pytest.mark.parametrize(("lam", "side"), [(-0.2, 1), (-0.2, -1), (0.5, 1)])
+def test_two_functions_may_break_as_far_as_is_said(lam, side):
+    """θ² ≤ 4 M q (theory.md, D26): what one node's bonds store has a negative value beyond."""
+    C = cubic_tensor(2, C11=lam + 1.45, C12=lam, C44=0.725)
+    for over in (0.999, 1.001):
+        one = bonds(C, 1 / 8 + side * over * dilatation_range(C))
+        least = np.linalg.eigvalsh(np.tensordot(one.moduli, one.parts, 1))[0]
+        assert (least > 0) == (over < 1)
+        steps, tensors = half(one.stencils.sum(axis=0))
+        k = 1e-3 * np.array([0.8, 0.6])
+        own = 2 * np.tensordot(1 - np.cos(k @ steps.T), tensors, 1)
+        np.testing.assert_allclose(own, np.einsum("ijkl,j,l->ik", C, k, k), atol=1e-11)
+    with pytest.raises(InputError, match=r"dilatation: expected a weight within 0\.\d+ of 0\.125"):
+        base("bonds", C, 1 / 8 + side * 1.001 * dilatation_range(C))
+    hard = cubic_tensor(2, C11=2.3, C12=0.8, C44=0.75)
+    one = bonds(hard, -3.0)
+    assert np.linalg.eigvalsh(np.tensordot(one.moduli, one.parts, 1))[0] > 0
+
+
+def test_two_functions_are_found_again(tmp_path):
+    law = solid(2, "bonds", 2**0.5, 0.02, dilatation=0.16)
+    samples = waves(law, lattice(2, 10, 6, SPACING), 6)
+    asked = wp.Dressed("bonds", 8, law.symmetry, moduli=law.elastic, two_functions=True)
+    fit = wp.fit(samples, asked)
+    assert fit.material.dilatation == pytest.approx(0.16, abs=1e-7)
+    assert (
+        fit.history["numbers"]
+        == 1 + wp.fit(samples, replace(asked, two_functions=False)).history["numbers"]
+    )
+    np.testing.assert_allclose(fit.material.tensors, law.tensors, atol=1e-7)
+    wp.save(tmp_path / "m.json", fit.material)
+    assert wp.load(tmp_path / "m.json").dilatation == fit.material.dilatation
+    assert transferred(fit.material, 0.9 * SPACING).dilatation != 1 / 8
+    for wrong in ({"base": "elements"}, {"split": True}):
+        with pytest.raises(InputError, match="two_functions: expected a base of bonds"):
+            wp.fit(samples, replace(asked, **wrong))
+
+
 @pytest.mark.parametrize(
     ("d", "kind", "neighbours", "split"),
     [(2, "elements", 8, False), (2, "bonds", 12, False), (3, "elements", 6, True)],
@@ -63,7 +102,7 @@ def test_a_law_is_found_again_from_its_forces(d, kind, neighbours, split):
     np.testing.assert_allclose(fit.material.tensors, law.tensors, atol=1e-9)
     assert fit.history["loss"] < 1e-9 < fit.history["loss_of_base"]
     assert fit.certificate.proven > 0.9 * fit.certificate.sampled
-    with pytest.raises(InputError, match="numbers of G apart"):
+    with pytest.raises(InputError, match="numbers apart"):
         wp.fit(wp.Samples(samples.points, 0 * samples.u + samples.points.x, samples.b), asked)
 
 
@@ -138,6 +177,7 @@ def test_nodes_that_state_another_axis_are_refused():
         ({"tensors": np.zeros((2, 4, 2, 2))}, "one for each of tetragonal, shear, bulk, got 2"),
         ({"steps": [[0.5, 1]]}, "steps: expected whole numbers"),
         ({"spacing": -1.0}, "spacing: expected a number > 0"),
+        ({"dilatation": 0.2}, "dilatation: expected a base of bonds, got elements"),
     ],
 )
 def test_numbers_that_are_no_law_are_refused(change, message):
@@ -163,3 +203,22 @@ def test_a_file_with_a_fault_is_named(tmp_path):
     samples = waves(solid(), lattice(2, 8, 4, SPACING), 2)
     with pytest.raises(InputError, match="neighbours: expected one of 4, 8, 12, 20"):
         wp.fit(samples, wp.Dressed("elements", 9, moduli=solid().elastic))
+
+
+def test_a_poorer_law_has_a_smaller_dressing():
+    assert [wp.Dressed(neighbours=n).poorer().neighbours for n in (20, 8, 26)] == [12, 4, 18]
+    with pytest.raises(InputError, match="more than the fewest, got 6"):
+        wp.Dressed(neighbours=6).poorer()
+
+
+@pytest.mark.parametrize(
+    ("kind", "split", "two"), [("elements", True, False), ("bonds", False, True)]
+)
+def test_slopes_are_those_of_central_differences(kind, split, two):
+    C = cubic_tensor(2, **SHEET)
+    dressing = _dressing(8, point_group("4mm", 2).astype(int))
+    found = _Monomials(kind, C, dressing, split, 1.0, two)
+    x = 0.05 * np.random.default_rng(0).normal(size=len(found.bases) * found.count + two)
+    step = 1e-5 * np.eye(len(x))
+    slopes = [(found.coefficients(x + e) - found.coefficients(x - e)) / 2e-5 for e in step]
+    np.testing.assert_allclose(found.slopes(x), np.transpose(slopes), atol=1e-10)

@@ -25,6 +25,12 @@ def test_six_numbers_from_fields_and_from_phonons(graphene):
     assert law.certificate.proven > 0.9 * law.moduli()["C44"]
 
 
+def test_a_crystal_from_phonons_without_its_ball():
+    found = dressed.crystal("Cu", with_ball=False)
+    assert found["E_u"]["waves"] <= 0.7 < found["elements"]["waves"]
+    assert found["E_u"]["ball_at_rest"] is None
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:strain")
 def test_an_energy_that_turns_with_the_sheet(graphene):
@@ -40,6 +46,7 @@ def test_boron_nitride_is_found_in_graphene(capsys, tmp_path):
     assert uneven_sheet.main(["--json", "--out", str(tmp_path)]) == 0
     numbers = json.loads(capsys.readouterr().out)
     assert numbers["maps"]["val"] <= 4.8 < numbers["one factor"]["val"]
+    assert numbers["maps"]["correlation"]["shear"] > 0.97
     for part in numbers["moduli"].values():
         assert part["found"] == pytest.approx(part["true"], rel=0.0093)
     assert (tmp_path / "maps.png").stat().st_size > 10_000

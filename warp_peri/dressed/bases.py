@@ -27,6 +27,7 @@ class Base:
     One site a node x: its strains are B · u(x + corners)/h.
 
     Attributes:
+        kind: "elements" or "bonds".
         corners: in spacings, shape [P, d].
         strains: B, shape [S, P, d]; one whose nodes are not all there is left out.
         parts: M_a, shape [A, S, S].
@@ -35,6 +36,7 @@ class Base:
         middle: how much each corner says of a site's own modulus, shape [P].
     """
 
+    kind: str
     corners: np.ndarray
     strains: np.ndarray
     parts: np.ndarray
@@ -65,19 +67,31 @@ class Base:
         return np.asarray(found * self.moduli.reshape(-1, *[1] * (d + 2)))
 
 
-def base(kind: str, tensor: np.ndarray) -> Base:
+def base(kind: str, tensor: np.ndarray, dilatation: float = AXIS_WEIGHT) -> Base:
     """The base of a name for an elastic tensor [stress] along the nodes' axes, [d, d, d, d].
 
     "elements": squares or cubes of multilinear displacement, any tensor; their parts are what the
     tensor's eigenstrains store (D2). "bonds": a linear peridynamic solid with K(r) = 1/r on eight
-    bonds in the plane, isotropic, which may break (D3).
+    bonds in the plane, isotropic, which may break (D3). `dilatation` is the weight in θ of its
+    bonds along the axes; 1/8 is that of 1/r, another a second influence function (D26).
 
     Raises InputError for another name, a tensor that is not stable, and one that a base cannot
     have.
     """
     if kind not in KINDS:
         raise InputError(f"base: expected one of {', '.join(KINDS)}, got {kind!r:.50}")
-    return _bonds(tensor) if kind == "bonds" else _elements(tensor)
+    if kind == "elements":
+        if dilatation != AXIS_WEIGHT:
+            raise InputError("dilatation: expected a base of bonds, got elements")
+        return _elements(tensor)
+    found = bonds(tensor, dilatation)
+    reach = dilatation_range(tensor)
+    if not abs(dilatation - AXIS_WEIGHT) <= reach:
+        raise InputError(
+            f"dilatation: expected a weight within {reach:.3g} of {AXIS_WEIGHT}, beyond which a "
+            f"broken body may be unstable, got {dilatation:g}"
+        )
+    return found
 
 
 def _elements(tensor: np.ndarray) -> Base:
@@ -96,9 +110,8 @@ def _elements(tensor: np.ndarray) -> Base:
                 strain[:, j] += slope[i] * 0.5**0.5
             strains.append(strain)
     parts = [np.kron(np.eye(count), shape) / count for shape in shapes]
-    return Base(
-        corner, np.array(strains), np.array(parts), moduli, names, np.full(count, 1 / count)
-    )
+    middle = np.full(count, 1 / count)
+    return Base("elements", corner, np.array(strains), np.array(parts), moduli, names, middle)
 
 
 def gauss_shapes(at: np.ndarray) -> np.ndarray:
@@ -134,7 +147,15 @@ def _eigenstrains(tensor: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], tup
     return np.array(moduli), shapes, tuple(names)
 
 
-def _bonds(tensor: np.ndarray) -> Base:
+def dilatation_range(tensor: np.ndarray) -> float:
+    """How far the weight of D26 may be from 1/8: M = 1 + 64 (p − 1/8)² ≤ 2 μ/(μ − λ)."""
+    C = voigt(tensor)
+    lam, shear = C[0, 1], C[2, 2]
+    return float(np.sqrt((lam + shear) / (shear - lam)) / 8) if lam < shear else np.inf
+
+
+def bonds(tensor: np.ndarray, dilatation: float = AXIS_WEIGHT) -> Base:
+    """Eight bonds of an isotropic tensor; the first modulus is negative beyond dilatation_range."""
     if tensor.shape[0] != 2 or named_symmetry(tensor) != "isotropic":
         raise InputError(
             "base: bonds are for isotropic sheets, got an elastic tensor that is "
@@ -149,9 +170,14 @@ def _bonds(tensor: np.ndarray) -> Base:
     strains = np.zeros((8, 9, 2))
     for j, direction in enumerate(corner[1:] / length[:, None]):
         strains[j, 0], strains[j, j + 1] = -direction, direction
-    theta = np.outer(2 * w * length, 2 * w * length)
-    parts = np.array([theta, 8 * np.diag(w) - 2 * theta])
-    return Base(corner, strains, parts, np.array([bulk, shear]), ("bulk", "shear"), np.eye(9)[0])
+    across = AXIS_WEIGHT - dilatation / 2
+    p = np.where(length == 1, dilatation, across)
+    theta = np.outer(2 * p * length, 2 * p * length)
+    M = float((p**2 * length**2 / w).sum())
+    parts = np.array([theta, 8 * np.diag(w) - 2 / M * theta])
+    moduli = np.array([bulk - 2 * shear * (1 - 1 / M), shear])
+    names = ("bulk" if dilatation == AXIS_WEIGHT else "dilatation", "shear")
+    return Base("bonds", corner, strains, parts, moduli, names, np.eye(9)[0])
 
 
 def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.dressed.bases import composed, half, spread
 from warp_peri.dressed.broken import key, pairs
 from warp_peri.dressed.grains import Grains, grains_of
 from warp_peri.dressed.outline import cut_elements
+from warp_peri.dressed.rest import at_rest
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE
 from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.statics.conjugate_gradients import definite
-from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
+from warp_peri.statics.settings import Solver
 from warp_peri.statics.solution import Solution
 
 if TYPE_CHECKING:
@@ -33,10 +31,6 @@ if TYPE_CHECKING:
 
 Edges = bool | Callable[[np.ndarray], np.ndarray]
 """Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""
-MOST_DIRECT = 1500
-"""Nodes in space beyond which conjugate gradients are taken for a factorisation."""
-BALANCED, MET = 1e-4, 1e-6
-"""Relative, of the resultant of a free body's load, which is taken off, and of a residual."""
 
 
 class Body:
@@ -49,7 +43,7 @@ class Body:
         solid: the law.
         points: nodes on a lattice of its spacing, or periodic; those that are not interior are
             held.
-        edges, maps, broken, grains: as of DressedSolid.on.
+        edges, maps, broken, grains, dtype: as of DressedSolid.on.
 
     Attributes:
         factors: modulus of each part over that of the even solid at each site, [A, N].
@@ -65,6 +59,7 @@ class Body:
         maps: Mapping[str, ArrayLike] | None = None,
         broken: ArrayLike | None = None,
         grains: Grains | None = None,
+        dtype: Any = np.float64,
     ) -> None:
         self.points, self.model = solid.crystal.fitting(points), solid
         self.grid, self.axes = lattice_steps(self.points)
@@ -91,6 +86,12 @@ class Body:
         self._even = (
             alive and len(self.laws) == 1 and not edges and not len(torn)
         )  # whole rows of G at every unknown
+        self.dtype = np.dtype(dtype)
+        if self.dtype != np.float64 and not (self.dtype == np.float32 and self._sweep):
+            raise InputError(
+                "dtype: expected float64, or float32 of a sheet with or without maps that nothing "
+                f"cuts, got {self.dtype}"
+            )
 
     def _neighbours(self, steps: np.ndarray) -> np.ndarray:
         """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
@@ -161,15 +162,18 @@ class Body:
         return whole
 
     def _refuse_edges(self) -> None:
-        """Raise InputError where an interior node lacks one that L leads to."""
-        steps = self.model.crystal.steps
+        """Raise InputError where an interior node lacks one that L leads to, whatever its maps."""
+        law = self.model
+        K = np.abs(law.parts.stencils).sum(axis=0)
+        G = np.abs(spread(law.steps, np.abs(law.tensors).sum(axis=0)))
+        steps, _ = half(composed(G, composed(K, G)))
         there = self._neighbours(np.concatenate([steps, -steps])) >= 0
         lacking = int((~there.all(axis=1) & self.points.interior).sum())
         if lacking:
             raise InputError(
                 f"points: {lacking} of {int(self.points.interior.sum())} interior nodes have cut "
-                f"bonds; give a collar {self.model.horizon:g} wide, or edges=True where the body "
-                "itself ends there"
+                f"bonds; give a collar {law.spacing * np.linalg.norm(steps, axis=1).max():g} wide, "
+                "or edges=True where the body itself ends there"
             )
 
     @cached_property
@@ -226,7 +230,7 @@ class Body:
         return self.dressings[0]
 
     def _through(self, matrix: Callable[[np.ndarray], np.ndarray], u: ArrayLike) -> np.ndarray:
-        return np.asarray(matrix(self._flat(u).T).T.reshape(np.shape(u)) @ self.axes.T)
+        return np.asarray(matrix(self.flat(u).T).T.reshape(np.shape(u)) @ self.axes.T)
 
     def tensors(self, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """m_a M_a of each grain, [S, S], and its share of each site, [N]; one between grains is a
@@ -260,9 +264,9 @@ class Body:
 
     @cached_property
     def _sweep(self) -> tuple[Nodes, ByLayers] | None:
-        """L by rows, of sheets of square elements that nothing cuts."""
+        """L by rows, of sheets that nothing cuts."""
         law = self.model
-        if not (self._even and law.layered and law.base == "elements" and law.dimension == 2):
+        if not (self._even and law.layered and law.dimension == 2):
             return None
         nodes = lay_out(self.points, law.crystal.steps)
         factors = np.ones((len(self.factors), int(np.prod(nodes.shape))))
@@ -270,8 +274,9 @@ class Body:
         factors = factors.reshape(-1, *nodes.shape)
         if nodes.periodic:
             factors = np.pad(factors, [(0, 0), *[(nodes.reach,) * 2] * 2], mode="wrap")
-        sweep = ByLayers(nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors)
-        return nodes, sweep
+        return nodes, ByLayers(
+            nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors, self.dtype
+        )
 
     @cached_property
     def layers(self) -> list[sp.csr_array]:
@@ -285,8 +290,8 @@ class Body:
         each = np.sum([K.diagonal() for K in self.layers], axis=0)
         return np.asarray(each.reshape(self.points.x.shape))
 
-    def _product(self, flat: np.ndarray) -> np.ndarray:
-        """L of columns, [d N, S]."""
+    def in_turn(self, flat: np.ndarray) -> np.ndarray:
+        """L of columns [d N, S] by G, K and G in turn."""
         each = [G.T @ (K @ (G @ flat)) for G, K in zip(self.dressings, self.layers)]
         return np.asarray(np.sum(each, axis=0))
 
@@ -301,9 +306,9 @@ class Body:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
         if self._sweep is not None:
             nodes, sweep = self._sweep
-            found = nodes.take_up(sweep(nodes.lay_out(self._fields(u))))
+            found = nodes.take_up(sweep(nodes.lay_out(self.fields(u), self.dtype)))
             return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
-        flat = self._flat(u)
+        flat = self.flat(u)
         force = (self.L @ flat.T).T.reshape(*np.shape(u)) @ self.axes.T
         return np.asarray(force[..., self.points.interior, :])
 
@@ -317,7 +322,7 @@ class Body:
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """½ h^d uᵗ L u of all nodes, shape [...]; never negative."""
-        flat = self._flat(u)
+        flat = self.flat(u)
         volume = self.points.spacing ** self.points.x.shape[1]
         total = 0.5 * volume * np.einsum("sn,sn->s", flat, (self.L @ flat.T).T)
         return float(total[0]) if np.ndim(u) == 2 else total.reshape(np.shape(u)[:-2])
@@ -326,124 +331,11 @@ class Body:
         """None: strains lie on sites, not on nodes."""
 
     def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """In equilibrium with b on the interior, u given elsewhere, shape [..., N, d].
+        """In equilibrium with b on the interior, u given elsewhere, shape [..., N, d]; as in
+        rest.at_rest."""
+        return at_rest(self, b, u, solver)
 
-        With no node held the load must balance, and the answer neither moves nor turns as a whole
-        (on a period it does not move).
-
-        Raises InputError for another solver, for loads that do not balance, and for a body that
-        falls apart.
-        """
-        refuse_solver(solver, (Direct, Krylov), "a dressed body")
-        inside, iterated = self.points.interior, isinstance(solver, Krylov)
-        if solver is None:
-            iterated = self.points.x.shape[1] == 3 and int(inside.sum()) > MOST_DIRECT
-        asked = solver if isinstance(solver, Krylov) else Krylov()
-        if asked.preconditioner not in (None, "cg") or asked.device != DEVICE:
-            raise InputError(
-                "solver: expected Krylov(tolerance=…) alone for a dressed body, whose "
-                f"preconditioner is its own diagonal, got {asked!r:.100}"
-            )
-        fields, loads = self._fields(u), self._fields(b)
-        turned, pulled = fields @ self.axes, loads @ self.axes
-        alive = self.stiffness.any(axis=1)
-        dead = np.abs(pulled[:, inside & ~alive]).max(initial=0.0)
-        if dead > BALANCED * np.abs(pulled).max():
-            raise InputError("b: expected no load on nodes that nothing belongs to")
-        took: tuple[int, ...] = ()
-        if iterated:
-            answer, left, steps = self._iterated(pulled, turned, alive & inside, asked.tolerance)
-            took = (steps,) * len(pulled)
-        elif inside.all():
-            answer, left = self._free(pulled)
-        else:
-            unknown = np.repeat(alive & inside, turned.shape[-1])
-            problem = MatrixProblem(sp.csr_array(self.L[unknown]), alive & inside)
-            answer = problem.solve(pulled, turned)
-            left = problem.left
-        answer = (answer @ self.axes.T).reshape(np.shape(u))
-        answer = np.where(inside[:, None], answer, u)
-        why = "one answer; L = Gᵗ K G ⪰ 0 whatever is uneven, missing or broken"
-        method = "cg" if iterated else "lu"
-        return Solution(answer, self.points, self, self.load(b), method, took, why, measured=left)
-
-    def _iterated(
-        self, loads: np.ndarray, held: np.ndarray, unknown: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, float, int]:
-        """u [S, N, d] by conjugate gradients of G, K and G in turn, residual and iterations."""
-        shape, mask = held.shape, np.repeat(unknown, held.shape[-1])[:, None]
-        rigid = self._rigid() if self.points.interior.all() else np.zeros((mask.size, 0))
-        diagonal = self.stiffness.reshape(-1, 1)
-        inverse = mask / np.where(diagonal > 0, diagonal, 1.0)
-
-        def alone(r: np.ndarray) -> np.ndarray:
-            return np.asarray(r - rigid @ (rigid.T @ r))
-
-        def product(v: torch.Tensor) -> torch.Tensor:
-            return torch.from_numpy(alone(mask * self._product(alone(v.numpy()))))
-
-        def precondition(r: torch.Tensor) -> torch.Tensor:
-            return torch.from_numpy(alone(inverse * alone(r.numpy())))
-
-        flat, start = (
-            f.reshape(len(f), -1).T for f in (loads, np.where(unknown[:, None], 0.0, held))
-        )
-        right = mask * (self._balanced(flat, rigid) - self._product(start))
-        try:
-            found, record = definite(product, precondition, torch.from_numpy(right), tolerance)
-        except InputError as error:  # L ⪰ 0: a direction without energy is a part that is loose
-            raise InputError(f"the body falls apart, or nearly: {error}") from None
-        answer = (start + found.numpy()).T.reshape(shape)
-        return answer, record.residual, record.iterations
-
-    def _balanced(self, right: np.ndarray, rigid: np.ndarray) -> np.ndarray:
-        """Loads [d N, S] without their resultant, which must be small."""
-        along = rigid.T @ right
-        if np.linalg.norm(along) > BALANCED * np.linalg.norm(right):
-            raise InputError(
-                "b: expected loads that balance, for no node is held; their resultant is "
-                f"{np.linalg.norm(along) / np.linalg.norm(right):.1e} of them"
-            )
-        return np.asarray(right - rigid @ along)
-
-    def _free(self, loads: np.ndarray) -> tuple[np.ndarray, float]:
-        """u [S, N, d] of a body that nothing holds, and the relative residual."""
-        rigid = self._rigid()
-        right = self._balanced(loads.reshape(len(loads), -1).T, rigid)
-        stiffness = self.L.diagonal()
-        scale = float(stiffness.max())
-        # rigid motions are held by rows of their own, and so is what belongs to nothing
-        alone = sp.diags_array(np.where(stiffness > 0, 0.0, scale))
-        edge = sp.csr_array(scale * rigid)
-        bordered = sp.block_array([[self.L + alone, edge], [edge.T, None]], format="csc")
-        try:
-            found = splu(bordered).solve(np.vstack([right, np.zeros((rigid.shape[1], len(loads)))]))
-        except RuntimeError as error:
-            raise InputError(f"the body falls apart: it is singular ({error})") from None
-        answer = found[: len(right)]
-        size = np.maximum(np.linalg.norm(right, axis=0), 1e-300)
-        left = float((np.linalg.norm(self.L @ answer - right, axis=0) / size).max())
-        if not left < MET:
-            raise InputError(f"the body falls apart: the residual of its solve is {left:.1e}")
-        return answer.T.reshape(loads.shape), left
-
-    def _rigid(self) -> np.ndarray:
-        """Orthonormal rigid motions of the nodes that carry something, [d N, m].
-
-        On a period translations alone.
-        """
-        x = (self.points.x - self.points.x.mean(axis=0)) @ self.axes
-        count, d = x.shape
-        found = [np.tile(np.eye(d)[a], count) for a in range(d)]
-        if self.points.box is None:
-            for a in range(d):
-                for c in range(a):
-                    turn = np.zeros((count, d))
-                    turn[:, a], turn[:, c] = x[:, c], -x[:, a]
-                    found.append(turn.ravel())
-        return np.linalg.qr(np.array(found).T * (self.stiffness.ravel() > 0)[:, None])[0]
-
-    def _fields(self, u: ArrayLike) -> np.ndarray:
+    def fields(self, u: ArrayLike) -> np.ndarray:
         """Fields [S, N, d] of finite numbers."""
         values = checked("u", u, float)
         if values.ndim < 2 or values.shape[-2:] != self.points.x.shape:
@@ -453,7 +345,7 @@ class Body:
             )
         return values.reshape(-1, *self.points.x.shape)
 
-    def _flat(self, u: ArrayLike) -> np.ndarray:
+    def flat(self, u: ArrayLike) -> np.ndarray:
         """Fields along the nodes' axes, one a row, [S, d N]."""
-        fields = self._fields(u)
+        fields = self.fields(u)
         return np.asarray((fields @ self.axes).reshape(len(fields), -1))

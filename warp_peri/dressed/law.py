@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.dressed.bases import Base, base, composed, half, spread
+from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.certificate import Certificate
 from warp_peri.micromodulus.elastic import from_voigt, voigt
@@ -43,6 +43,8 @@ class DressedSolid:
         orientation: the crystal's axes in those of the nodes, as columns, or degrees in the plane.
         certificate: what is proven of the symbol of the even solid; None where nothing was asked.
         provenance: how it came to be; plain JSON values.
+        dilatation: weight of the bonds along the axes in θ, of a base of bonds; another than 1/8,
+            that of 1/r, is a second influence function (theory.md, D26).
 
     Raises InputError for a base that is not known or that the moduli do not fit, and for steps and
     tensors that are none.
@@ -58,6 +60,7 @@ class DressedSolid:
     orientation: Any = None
     certificate: Certificate | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    dilatation: float = AXIS_WEIGHT
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -96,7 +99,7 @@ class DressedSolid:
     @cached_property
     def parts(self) -> Base:
         """The base with its parts."""
-        return base(self.base, from_voigt(self.elastic))
+        return base(self.base, from_voigt(self.elastic), self.dilatation)
 
     @cached_property
     def crystal(self) -> Crystal:
@@ -119,17 +122,18 @@ class DressedSolid:
         """Whether L is swept as G, K, G: of one G whose reach, with the base's, is that of L."""
         if len(self.tensors) > 1 or not len(self.steps):
             return False
-        reach = 2 * np.abs(self.steps).max() + np.abs(half(self.parts.stencils.sum(0))[0]).max()
+        reach = 2 * np.abs(self.steps).max() + self.parts.stencils.shape[1] // 2
         return bool(np.abs(self.crystal.steps).max() == reach)
 
     @property
     def plain(self) -> Model:
         """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (D12).
 
-        Raises InputError for elements.
+        Raises InputError for elements and for a base of two functions.
         """
-        if self.base != "bonds":
-            raise InputError("plain: expected a base of bonds, got elements")
+        if self.base != "bonds" or self.dilatation != AXIS_WEIGHT:
+            kind = "elements" if self.base != "bonds" else "two influence functions"
+            raise InputError(f"plain: expected a base of bonds with K(r) = 1/r, got {kind}")
         C = self.elastic
         return Model(C[0, 1], C[2, 2], 1.0, np.ones(1), 2 * self.spacing, units=self.units)
 
@@ -152,7 +156,8 @@ class DressedSolid:
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, those of the even solid last."""
         parts = ", ".join(self.parts.names)
-        base = ("base", f"{self.base}: {parts}")
+        kind = self.base if self.dilatation == AXIS_WEIGHT else f"{self.base} of two functions"
+        base = ("base", f"{kind}: {parts}")
         dressing = ("dressing", f"{2 * len(self.steps)} neighbours, {len(self.tensors)} G")
         proven = "nothing" if self.certificate is None else self.certificate.statement
         return [base, dressing, *self.crystal.rows()[:-1], ("proven", proven)]
@@ -202,7 +207,7 @@ class DressedSolid:
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
             grains: laws, and the number of that which each node belongs to, [N]; as for turned
                 grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (D24).
-            dtype: float64 or float32, of even solids.
+            dtype: float64, or float32 of even solids and of sheets with maps that nothing cuts.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
@@ -212,7 +217,9 @@ class DressedSolid:
         from warp_peri.micromodulus.operator import Operator
 
         if edges or maps or broken is not None or grains is not None:
-            return Body(self, points, edges=edges, maps=maps, broken=broken, grains=grains)
+            return Body(
+                self, points, edges=edges, maps=maps, broken=broken, grains=grains, dtype=dtype
+            )
         law = self.crystal
 
         def layers(nodes: Nodes, dtype: Any) -> ByLayers:
@@ -239,6 +246,7 @@ class DressedSolid:
             "elastic": self.elastic.tolist(),
             "neighbours": self.steps.tolist(),
             "dressing": self.tensors.tolist(),
+            "dilatation": self.dilatation,
         }
 
     @classmethod
@@ -246,7 +254,7 @@ class DressedSolid:
         """The law that a file holds. Raises InputError naming what is wrong."""
         needed = {"spacing", "base", "elastic", "neighbours", "dressing", "symmetry"}
         known = needed | {"format", "version", "length_unit", "stress_unit", "orientation",
-                          "certificate", "provenance"}  # fmt: skip
+                          "certificate", "provenance", "dilatation"}  # fmt: skip
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise InputError(f"format: expected {FORMAT!r}")
         if content.get("version") != VERSION:
@@ -268,6 +276,7 @@ class DressedSolid:
                 content.get("orientation"),
                 None if proof is None else Certificate(**proof),
                 dict(content.get("provenance") or {}),
+                float(content.get("dilatation", AXIS_WEIGHT)),
             )
         except InputError:
             raise

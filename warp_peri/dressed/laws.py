@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.learning import fit
+from warp_peri.dressed.learning import REACH, fit
+from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.laws import one_set
 from warp_peri.points.dataset import Dataset
@@ -47,6 +48,8 @@ class Dressed:
             the Smoothing of the data finds better ones (D20). They are never learned with G: left
             free they drift.
         split: a G for each part of the base (bulk, shear, …) in place of one.
+        two_functions: learn an influence function of the dilatation too, one number more; of a base
+            of bonds and one G. It keeps what is proven (D26).
     """
 
     base: str = "elements"
@@ -55,6 +58,15 @@ class Dressed:
     orientation: Any = None
     moduli: Any = "long waves"
     split: bool = False
+    two_functions: bool = False
+
+    def poorer(self) -> Dressed:
+        """The same law with the next smaller G; InputError where there is none."""
+        known = next((known for known in REACH.values() if self.neighbours in known), {})
+        fewer = [n for n in known if n < self.neighbours]
+        if not fewer:
+            raise InputError(f"neighbours: expected more than the fewest, got {self.neighbours}")
+        return replace(self, neighbours=max(fewer))
 
     def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> DressedFit:
         """The fit; errors as of learning.fit. It takes a few steps, with no progress to show."""

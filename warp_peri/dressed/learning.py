@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from warp_peri.dressed.bases import base, composed, half, spread
+from warp_peri.dressed.bases import (
+    AXIS_WEIGHT,
+    base,
+    bonds,
+    composed,
+    dilatation_range,
+    half,
+    spread,
+)
 from warp_peri.dressed.law import DressedSolid, held
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import fields
@@ -45,6 +53,7 @@ def fit(
     orientation: Any = None,
     moduli: Any = "long waves",
     split: bool = False,
+    two_functions: bool = False,
 ) -> DressedSolid:
     """The G that fits L u = b on the interior nodes best; arguments as of laws.Dressed.
 
@@ -64,7 +73,7 @@ def fit(
     else:
         C = turned(from_voigt(moduli), turn)
     dressing = _dressing(neighbours, shared_with_nodes(group, turn))
-    found = _Monomials(kind, C, dressing, split, samples.spacing)
+    found = _Monomials(kind, C, dressing, split, samples.spacing, two_functions)
     q, record = found.solve(*fields.rows(samples, found.family))
     record |= {"from": "fields", "samples": len(samples.u)}
     return found.law(q, samples.points.units, symmetry, turn, record)
@@ -90,6 +99,7 @@ def from_phonons(
     symmetry: Symmetry = "auto",
     orientation: Any = None,
     split: bool = True,
+    two_functions: bool = False,
     largest_wave: float = LARGEST_WAVE,
     units: Units = USUAL,
 ) -> DressedSolid:
@@ -98,8 +108,8 @@ def from_phonons(
     Args:
         atoms: force constants; the crystal's axes are those of their coordinates.
         spacing: of the nodes, in the unit of length.
-        kind, neighbours, split: base and dressing, as of laws.Dressed; 12 neighbours in the plane
-            and 26 in space by default.
+        kind, neighbours, split, two_functions: base and dressing, as of laws.Dressed; 12 neighbours
+            in the plane and 26 in space by default.
         symmetry: "auto" asks spglib.
         orientation: the crystal's axes in those of the nodes.
         largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
@@ -122,7 +132,7 @@ def from_phonons(
 
     shared = shared_with_nodes(group, turn)
     dressing = _dressing(neighbours or {2: 12, 3: 26}[d], shared)
-    found = _Monomials(kind, C, dressing, split, spacing)
+    found = _Monomials(kind, C, dressing, split, spacing, two_functions)
     rows = wave_rows(target, spacing, found.family, shared, largest_wave)
     q, record = found.solve(*rows)
     record |= {"from": "phonons", "largest_wave": largest_wave / spacing}
@@ -157,7 +167,8 @@ def transferred(
     shared = shared_with_nodes(point_group(law.symmetry, d), orientation)
     dressing = _dressing(neighbours or 2 * len(law.steps), shared)
     C = turned(law.tensor(), turn)
-    found = _Monomials(law.base, C, dressing, len(law.tensors) > 1, spacing)
+    two = law.dilatation != AXIS_WEIGHT
+    found = _Monomials(law.base, C, dressing, len(law.tensors) > 1, spacing, two)
     share = largest_wave * min(1.0, spacing / law.spacing)
     q, record = found.solve(
         *wave_rows(carried_symbol(crystal, turn), spacing, found.family, shared, share)
@@ -180,14 +191,30 @@ def _dressing(neighbours: int, group: np.ndarray) -> Family:
 
 
 class _Monomials:
-    """L of a base and a dressing as Σ c_n(q) L_n with c = 1, q_a and q_a q_b of each G (D7)."""
+    """L of a base and a dressing as Σ c_n(q) L_n with c = 1, q_a and q_a q_b of each G (D7), and
+    with two functions each of them times 1, s and s², s the last of q: p = 1/8 + s (D26)."""
 
     def __init__(
-        self, kind: str, tensor: np.ndarray, dressing: Family, split: bool, spacing: float
+        self,
+        kind: str,
+        tensor: np.ndarray,
+        dressing: Family,
+        split: bool,
+        spacing: float,
+        two_functions: bool = False,
     ) -> None:
+        if two_functions and (split or kind != "bonds"):
+            raise InputError("two_functions: expected a base of bonds and split=False")
         self.kind, self.elastic, self.spacing, self.dressing = kind, held(tensor), spacing, dressing
-        K = base(kind, from_voigt(self.elastic)).stencils
-        self.bases = K if split else K.sum(axis=0, keepdims=True)
+        C = from_voigt(self.elastic)
+        K = base(kind, C).stencils
+        self.bases = (K if split else K.sum(axis=0, keepdims=True))[:, None]  # [A, powers of s, …]
+        self.powers, self.range = np.arange(1), 0.0
+        if two_functions:
+            self.powers, self.range = np.arange(3), dilatation_range(C)
+            less, more = (bonds(C, AXIS_WEIGHT + s).stencils.sum(axis=0) for s in (-0.5, 0.5))
+            middle = self.bases[0, 0]
+            self.bases = np.array([[middle, more - less, 2 * (more + less) - 4 * middle]])
         self.count = len(dressing.basis)
         d = dressing.dimension
         reach = int(np.abs(dressing.steps).max())
@@ -196,7 +223,7 @@ class _Monomials:
         S = [spread(dressing.steps, basis) - one for basis in dressing.basis]
         self.first, self.second = np.triu_indices(self.count)
         found = []
-        for K in self.bases:
+        for K in self.bases.reshape(-1, *self.bases.shape[2:]):
             left = [composed(K, G) for G in (one, *S)]
             found.append(composed(one, left[0]))
             found += [composed(one, left[a + 1]) + composed(G, left[0]) for a, G in enumerate(S)]
@@ -209,39 +236,56 @@ class _Monomials:
         basis = -stacked[(slice(None), *(steps + middle).T)] / spacing**2
         self.family = Family(steps, (basis + basis.swapaxes(2, 3)) / 2, np.zeros(len(steps), int))
 
-    def coefficients(self, q: np.ndarray) -> np.ndarray:
-        """c_n(q)."""
-        parts = q.reshape(len(self.bases), self.count)
-        return np.concatenate([[1.0, *p, *(p[self.first] * p[self.second])] for p in parts])
+    def coefficients(self, x: np.ndarray) -> np.ndarray:
+        """c_n(q, s)."""
+        q, powers = self._split(x)
+        return np.concatenate([np.outer(powers, self._of(p)).ravel() for p in q])
 
-    def slopes(self, q: np.ndarray) -> np.ndarray:
-        """∂c_n/∂q_a, shape [n, a]."""
-        n, size = self.count, 1 + self.count + len(self.first)
-        J = np.zeros((len(self.bases), size, len(self.bases), n))
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """∂c_n/∂(q, s)_a, shape [n, a]."""
+        (q, powers), n = self._split(x), self.count
         row = 1 + n + np.arange(len(self.first))
-        for part, p in enumerate(q.reshape(len(self.bases), n)):
-            J[part, 1 + np.arange(n), part, np.arange(n)] = 1.0
-            J[part, row, part, self.first] += p[self.second]  # rows differ: no entry meets twice
-            J[part, row, part, self.second] += p[self.first]
-        return J.reshape(-1, q.size)
+        J = np.zeros((len(q), len(powers), 1 + n + len(row), len(q), n))
+        for part, p in enumerate(q):
+            own = np.zeros((1 + n + len(row), n))
+            own[1 + np.arange(n), np.arange(n)] = 1.0
+            own[row, self.first] += p[self.second]  # rows differ: no entry meets twice
+            own[row, self.second] += p[self.first]
+            J[part, :, :, part] = powers[:, None, None] * own
+        found = J.reshape(-1, q.size)
+        if len(powers) == 1:
+            return found
+        bent = np.array([0.0, 1.0, 2 * x[-1]])
+        return np.column_stack([found, np.outer(bent, self._of(q[0])).ravel()])
+
+    def _split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """q of each G, [A, numbers], and the powers of s."""
+        size = len(self.bases) * self.count
+        return x[:size].reshape(-1, self.count), np.append(x[size:], 0.0)[0] ** self.powers
+
+    def _of(self, p: np.ndarray) -> np.ndarray:
+        return np.concatenate([[1.0], p, p[self.first] * p[self.second]])
 
     def solve(self, R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
-        """min ‖R c(q) − y‖ from G = 1, and what came out."""
+        """min ‖R c(q, s) − y‖ from G = 1, and what came out."""
         size = float(np.linalg.norm(y))
         if not size > 0:
             raise InputError("data: expected loads, got none")
         R, y = R / size, y / size
-        numbers = len(self.bases) * self.count
+        numbers = len(self.bases) * self.count + len(self.powers) // 2
+        bound = np.full(numbers, np.inf)
+        bound[len(self.bases) * self.count :] = self.range
         found = least_squares(
             lambda q: R @ self.coefficients(q) - y,
             np.zeros(numbers),
             jac=lambda q: R @ self.slopes(q),
+            bounds=(-bound, bound),
             xtol=CONVERGED,
             ftol=CONVERGED,
         )
         if np.linalg.svd(found.jac, compute_uv=False).min() < FELT:
             raise InputError(
-                f"data: expected enough to tell {numbers} numbers of G apart; give more loads, "
+                f"data: expected enough to tell {numbers} numbers apart; give more loads, "
                 "shorter waves or fewer neighbours"
             )
         record = {"loss": float(np.sqrt(2 * found.cost)), "numbers": numbers}
@@ -257,9 +301,10 @@ class _Monomials:
         record: dict[str, Any],
     ) -> DressedSolid:
         """The solid of these numbers, with its certificate."""
-        tensors = np.tensordot(q.reshape(len(self.bases), -1), self.dressing.basis, 1)
+        tensors = np.tensordot(self._split(q)[0], self.dressing.basis, 1)
+        s = float(q[-1]) if len(self.powers) > 1 else 0.0
         solid = DressedSolid(
             self.spacing, self.kind, self.elastic, self.dressing.steps, tensors, units, symmetry,
-            turn, provenance={"fit": record},
+            turn, provenance={"fit": record}, dilatation=AXIS_WEIGHT + s,
         )  # fmt: skip
         return solid.certified()

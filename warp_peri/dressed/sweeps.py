@@ -1,4 +1,4 @@
-"""Products Gᵗ K G by rows, K even or with a modulus at every element (theory.md, D22)."""
+"""Products Gᵗ K G by rows, K even or with moduli at every element or node (theory.md, D22, D25)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import warp as wp
 from scipy.ndimage import maximum_filter
 
 from warp_peri.dressed.bases import Base, half
+from warp_peri.kernels.dressed.bonds import bonds
 from warp_peri.kernels.dressed.elements import elements
 from warp_peri.kernels.micromodulus.rows import rows
 from warp_peri.launch import DEVICE, floats, ints, launch_slices
 from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.micromodulus.sweeps import FASTER, SCALARS, entries, row_pieces
 
-MODES = 5
-"""Of a square element that are not rigid."""
+MODES = {"elements": 5, "bonds": 1}
+"""What a site leaves for its nodes: modes of a square element that are not rigid; a dilatation."""
 
 
 class ByLayers:
@@ -28,7 +29,7 @@ class ByLayers:
         base: of the law, K.
         spacing: h.
         factors: moduli of each part over those of the even solid at the sites of the box,
-            [A, *wide]; None for the even solid. For square elements.
+            [A, *wide]; None for the even solid. In the plane.
         dtype: float64 or float32.
     """
 
@@ -44,7 +45,7 @@ class ByLayers:
     ) -> None:
         self.nodes, self.dtype = nodes, np.dtype(dtype)
         self.scalar = SCALARS[self.dtype]
-        self.kernels, self.elements = rows(self.scalar, nodes.dimension), elements(self.scalar)
+        self.kernels = rows(self.scalar, nodes.dimension)
         self.strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
         mask = np.zeros(nodes.wide, bool)
         mask[nodes.core] = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
@@ -52,20 +53,28 @@ class ByLayers:
         outer = (steps, tensors)
         self.stages: list[tuple[Any, ...]] = []
         reach, own = 0, int(np.abs(steps).max())
-        for dressed, (bonds, C) in ((1, outer), (0, middle), (1, outer)):
+        for dressed, (along, C) in ((1, outer), (0, middle), (1, outer)):
             pieces = self._pieces(maximum_filter(mask, 2 * reach + 1))
             values = C if dressed else C / spacing**2
-            tables = ints(bonds @ self.strides), self._floats(entries(values))
+            tables = ints(along @ self.strides), self._floats(entries(values))
             self.stages.insert(0, (pieces, dressed, *tables))
-            reach += int(np.abs(bonds).max())
+            reach += int(np.abs(along).max())
         places = int(np.prod(nodes.wide))
         ends = [int(p.numpy()[-1, 0]) + int(o.numpy().max()) for p, _, o, _ in self.stages]
         self.beyond = max(ends) + self.kernels.lanes + int(self.strides.sum()) > places
-        self.maps: tuple[Any, ...] | None = None
+        self.kind, self.maps = base.kind, None
         if factors is not None:
             sites = self._pieces(maximum_filter(mask, 2 * (own + 1) + 1))
-            table = self._floats(element_modes(base) / spacing**2)
-            self.maps = (sites, table, self._floats(factors.reshape(len(factors), -1), spare=True))
+            flat = factors.reshape(len(factors), -1) / spacing**2
+            where: Any  # offsets of bonds, or of the next row of elements
+            if base.kind == "bonds":
+                self.uneven = bonds(self.scalar)
+                along, table, mixed = bond_table(base)
+                where, flat = ints(along @ self.strides), mixed @ flat
+            else:
+                self.uneven, table = elements(self.scalar), element_modes(base)
+                where = int(self.strides[0])
+            self.maps = sites, (where, self._floats(table), self._floats(flat, spare=True))
         self._buffers: dict[tuple[int, int], np.ndarray] = {}
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
@@ -94,11 +103,14 @@ class ByLayers:
 
     def _uneven(self, given: np.ndarray, found: np.ndarray) -> None:
         assert self.maps is not None
-        sites, table, factors = self.maps
-        stresses = self._buffer(3, len(given), MODES * int(np.prod(self.nodes.wide)))
-        row = int(self.strides[0])
-        self._launch(self.elements.stressed, sites, (row, table, factors), given, stresses)
-        self._launch(self.elements.gathered, self.stages[1][0], (row,), stresses, found)
+        (sites, inputs), nodes = self.maps, self.stages[1][0]
+        stresses = self._buffer(3, len(given), MODES[self.kind] * int(np.prod(self.nodes.wide)))
+        self._launch(self.uneven.stressed, sites, inputs, given, stresses)
+        if self.kind == "bonds":
+            both = (*inputs, floats(stresses, self.scalar))
+            self._launch(self.uneven.gathered, nodes, both, given, found)
+        else:
+            self._launch(self.uneven.gathered, nodes, inputs[:1], stresses, found)
 
     def _launch(
         self, kernel: Any, pieces: Any, inputs: tuple[Any, ...], given: np.ndarray, out: np.ndarray
@@ -145,3 +157,19 @@ def element_modes(base: Base) -> np.ndarray:
         Q = sum(V.T @ P @ V for V in bent) / 3
         found.append(np.concatenate([entries((even @ P @ even)[None])[0], entries(Q[None])[0]]))
     return np.array(found)
+
+
+def bond_table(base: Base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of bonds that vary (D25): steps of one half, [H, 2]; a d and the upper triangle of w d ⊗ d,
+    [H, 5]; and the matrix that leads from factors of the parts to κ − 2 μ and 8 μ, [2, 2]."""
+    bulk, shear = base.moduli
+    theta, rest = base.parts
+    apart = ~np.eye(len(theta), dtype=bool)
+    share = -(rest[apart] @ theta[apart]) / (theta[apart] @ theta[apart])  # 2/M of (D26)
+    a = theta[np.argmax(np.diag(theta))] / np.sqrt(np.diag(theta).max())
+    w = np.diag(rest + share * theta) / 8
+    half = slice(len(a) // 2, None)  # the others are opposite
+    d = base.strains[np.arange(len(a)), 1 + np.arange(len(a))][half]
+    square = entries(w[half, None, None] * d[:, :, None] * d[:, None])
+    table = np.concatenate([a[half, None] * d, square], axis=1)
+    return base.corners[1:][half], table, np.array([[bulk, -share * shear], [0, 8 * shear]])

@@ -31,8 +31,9 @@ class Family:
     """A family of laws of one material.
 
     Attributes:
-        rich: the best law that the data bear, LPS(…), ThirdOrder(…) or Micromodulus(…).
-        second: a poorer law, as good on long waves; by default the rich one with a shorter horizon.
+        rich: the best law that the data bear: LPS(…), ThirdOrder(…), Micromodulus(…), Dressed(…).
+        second: a poorer law, as good on long waves; by default the rich one with a shorter horizon,
+            or what its own `poorer()` says.
     """
 
     rich: Any
@@ -106,7 +107,9 @@ def part(samples: Samples, which: Any) -> Samples:
 
 
 def poorer(law: Any) -> Any:
-    """The same law with a shorter horizon and, of polynomials, fewer of them."""
+    """The same law with a shorter horizon and, of polynomials, fewer of them; or as it says."""
+    if hasattr(law, "poorer"):
+        return law.poorer()
     inner = getattr(law, "linear", law)
     if not hasattr(inner, "horizon"):
         raise InputError("second: expected a law, as none with a shorter horizon is known")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from warp_peri.errors import InputError
@@ -24,6 +25,7 @@ FORMAT, VERSION = "warp_peri.family", 1
 READERS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "warp_peri.third_order_crystal": ThirdOrderCrystal.of_content,
     "warp_peri.micromodulus": Crystal.of_content,
+    "warp_peri.dressed": lambda of: import_module("warp_peri.dressed").DressedSolid.of_content(of),
     "warp_peri.model": lambda of: nonlinear_from(of) if "kind" in of else model_from(of),
 }
 
