@@ -99,7 +99,7 @@ def local(law: Any, spacing: float) -> Any:
     """The law that long waves and nothing else tell: plain elasticity of the same moduli. Of a
     solid that finds its moduli: ν = 0 and a constant influence function."""
     if hasattr(law, "kernel"):
-        here = {"trained_on": (spacing,), "certified_on": (spacing,)}
+        here: dict[str, Any] = dict.fromkeys(("trained_on", "certified_on"), (spacing,))
         return wp.Model(0.0, 1.0, 1.0, np.ones(law.kernel.degree + 1), law.horizon, **here)
     tensor = from_voigt(law.moduli)
 
