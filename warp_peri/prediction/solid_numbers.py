@@ -1,4 +1,4 @@
-"""What loads tell of the numbers of a linear peridynamic solid, near those it has (Q11, Q16)."""
+"""What loads tell of the numbers of a linear peridynamic solid, near those it has (Q11)."""
 
 from __future__ import annotations
 
