@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,17 +17,17 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import wave_rows
 from warp_peri.points.samples import Samples
 from warp_peri.prediction.learning import part
+from warp_peri.prediction.solid_numbers import WAVES, Quantity, Told, of_solid
 
 RESIDUAL = 0.02
 """Relative residual of a load that is taken for one standard deviation where none is known."""
-WAVES = np.pi / 2
-"""Largest |k| h of the waves whose answers are the quantity by default."""
 GUESSED = 4
 """Loads that this guess counts for beside those that cross-validation sees."""
 ROUNDS = 5
 """Of finding that residual, which the prior alone makes depend on itself."""
 STEP = 1e-4
 """Of a number, relative to the largest, in the slope of a quantity."""
+KINDS = "a law of micromodulus tensors or a linear peridynamic solid"
 
 
 @dataclass(frozen=True)
@@ -52,34 +51,30 @@ class NextLoad:
 def next_load(
     material: Any,
     candidates: Samples,
-    quantity: Callable[[Any], Any] | None = None,
+    quantity: Quantity | None = None,
     *,
     known: Samples | None = None,
 ) -> NextLoad:
     """The load to simulate next: the one that leaves a quantity least uncertain (A-optimal).
 
     Args:
-        material: a crystal's law, as fit(samples, Micromodulus(…)) learns it, from few loads or
-            guessed; its answers stand for the candidates' own.
+        material: a crystal's law, as fit(samples, Micromodulus(…)) learns it, or a linear
+            peridynamic solid of a sheet, from few loads or guessed; its answers stand for the
+            candidates' own.
         candidates: loads; of periodic points nothing else is read, of others also u on the collar.
         quantity: of a material, numbers; by default its answers to waves down to four spacings.
         known: what was learned from, at least three loads calibrate the deviations.
 
     Raises InputError for another law, and samples that do not carry its horizon.
     """
-    offered(material, "group", "next_load", "a law of micromodulus tensors")
-    bonds = family(material.horizon / material.spacing, material.group)
-    free, p = _coordinates(material, bonds), _numbers(material, bonds)
-    if quantity is None:
-        waves, _ = wave_rows(material.symbol, material.spacing, bonds, material.group, WAVES)
-        slopes = waves @ free / material.spacing**2
-    else:
-        slopes = _slopes(material, bonds, free, quantity)
-    prior = np.eye(free.shape[1]) / float((p**2).mean())
-    told_by, _ = _information(_answered(material, candidates), bonds, free, p)
+    tensors = hasattr(material, "group")
+    if not tensors:
+        offered(material, "influence_dilatation", "next_load", KINDS)
+    slopes, prior, information = (_of_tensors if tensors else of_solid)(material, quantity)
+    told_by, _ = information(_answered(material, candidates))
     before, residual = prior, RESIDUAL
     if known is not None and len(known):
-        told, pull = _information(known, bonds, free, p)
+        told, pull = information(known)
         before = prior + told.sum(axis=0) / residual**2
         if len(known) > 2:
             seen, count = calibrated(told, pull, prior, slopes), len(known)
@@ -115,6 +110,19 @@ def calibrated(told: np.ndarray, pull: np.ndarray, prior: np.ndarray, slopes: np
     return residual
 
 
+def _of_tensors(material: Crystal, quantity: Quantity | None) -> Told:
+    """Slopes of a quantity, the prior, and what loads tell, in the directions that are free."""
+    bonds = family(material.horizon / material.spacing, material.group)
+    free, p = _coordinates(material, bonds), _numbers(material, bonds)
+    if quantity is None:
+        waves, _ = wave_rows(material.symbol, material.spacing, bonds, material.group, WAVES)
+        slopes = waves @ free / material.spacing**2
+    else:
+        slopes = _slopes(material, bonds, free, quantity)
+    prior = np.eye(free.shape[1]) / float((p**2).mean())
+    return slopes, prior, lambda samples: _information(samples, bonds, free, p)
+
+
 def _numbers(material: Crystal, bonds: Family) -> np.ndarray:
     """p of a law, in units of stress."""
     basis = bonds.basis.reshape(len(bonds.basis), -1)
@@ -131,9 +139,7 @@ def _coordinates(material: Crystal, bonds: Family) -> np.ndarray:
     return np.asarray(null_space(asked / np.abs(bonds.moments()).max(), rcond=1e-8))
 
 
-def _slopes(
-    material: Crystal, bonds: Family, free: np.ndarray, quantity: Callable[[Any], Any]
-) -> np.ndarray:
+def _slopes(material: Crystal, bonds: Family, free: np.ndarray, quantity: Quantity) -> np.ndarray:
     """Of a quantity, by central differences, [n, F]."""
     step = STEP * float(np.abs(_numbers(material, bonds)).max())
 
@@ -144,7 +150,7 @@ def _slopes(
     return np.stack([(at(step * z) - at(-step * z)) / (2 * step) for z in free.T], axis=1)
 
 
-def _answered(material: Crystal, candidates: Samples) -> Samples:
+def _answered(material: Any, candidates: Samples) -> Samples:
     """The candidates with the answers of the material."""
     operator, b = material.on(candidates.points), candidates.loads
     periodic = candidates.points.box is not None
