@@ -157,8 +157,13 @@ def _on_coarse(
     if coarse is None:
         return None
     first = coarse.start(b, given, share)
+    told, unseen, carried = coarse.recorded(first)
+    if tolerance is not None and carried is not None:
+        hidden = np.hypot(coarse.hidden.of_load(load), coarse.hidden.of_collar(given))
+        parts = _unasked(placed, first, hidden, told, carried) | {"noise": noise}
+        if _size(parts) <= tolerance:
+            return _Stage(first, parts, None, 0, unseen, "on every second node, ")
     u, before = first.copy(), np.inf
-    told, unseen = coarse.recorded(u)
     taken = 0
     while True:
         size = float(np.linalg.norm(u[inside])) or 1.0
@@ -177,6 +182,23 @@ def _on_coarse(
             break
         before = moved
     return _Stage(u, parts, None, taken, unseen, "on every second node, ", answers, bent)
+
+
+def _unasked(
+    placed: PlacedMembers, u: np.ndarray, hidden: float, told: float | None, carried: float
+) -> dict[str, float]:
+    """Parts of the first answer on every second node, which no correction sees (Q16).
+
+    `hidden` is what those nodes may have taken for long waves, `carried` what the record says of
+    linear answers there.
+    """
+    coarse, factors = placed.coarse, placed.family.factors
+    assert coarse is not None
+    size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
+    gradient = coarse.gradient(u)
+    bent = factors.screen * gradient
+    left = float(np.hypot(factors.first * np.hypot(bent, carried), hidden / size))
+    return _screened(placed, gradient, 0.0, bent, told) | {"left": left}
 
 
 def _screened(
