@@ -50,6 +50,10 @@ class Hidden:
         moved = points.spacing**2 / (modulus * square)
         self.weight = np.where(short, twice * moved**2, 0.0) / there.size
 
+    def of(self, load: np.ndarray, given: np.ndarray) -> float:
+        """‖e_hidden‖ of (Q17), of a load [I, 2] and of what is given on the collar, [N, 2]."""
+        return float(np.hypot(self.of_load(load), self.of_collar(given)))
+
     def of_load(self, load: np.ndarray) -> float:
         """How far a load [I, 2] may be answered wrongly: a norm over the unknown nodes [length]."""
         field = np.zeros((2, int(np.prod(self.shape))))

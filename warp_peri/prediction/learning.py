@@ -15,10 +15,12 @@ from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.coarse import EverySecond
 from warp_peri.prediction.members import Factors, Members
 from warp_peri.prediction.placed import PlacedMembers, pulled, spread
-from warp_peri.prediction.predict import MOST, SOLVED
+from warp_peri.prediction.predict import HIDDEN, MOST, SOLVED
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
 COVERED, NEARLY = 0.9, 0.95
+APARTS = "apart", "off"
+"""From the linear answer on all nodes, and from the best one."""
 """Shares of the samples that the factors are set to cover; that of what is left to correct, which
 varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
@@ -139,10 +141,13 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
     bends = bool(np.any(rows["gradient"] > 0))
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
     carried, first = None, 1.0
-    if family.coarse is not None and np.isfinite(rows["apart"]).all():
-        carried = recorded(samples.spacing * KNOTS, rows["seen"], rows["apart"])
+    plain = rows["hidden"] <= HIDDEN
+    if family.coarse is not None and plain.any():
+        rest = {n: np.sqrt(np.maximum(rows[n] ** 2 - rows["hidden"] ** 2, 0)) for n in APARTS}
+        carried = recorded(samples.spacing * KNOTS, rows["seen"][plain], rest["apart"][plain])
         told = np.array([carried.of(one) for one in rows["seen"]])
-        first = quantile(rows["off"], np.hypot(screen * rows["slope"], told), NEARLY)
+        bent = np.hypot(screen * rows["slope"], told)
+        first = quantile(rest["off"][plain], bent[plain], NEARLY)
     floor = np.sqrt(members**2 + rows["cubic"] ** 2 + (screen * rows["series"]) ** 2)
     factors = Factors(
         left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
@@ -200,10 +205,11 @@ def _on_every_second(
     """How far the linear answer there is from that on all nodes, `first`, and from the best, u."""
     coarse, inside = placed.coarse, placed.points.interior
     if coarse is None:
-        return {"apart": np.nan, "off": np.nan, "slope": 0.0, "seen": np.zeros(1)}
+        return dict.fromkeys(APARTS, 0.0) | {"hidden": np.inf, "slope": 0.0, "seen": np.zeros(1)}
     answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(u[inside]))
     row: dict[str, Any] = {"slope": coarse.gradient(answer)}
     row["seen"] = coarse.spectrum.shares(answer[coarse.nodes.chosen])
-    for name, other in (("apart", first), ("off", u)):
+    row["hidden"] = coarse.hidden.of(placed.load(b), given) / size
+    for name, other in zip(APARTS, (first, u)):
         row[name] = float(np.linalg.norm((answer - other)[inside])) / size
     return row

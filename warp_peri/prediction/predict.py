@@ -40,6 +40,8 @@ MOVED = 0.02
 SHORTER, STRAINED = 0.01, 1.2
 """Share of waves shorter than the data's, and strain over the data's where the rich member is
 linear, from which the error does not speak of an answer."""
+HIDDEN = 0.05
+"""Of the displacement: where coarse nodes may miss more than this, a correction is asked for."""
 SURE = 2.0
 """Times that the series is taken where the cubic part beside it was not computed."""
 FAMILY = (
@@ -159,7 +161,7 @@ def _on_coarse(
     first = coarse.start(b, given, share)
     told, unseen, carried = coarse.recorded(first)
     if tolerance is not None and carried is not None:
-        hidden = np.hypot(coarse.hidden.of_load(load), coarse.hidden.of_collar(given))
+        hidden = coarse.hidden.of(load, given)
         parts = _unasked(placed, first, hidden, told, carried) | {"noise": noise}
         if _size(parts) <= tolerance:
             return _Stage(first, parts, None, 0, unseen, "on every second node, ")
@@ -198,6 +200,8 @@ def _unasked(
     gradient = coarse.gradient(u)
     bent = factors.screen * gradient
     left = float(np.hypot(factors.first * np.hypot(bent, carried), hidden / size))
+    if hidden > HIDDEN * size:
+        left = np.inf
     return _screened(placed, gradient, 0.0, bent, told) | {"left": left}
 
 
