@@ -9,6 +9,8 @@ import warp_peri as wp
 from tests.prediction.test_predict import family, far  # noqa: F401 (a fixture)
 from tests.support.problems import lattice, smooth
 from warp_peri.prediction.coarse import EverySecond
+from warp_peri.prediction.hidden import Hidden
+from warp_peri.prediction.spectrum import Record
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 WIDE = 6.0
@@ -71,3 +73,37 @@ def test_bodies_between_the_coarse_nodes_are_answered(both):
     answer = wp.predict(both, wp.Dirichlet(thin, b, u), 0.1)
     assert answer.why.startswith("linear")
     assert far(answer.u, u, thin) < 0.1
+
+
+def test_a_screen_spares_the_correction(both, monkeypatch):
+    told = replace(both, carried=Record(np.array([2.0, 4.0, 8.0]), np.array([0.05, 0.02, 0.01])))
+    points, u, b = problem(told, 0.05, 0.12)
+    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    placed = told.with_doubts(points)
+
+    def refused(*_):
+        raise AssertionError("the rich member was asked")
+
+    monkeypatch.setattr(placed, "rich", refused)
+    monkeypatch.setattr(placed, "load", lambda b: b[points.interior])
+    loose = wp.predict(placed, given, 0.2)
+    assert loose.corrections == 0
+    assert loose.why.startswith("on every second node, linear;")
+    assert far(loose.u, u, points) < loose.error < 0.2
+    with pytest.raises(AssertionError, match="was asked"):
+        wp.predict(placed, given, 0.01)
+
+
+def test_waves_that_hide_between_coarse_nodes_are_seen():
+    points = lattice(30, 4.0)
+    found = Hidden(points, 0.5)
+    for number, shown in ((3.0, True), (2.2, True), (0.5, False)):
+        k = number * np.array([np.cos(0.3), np.sin(0.3)])
+        u = np.cos(points.x @ k)[:, None] * np.ones(2)
+        b = 0.5 * number**2 * u
+        size = np.linalg.norm(u[points.interior])
+        load, collar = found.of_load(b[points.interior]) / size, found.of_collar(u) / size
+        assert (load > 1) == shown
+        assert (collar > 0.3) == shown
+        assert max(load, collar) < 0.05 or shown
+    assert found.of_load(np.zeros((points.interior.sum(), 2))) == found.of_collar(0 * u) == 0

@@ -15,10 +15,12 @@ from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.coarse import EverySecond
 from warp_peri.prediction.members import Factors, Members
 from warp_peri.prediction.placed import PlacedMembers, pulled, spread
-from warp_peri.prediction.predict import MOST
+from warp_peri.prediction.predict import HIDDEN, MOST, SOLVED
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
 COVERED, NEARLY = 0.9, 0.95
+APARTS = "apart", "off"
+"""From the linear answer on all nodes, and from the best one."""
 """Shares of the samples that the factors are set to cover; that of what is left to correct, which
 varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
@@ -126,7 +128,7 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
     The factors are quantiles of what was true over what was computed.
     """
-    bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None)
+    bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None, carried=None)
     sets = [samples] if validation is None else [samples, validation]
     found = [_measured(bare, one) for one in sets]
     rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
@@ -141,13 +143,22 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
     bends = bool(np.any(rows["gradient"] > 0))
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
+    carried, first = None, 1.0
+    plain = rows["hidden"] <= HIDDEN
+    if family.coarse is not None and plain.any():
+        rest = {n: np.sqrt(np.maximum(rows[n] ** 2 - rows["hidden"] ** 2, 0)) for n in APARTS}
+        carried = recorded(samples.spacing * KNOTS, rows["seen"][plain], rest["apart"][plain])
+        told = np.array([carried.of(one) for one in rows["seen"]])
+        bent = np.hypot(screen * rows["slope"], told)
+        first = quantile(rest["off"][plain], bent[plain], NEARLY)
     floor = np.sqrt(members**2 + rows["cubic"] ** 2 + (screen * rows["series"]) ** 2)
     factors = Factors(
         left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
         floor=quantile(rows["true"], floor),
         screen=screen,
+        first=max(first, 1.0),
     )
-    return replace(family, factors=factors, record=record)
+    return replace(family, factors=factors, record=record, carried=carried)
 
 
 def carried(rich: Any, points: Points) -> Any:
@@ -185,6 +196,23 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         row |= {"true": norm((u - truth)[inside]), "cubic": cubic, "series": series}
         row["members"] = spread(placed.norm(fields.waves), placed.norm(fields.data)) / size
         row["gradient"] = placed.gradient(u)
+        row |= _on_every_second(placed, np.where(inside[:, None], 0.0, truth), b, first, u)
         row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
         rows.append(row)
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _on_every_second(
+    placed: PlacedMembers, given: np.ndarray, b: np.ndarray, first: np.ndarray, u: np.ndarray
+) -> dict[str, Any]:
+    """How far the linear answer there is from that on all nodes, `first`, and from the best, u."""
+    coarse, inside = placed.coarse, placed.points.interior
+    if coarse is None:
+        return dict.fromkeys(APARTS, 0.0) | {"hidden": np.inf, "slope": 0.0, "seen": np.zeros(1)}
+    answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(u[inside]))
+    row: dict[str, Any] = {"slope": coarse.gradient(answer)}
+    row["seen"] = coarse.spectrum.shares(answer[coarse.nodes.chosen])
+    row["hidden"] = coarse.hidden.of(placed.load(b), given) / size
+    for name, other in zip(APARTS, (first, u)):
+        row[name] = float(np.linalg.norm((answer - other)[inside])) / size
+    return row

@@ -38,11 +38,13 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
+        first: of what is so seen of the linear answer on every second node (Q16).
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
+    first: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -65,6 +67,8 @@ class Members:
         strain: largest strain between neighbouring nodes in the samples.
         temperature: [K] of the samples, where they state it.
         coarse: the rich member on nodes twice as far apart, where it can be transferred there.
+        carried: by wavelength, how far its linear answers are from those on all nodes; None where
+            no sample told.
         provenance: of the fit.
     """
 
@@ -76,6 +80,7 @@ class Members:
     strain: float = 0.0
     temperature: float | None = None
     coarse: Any = None
+    carried: Record | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -109,20 +114,20 @@ class Members:
     def in_units(self, units: Units) -> Members:
         """The same in other units."""
         length, _ = factors(self.units, units)
-        record = self.record and self.record.longer(length)
+        records = {n: (r := getattr(self, n)) and r.longer(length) for n in ("record", "carried")}
         coarse = self.coarse and self.coarse.in_units(units)
         rich, second, *halves = (
             one.in_units(units) for one in (self.rich, self.second, *self.halves)
         )
         pair = (halves[0], halves[1])
-        return replace(self, rich=rich, second=second, halves=pair, record=record, coarse=coarse)
+        return replace(self, rich=rich, second=second, halves=pair, coarse=coarse, **records)
 
     def content(self) -> dict[str, Any]:
         """What the file holds: its members whole, each with its own records."""
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
         content |= {name: getattr(self, name).content() for name in ("rich", "second")}
         content["halves"] = [one.content() for one in self.halves]
-        content["record"] = self.record and self.record.content()
+        content |= {n: (r := getattr(self, n)) and r.content() for n in ("record", "carried")}
         content["coarse"] = self.coarse and self.coarse.content()
         content["factors"] = asdict(self.factors)
         content |= {n: getattr(self, n) for n in ("strain", "temperature", "provenance")}
@@ -153,14 +158,17 @@ def load_members(path: Any) -> Members:
             raise InputError(
                 "sha256: the contents are not what was written; remove this key to accept them"
             )
-        record = content["record"] and Record.of_content(content["record"])
+        record, told = (
+            content.get(n) and Record.of_content(content[n]) for n in ("record", "carried")
+        )
         coarse = _member(content["coarse"]) if content.get("coarse") else None
         rich, second, *halves = (
             _member(one) for one in (content["rich"], content["second"], *content["halves"])
         )
         own = {name: content[name] for name in ("strain", "temperature", "provenance")}
         factors = Factors(**content["factors"])
-        return Members(rich, second, (halves[0], halves[1]), record, factors, coarse=coarse, **own)
+        pair = (halves[0], halves[1])
+        return Members(rich, second, pair, record, factors, coarse=coarse, carried=told, **own)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -15,6 +15,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.coarse import APART, EverySecond
+from warp_peri.prediction.hidden import Hidden
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
 if TYPE_CHECKING:
@@ -145,7 +146,7 @@ class PlacedMembers:
         if self.on_ranks:
             x, inside = (points.joined(values) for values in (points.x, points.interior))
             points = None if x is None else Points(x, inside, points.spacing)
-        return None if points is None else _spectrum(points, self.family.record)
+        return None if points is None else _spectrum(points, self.family.record, points.spacing)
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
@@ -250,17 +251,24 @@ class OnCoarse:
         """Root mean square of |H| of u [N, 2] near the unknowns."""
         return _gradient(self.operator, u[self.nodes.chosen])
 
-    def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
-        """As PlacedMembers.recorded, of the waves that these nodes hold."""
-        record = self.family.record
+    def recorded(self, u: np.ndarray) -> tuple[float | None, float, float | None]:
+        """As PlacedMembers.recorded, of the waves that these nodes hold; and how far from linear
+        answers on all nodes those here were, None where no sample told."""
+        record, carried = self.family.record, self.family.carried
         if record is None:
-            return None, 0.0
-        return record.told(self.spectrum.shares(u[self.nodes.chosen]))
+            return None, 0.0, None
+        shares = self.spectrum.shares(u[self.nodes.chosen])
+        return *record.told(shares), None if carried is None else carried.of(shares)
+
+    @cached_property
+    def hidden(self) -> Hidden:
+        """What these nodes do not tell from long waves."""
+        return Hidden(self.nodes.points, float(self.family.linear.mu))
 
     @cached_property
     def spectrum(self) -> Spectrum:
         """What part of a field has which wavelength, by the record of the family."""
-        return _spectrum(self.nodes.nodes, self.family.record)
+        return _spectrum(self.nodes.nodes, self.family.record, self.nodes.points.spacing)
 
     def correction(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """e [I, 2] of a residual on all unknown nodes, and what coarse nodes do not see of it: the
@@ -271,9 +279,9 @@ class OnCoarse:
         return self.nodes.spread(e), self.unseen * float(np.sqrt(max(short, 0.0)))
 
 
-def _spectrum(points: Points, record: Record | None) -> Spectrum:
+def _spectrum(points: Points, record: Record | None, spacing: float) -> Spectrum:
     """What part of a field on these points has which wavelength, by a record where there is one."""
-    return Spectrum(points, points.spacing * KNOTS if record is None else record.wavelength)
+    return Spectrum(points, spacing * KNOTS if record is None else record.wavelength)
 
 
 def _gradient(operator: Any, u: np.ndarray) -> float:
