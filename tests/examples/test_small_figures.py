@@ -42,8 +42,9 @@ def test_a_leaflet_by_the_shipped_network(tmp_path):
     deep = (
         np.abs(steps - leaflet.NODES // 2).max(axis=1) <= leaflet.NODES // 2 - 2 * neural_sets.REACH
     )
-    points = wp.Points(leaflet.SPACING * (steps - leaflet.NODES // 2), deep, leaflet.SPACING)
     material = load(neural_operator.WEIGHTS / "leaflet.json")
+    x = leaflet.SPACING * (steps - leaflet.NODES // 2)
+    points = wp.Points(x, deep, leaflet.SPACING, units=material.units)
     given = argparse.Namespace(json=True, solved=None)
     errors = neural_operator.errors_of(material, {"test": wp.Samples(points, u)}, given, solve=True)
     assert errors["converged"]["test"] == 1

@@ -75,7 +75,10 @@ def test_frames_of_a_folder_are_learned_from_and_held_out(tmp_path):
         rows = "\n".join(",".join(map(str, (*a, *b))) for a, b in zip(x, u))
         (tmp_path / f"{n}.csv").write_text("x,y,u,v\n" + rows)
     (tmp_path / "forces.csv").write_text("time,force\n0,1\n")
-    train, test = measured(tmp_path, Given)
+    with pytest.warns(
+        UserWarning, match=r"passed over: .*forces\.csv: expected columns x, y, u and v"
+    ):
+        train, test = measured(tmp_path, Given)
     assert (len(train), len(test)) == (2, 2)
     last = 0.08 * train.x[:, 0].max()
     assert train.u[-1, :, 0].max() == pytest.approx(last + 1e-4 * 0.1 * 130**2, rel=1e-6)

@@ -235,7 +235,8 @@ def test_wrong_input_is_refused(family):
 def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     points = lattice(8, HORIZON)
     samples = manufactured(kernel("positive", HORIZON), points, 8, wave_number=1.0)
-    fit = wp.fit(samples, Family(wp.Micromodulus(HORIZON, "4mm")), progress=False)
+    law = wp.Micromodulus(HORIZON, "4mm", moduli=None)  # eight nodes hold no long waves
+    fit = wp.fit(samples, Family(law), progress=False)
     assert fit.certificate.holds
     assert fit.material.second.horizon < fit.material.horizon
     assert 0 < fit.material.strain < 10
