@@ -39,7 +39,8 @@ DISK = (RandomRim(904), RandomRim(905), RandomRim(906))
 (53, 60), (61, 26), (62, 36), (63, 80) and RandomRim(301–303, 401–403, 501–503), on other
 rectangles, another L and at 17, 29 and 41 degrees. It was scored once on (71, 28), (72, 42),
 (73, 65) and 601–603, once on (81, 27), (82, 38), (83, 62) and 701–703, where errors of strain
-came out too small and are taken larger since, and once on (91, 29), (92, 40), (93, 68) and 801–803.
+came out too small and are taken larger since, once on (91, 29), (92, 40), (93, 68) and 801–803, and
+once on (101, 27), (102, 41), (103, 66) and 901–903, where no answer was taken without a correction.
 These came after."""
 TURN = 13.0
 """Angle of the crystal to the nodes of the turned sets [degrees]."""
