@@ -70,7 +70,6 @@ def numba_loop(operator: Operator) -> Callable[[np.ndarray], np.ndarray] | None:
     offset = np.concatenate([operator.steps, -operator.steps]) @ strides
     inputs = operator.nodes.interior, offset, np.tile(operator.tensors, (2, 1, 1))
 
-    @numba.njit(fastmath=True)
     def pulled(
         unknown: np.ndarray, offset: np.ndarray, C: np.ndarray, u: np.ndarray, force: np.ndarray
     ) -> None:
@@ -84,10 +83,12 @@ def numba_loop(operator: Operator) -> Callable[[np.ndarray], np.ndarray] | None:
                 f2 += C[n, 0, 2] * e0 + C[n, 1, 2] * e1 + C[n, 2, 2] * e2
             force[i, 0], force[i, 1], force[i, 2] = f0, f1, f2
 
+    compiled: Any = numba.njit(fastmath=True)(pulled)
+
     def product(planes: np.ndarray) -> np.ndarray:
         u = np.ascontiguousarray(planes[0].reshape(3, -1).T)
         force = np.zeros_like(u)
-        pulled(*inputs, u, force)
+        compiled(*inputs, u, force)
         return force.T.reshape(planes.shape)
 
     return product
