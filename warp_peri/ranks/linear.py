@@ -18,7 +18,7 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.processes import agreed, build
-from warp_peri.ranks.sums import total
+from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 
 if TYPE_CHECKING:
@@ -120,22 +120,12 @@ class RowOperator:
 
     def inner(self) -> Inner:
         """Scalar products and largest values over all ranks; sums of rows, then of all rows."""
-        from mpi4py import MPI
 
-        comm = self.points.comm
+        def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+            rows = (f.reshape(*f.shape[:2], -1) for f in (a, b))
+            return np.asarray(np.einsum("arn,arn->ar", *rows)).ravel()
 
-        def dot(a: np.ndarray, b: np.ndarray) -> float:
-            along = np.einsum("arn,arn->ar", *(f.reshape(*f.shape[:2], -1) for f in (a, b)))
-            return float(total(comm, along.ravel()))
-
-        def largest(a: np.ndarray) -> float:
-            return float(comm.allreduce(float(max(a.max(), -a.min())), op=MPI.MAX))
-
-        def add(u: np.ndarray, step: float, p: np.ndarray) -> np.ndarray:
-            u += step * p
-            return u
-
-        return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
+        return inner(self.points.comm, along)
 
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None

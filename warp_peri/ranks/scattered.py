@@ -21,7 +21,7 @@ from warp_peri.ranks.halo import NodeHalo, RowHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
 from warp_peri.ranks.processes import agreed
-from warp_peri.ranks.sums import total
+from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.cache import model_at
@@ -91,21 +91,7 @@ class ScatteredOperator:
 
     def inner(self) -> Inner:
         """Scalar products and largest values over all ranks, of fields at interior nodes."""
-        from mpi4py import MPI
-
-        comm = self.points.comm
-
-        def dot(a: np.ndarray, b: np.ndarray) -> float:
-            return float(total(comm, (a * b).sum(axis=1)))
-
-        def largest(a: np.ndarray) -> float:
-            return float(comm.allreduce(float(np.abs(a).max(initial=0.0)), op=MPI.MAX))
-
-        def add(u: np.ndarray, step: float, p: np.ndarray) -> np.ndarray:
-            u += step * p
-            return u
-
-        return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
+        return inner(self.points.comm, lambda a, b: (a * b).sum(axis=1))
 
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None

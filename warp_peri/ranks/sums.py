@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from warp_peri.ranks.processes import Comm
+from warp_peri.statics.conjugate_gradients import Inner
 
 LIMB, LIMBS = 30, 4
 """Bits of a part, of which 2³³ fit into a whole number, and parts: 120 bits below the largest."""
@@ -70,3 +72,24 @@ def _mixed(x: np.ndarray) -> np.ndarray:
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     mixed: np.ndarray = x ^ (x >> np.uint64(31))
     return mixed
+
+
+def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:
+    """Scalar products and largest values over all ranks, for conjugate gradients.
+
+    `along` gives the products of two fields in parts that do not depend on the number of ranks.
+    """
+    from mpi4py import MPI
+
+    def dot(a: np.ndarray, b: np.ndarray) -> float:
+        return float(total(comm, along(a, b)))
+
+    def largest(a: np.ndarray) -> float:
+        here = max(a.max(initial=0.0), -a.min(initial=0.0))
+        return float(comm.allreduce(float(here), op=MPI.MAX))
+
+    def add(u: np.ndarray, step: float, p: np.ndarray) -> np.ndarray:
+        u += step * p
+        return u
+
+    return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
