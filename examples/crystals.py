@@ -36,7 +36,7 @@ from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import from_phonons
+from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import Loads, placed_errors, wave_loads

@@ -20,9 +20,9 @@ from warp_peri.launch import set_threads
 from warp_peri.micromodulus.certificate import certify
 from warp_peri.micromodulus.family import half_ball
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import from_phonons, transferred
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
+from warp_peri.micromodulus.waves import from_phonons, transferred
 from warp_peri.points.points import Points
 
 SIDES = (64, 128)

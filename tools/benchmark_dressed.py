@@ -14,7 +14,7 @@ from tools.graphene_phonons import force_constants
 from warp_peri.dressed import DressedSolid, FiniteSolid, from_phonons
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
+from warp_peri.micromodulus.waves import from_phonons as tensors_from_phonons
 from warp_peri.points.points import Points
 
 LAWS = {"elements, G 8": ("elements", 8), "bonds, G 8": ("bonds", 8), "bonds, G 12": ("bonds", 12)}

@@ -35,7 +35,7 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.elastic import from_voigt
-from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.prediction import next_load
 from warp_peri.prediction.learning import part
 from warp_peri.transfer.waves import dispersion

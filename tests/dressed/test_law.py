@@ -19,8 +19,8 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import from_calculator
 from warp_peri.micromodulus.groups import point_group
-from warp_peri.micromodulus.learning import from_phonons as tensors_from_phonons
 from warp_peri.micromodulus.states import tensors_of
+from warp_peri.micromodulus.waves import from_phonons as tensors_from_phonons
 
 SHEET = dict(C11=1.25, C12=-0.2, C44=0.725)
 

@@ -8,7 +8,7 @@ import pytest
 import warp_peri as wp
 from tests.support.problems import lattice
 from warp_peri.methods import resample_loads
-from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.micromodulus.waves import fit_symbol
 
 HORIZON, NOISE, LOADS = 2.0, 0.1, 10
 MODULI = wp.micromodulus.from_voigt([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.5]])

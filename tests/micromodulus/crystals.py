@@ -7,7 +7,7 @@ import numpy as np
 from warp_peri.micromodulus.family import family
 from warp_peri.micromodulus.groups import checked_orientation, point_group, shared_with_nodes
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.points import Points
 
 CUBIC = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}

@@ -24,9 +24,10 @@ from warp_peri.micromodulus.force_constants import (
 )
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import fit, fit_symbol, from_phonons, transferred
+from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.micromodulus.statics import solve
+from warp_peri.micromodulus.waves import fit_symbol, from_phonons, transferred
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.transfer.operator import LPSOperator

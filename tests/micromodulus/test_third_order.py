@@ -20,7 +20,6 @@ from warp_peri.micromodulus.family import bend
 from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.laws import Micromodulus
-from warp_peri.micromodulus.learning import fit_symbol
 from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.third_order_proof import (
@@ -30,6 +29,7 @@ from warp_peri.micromodulus.third_order_proof import (
     proven_kappa,
     uniqueness,
 )
+from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.models.nonlinear import energy_density
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.families import bond_classes

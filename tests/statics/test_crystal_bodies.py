@@ -8,7 +8,7 @@ import pytest
 import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.solids import Block, Sphere, mesh_solid
 from warp_peri.points.tetrahedra import make_tetrahedra

@@ -7,7 +7,7 @@ from tools.crystals import RECIPES, at_rest, force_constants, session, spacing_o
 from tools.isotropic_rival import isotropic_lps
 from warp_peri.micromodulus.elastic import allowed_tensors
 from warp_peri.micromodulus.groups import point_group
-from warp_peri.micromodulus.learning import from_phonons
+from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.structures.waves import wave_loads
 
 STRAIN = 1e-3

@@ -28,8 +28,8 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
-from warp_peri.micromodulus.learning import LARGEST_WAVE, SAME, carried_symbol, wave_rows
 from warp_peri.micromodulus.third_order_learning import fit_third_order
+from warp_peri.micromodulus.waves import LARGEST_WAVE, SAME, carried_symbol, wave_rows
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples

@@ -8,7 +8,7 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus import elastic
 from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import BROKEN, Crystal
-from warp_peri.micromodulus.learning import fit_symbol
+from warp_peri.micromodulus.waves import fit_symbol
 
 
 def plane_strain(law: Crystal, normal: int = 2) -> Crystal:

@@ -19,12 +19,12 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
-from warp_peri.micromodulus.learning import _law, _solve
 from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.regression import Learned, compressed
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal, gradient_weights
 from warp_peri.micromodulus.third_order_operator import PlacedCrystal
 from warp_peri.micromodulus.third_order_proof import proven_crystal
+from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -102,7 +102,7 @@ def fit_third_order(
         "cuts": learned.cuts,
         "numbers": len(bonds.basis) + CONSTANTS,
     }
-    linear = _law(learned, bonds, samples.spacing, samples.points.units, symmetry, turn, {})
+    linear = law_of(learned, bonds, samples.spacing, samples.points.units, symmetry, turn, {})
     law = ThirdOrderCrystal(
         linear, t3, tq2, q3, smoothing, form, float(horizon), provenance={"fit": record}
     )
@@ -143,7 +143,7 @@ def _at(
     known = _lame(tensor)  # those of the geometric terms are those of the tensors
     y = rows.y - rows.R[:, -2:] @ known
     below = slice(CONSTANTS, -2)
-    learned = _solve(rows.R[CONSTANTS:, below], y[CONSTANTS:], bonds, shared, tensor, spacing)
+    learned = solved(rows.R[CONSTANTS:, below], y[CONSTANTS:], bonds, shared, tensor, spacing)
     p = learned.p / spacing**2
     top = rows.R[:CONSTANTS]
     best = np.linalg.solve(top[:, :CONSTANTS], y[:CONSTANTS] - top[:, below] @ p)

@@ -16,11 +16,11 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.nonlinear.tensors import tensor_rows
 from warp_peri.launch import floats
 from warp_peri.micromodulus.law import SAME_SPACING
-from warp_peri.micromodulus.learning import transferred
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.third_order_proof import proven_crystal
+from warp_peri.micromodulus.waves import transferred
 from warp_peri.models.nonlinear import energy_density
 from warp_peri.operator.gradient_sweeps import GradientSweeps
 from warp_peri.operator.nonlinear import NonlinearOperator

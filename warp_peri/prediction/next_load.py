@@ -14,7 +14,7 @@ from warp_peri.micromodulus.elastic import bracket_rows, huang_rows
 from warp_peri.micromodulus.family import Family, family
 from warp_peri.micromodulus.fields import rows
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import wave_rows
+from warp_peri.micromodulus.waves import wave_rows
 from warp_peri.points.samples import Samples
 from warp_peri.prediction.learning import part
 from warp_peri.prediction.solid_numbers import WAVES, Quantity, Told, of_solid

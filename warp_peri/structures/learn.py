@@ -24,8 +24,9 @@ from warp_peri.micromodulus.elastic import (
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.groups import Symmetry, point_group
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import fit, from_phonons
+from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.regression import directions
+from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import as_table, in_rows
