@@ -1,0 +1,235 @@
+"""Commands that learn: dumps to data, data to a model, and the choice of horizon and degree.
+
+What needs torch or Warp is imported where a command runs, so that `--help` does without.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import warp_peri
+from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
+from warp_peri.cli.settings_file import keep
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import locked, write_json
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
+from warp_peri.sources import dump_files, dumps
+from warp_peri.sources.coarse_graining import smoothing_matrix
+
+if TYPE_CHECKING:
+    from warp_peri.learning.run import Run
+
+Result = dict[str, Any]
+
+HORIZON, DEGREE = 20.0, 10
+"""δ [Å] and M of the Bernstein polynomials that are learned where nothing else was asked for."""
+
+SHEET = {"thickness": 3.35, "density": 2200.0}
+"""Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
+
+TYPED_BOX = 1e-3
+"""Relative difference of a typed period from that of the dump."""
+
+
+def run_coarse_grain(given: argparse.Namespace) -> Result:
+    """Dumps → a set of a data file; sets of other names that the file has stay in it."""
+    _take_sheet(given)
+    frame = next(dump_files.dump_frames(given.reference))
+    reference, box = frame.x, None
+    if given.box:
+        dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
+        box = frame.box  # typed lengths are rounded
+    limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
+    if given.radius > limit:
+        what = "half the smallest period" if box else "the extent of the body"
+        raise InputError(f"radius: expected at most {limit:g} Å, {what}, got {given.radius:g} Å")
+    force = np.stack([atom_forces(path, len(reference)) for path in given.force])
+    mass = np.ones(len(reference))
+    if given.mass:
+        mass = dumps.dump_masses(given.reference, given.mass)
+    points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
+    points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
+    omega = smoothing_matrix(
+        reference, points.x, radius=given.radius, box=box, spacing=given.spacing
+    )
+    samples = dumps.coarse_grain_dumps(
+        given.dumps,
+        omega,
+        points,
+        dumps.Atoms(reference, mass, frame.ids, box),
+        force=force,
+        unloaded=given.unloaded or [],
+        average=dumps.Average(given.skip, given.iota),
+        node_area=given.spacing**2,
+        thickness=given.thickness,
+        progress=not given.json,
+    )
+    with locked(given.out):
+        before = _take_sheet(given)  # another job may have written it meanwhile
+        sets = dict(before.sets) if before else {}
+        provenance = dict(before.provenance) if before else {"source": "warp-peri coarse-grain"}
+        sets[given.set] = samples
+        save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
+        keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
+    return {
+        "file": str(given.out),
+        "set": given.set,
+        "samples": len(samples),
+        "nodes": len(samples.x),
+        "interior": int(samples.interior.sum()),
+    }
+
+
+def _take_sheet(given: argparse.Namespace) -> Dataset | None:
+    """Set thickness and density to the data file's, or the defaults; the file, if it is there.
+
+    Raises InputError for a given value that is not the file's.
+    """
+    before = load_dataset(given.out) if given.out.exists() else None
+    for name, unit in (("thickness", "Å"), ("density", "kg/m³")):
+        asked = getattr(given, name)
+        kept = getattr(before, name) if before else SHEET[name] if asked is None else asked
+        if asked is not None and asked != kept:
+            raise InputError(f"{name}: {given.out} has {kept:g} {unit}, got {asked:g} {unit}")
+        setattr(given, name, kept)
+    return before
+
+
+def _dataset(given: argparse.Namespace) -> Dataset:
+    """The data in their own units, or those asked for; the usual horizon in their unit of length.
+
+    Raises InputError where the units are reduced ones, which have no usual horizon.
+    """
+    data = load_dataset(given.data, units=tuple(given.units) if given.units else None)
+    if getattr(given, "horizon", 0.0) is None:
+        if data.units[0] not in LENGTHS:
+            raise InputError(f"horizon: expected one in {data.units[0]}, the data's unit; got none")
+        given.horizon = HORIZON / LENGTHS[data.units[0]]
+    return data
+
+
+def run_train(given: argparse.Namespace) -> Result:
+    """Data → model.json, metrics.json and the settings, in a folder."""
+    from warp_peri.learning import methods
+    from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
+    from warp_peri.learning.run import train
+    from warp_peri.stability.conditions import Conditions
+
+    data = _dataset(given)
+    samples, noise = data[given.set], data[given.noise] if given.noise else None
+    kernel: methods.Kernel
+    kernel = methods.Bernstein(DEGREE if given.degree is None else given.degree)
+    if given.influence:
+        if given.degree is not None:
+            raise InputError("degree, influence: expected one of the two")
+        unit = symbols(data.units)[0]
+        kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
+    with locked(given.out):
+        run = train(
+            samples,
+            given.horizon,
+            kernel,
+            data.sets,
+            noise=noise,
+            method=methods.named(given.method, seed=given.seed),
+            conditions=Conditions(given.conditions, given.zeta),
+            loss=given.loss,
+            normalise=given.normalise,
+            progress=not given.json,
+        )
+        metrics = training_metrics(run)
+        if samples.spacing and len(samples) >= LEAST_SAMPLES:
+            diagnosis = diagnose(run.fit.material, samples, noise)
+            metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
+            if diagnosis.advice:
+                warnings.warn(diagnosis.advice, stacklevel=1)
+        provenance = {"data_provenance": data.provenance}
+        run.save(given.out, metrics, data=given.data, provenance=provenance)
+        keep(given, given.out / f"{given.command}.toml")
+    return {**metrics, "model": str(given.out / "model.json")}
+
+
+def training_metrics(run: Run) -> Result:
+    """Constants, certificate and errors of a training run."""
+    model = run.fit.material
+    metrics: Result = {
+        "units": list(model.units),
+        "certified": bool(model.certified_on),
+        "statement": run.fit.certificate.statement,
+        "loss": f"{run.fit.loss.name} ({run.fit.loss.reason})",
+        "lambda": model.lam,
+        "mu": model.mu,
+        "E": model.E,
+        "nu": model.nu,
+        "moduli": run.fit.moduli[0],
+        "E_res": run.mean("E_res"),
+        "E_u": run.mean("E_u"),
+        "not_evaluated": run.refused,
+    }
+    if run.fit.influence is not None:
+        metrics |= model.provenance
+    if run.sure is not None:
+        metrics["deviation"] = {
+            "lambda": float(run.sure.deviation(lambda model: model.lam)),
+            "mu": float(run.sure.deviation(lambda model: model.mu)),
+            "E": float(run.sure.deviation(lambda model: model.E)),
+        }
+    return metrics
+
+
+def in_percent(metrics: Result) -> Result:
+    """What training prints: errors and shares in %, moduli in GPa; JSON keeps plain numbers."""
+    shown: Result = {}
+    units = tuple(metrics["units"])
+    for key, value in metrics.items():
+        if key in ("E_res", "E_u"):
+            shown[f"{key} [%]"] = {
+                name: "–" if error is None else 100 * error for name, error in value.items()
+            }
+        elif key == "residual":
+            shown["why"] = value["why"]
+            shares = {name: 100 * share for name, share in value.items() if name != "why"}
+            shown["shares of the squared residual [%]"] = shares
+        elif key in ("lambda", "mu", "E"):
+            shown[key] = shown_moduli(units, (value,), digits=6)
+        elif key in ("moduli", "deviation"):
+            shown[key] = {
+                name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
+                for name, size in value.items()
+            }
+        else:
+            shown[key] = value
+    return shown
+
+
+def run_sweep(given: argparse.Namespace) -> Result:
+    """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
+    data = _dataset(given)
+    sweep = warp_peri.methods.sweep(
+        data[given.set],
+        data[given.val],
+        given.out,
+        test=data[given.test] if given.test else None,
+        noise=data[given.noise] if given.noise else None,
+        horizons=given.horizons,
+        degrees=given.degrees,
+        conditions=given.conditions,
+        jobs=given.jobs,
+        progress=not given.json,
+    )
+    result: Result = {
+        "fits": len(sweep.trials),
+        "smallest_AvgE": dataclasses.asdict(sweep.printed),
+        "cheapest": dataclasses.asdict(sweep.cheapest),
+    }
+    with locked(given.out):
+        write_json(given.out / "sweep.json", result)
+        keep(given, given.out / f"{given.command}.toml")
+    return result
