@@ -9,6 +9,7 @@ picture and errors are written to --out.
 from __future__ import annotations
 
 import argparse
+import copy
 import dataclasses
 import json
 import sys
@@ -25,18 +26,22 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from examples import neural_sets
+from examples.graphene_report import save_figure
 from examples.neural_rivals import rivals_of
 from examples.neural_sets import Sets
 from examples.prose import table
+from examples.studies.paper_jafarzadeh_pictures import omega
 from tools.make_hgo import SPACING
-from warp_peri.errors import exit_status
-from warp_peri.files.atomic import finite, plain, whole_file, write_json
+from warp_peri.errors import InputError, exit_status
+from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.launch import set_threads
+from warp_peri.neural.bonds import Bonds
 from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.file import load, save
 from warp_peri.neural.material import Operator
 from warp_peri.neural.training import History, Training, train
-from warp_peri.points.unit_names import symbols
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import Units, symbols
 
 WEIGHTS = ROOT / "examples" / "neural_weights"
 MINUTE = 60.0
@@ -120,7 +125,13 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
     operator = dict(chosen.operator)
     if given.strain is not None:
         operator["strain"] = given.strain
-    material = Operator(**operator, units=sets["train"].points.units, seed=training.seed)
+    units = sets["train"].points.units
+    material = (
+        Operator(**operator, units=units, seed=training.seed)
+        if given.start is None
+        else started(given.start, operator, units)
+    )
+    before = material.provenance
     path = given.out / f"{label(given)}.ckpt" if given.epochs else None
     quiet = given.json or given.quiet
     history = train(
@@ -135,7 +146,21 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
         "seconds": round(history.seconds),
         "curve": [[n, round(a, 5), round(b, 5)] for n, a, b in history.curve],
     }
+    if before:
+        material.provenance["start"] = before
     return material, history
+
+
+def started(path: Path, operator: dict[str, Any], units: Units) -> Operator:
+    """The material of a file as a start, refused where it is no such operator."""
+    material = load(path, units=units).float()
+    content = material.content()
+    for key, value in operator.items():
+        theirs = content[key]
+        wanted = [*value] if isinstance(value, tuple) else value
+        if not (np.isclose(theirs, wanted) if key == "horizon" else theirs == wanted):
+            raise InputError(f"{path}: expected {key} {wanted!r}, got {theirs!r}")
+    return material
 
 
 def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solve: bool) -> Any:
@@ -152,7 +177,19 @@ def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solv
                 found.setdefault(key, {})[name] = errors[key]
         if solve and samples.b is None and name == "test":
             found["frames"] = {name: errors["samples"]["E_u"]}
+        stretched = stretches(exact, samples)
+        found.setdefault("stretch", {})[name] = float(stretched.max())
+        if name == "disks":
+            found["each_disk"] = {"stretch": stretched, "E_res": errors["samples"]["E_res"]}
     return found
+
+
+def stretches(material: Operator, samples: Samples) -> np.ndarray:
+    """The largest |e|/|ξ| of the bonds of every sample that pull at its interior, shape [S]."""
+    bonds = Bonds(samples.points, material.horizon)
+    e = bonds.extension(torch.as_tensor(samples.u))[:, : bonds.acting]
+    largest: np.ndarray = (e.abs().numpy() / bonds.lengths[bonds.place[: bonds.acting]]).max(axis=1)
+    return largest
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
@@ -176,9 +213,9 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         if shipped.exists():
             material = load(shipped)
             made = material.provenance
-            report["epochs"] = made["epochs"]
+            report["epochs"] = made["epochs"] + made.get("start", {}).get("epochs", 0)
             report["seconds_an_epoch"] = made["seconds"] / made["epochs"]
-    draw(material, given.out / f"{name}.png")
+    draw(material, given.out / f"{name}.png", float(stretches(material, sets["train"]).max()))
     report["weights"] = material.numbers()
     report |= errors_of(material, sets, given, solve=not given.no_solve)
     report["solved"] = given.solved
@@ -190,22 +227,31 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     return report
 
 
-def draw(material: Operator, path: Path) -> None:
-    """ω over the bond length and the force state over the stretch, as they were learned."""
-    curves, (length, stress) = material.curves(), symbols(material.units)
+def draw(material: Operator, path: Path, stretch: float) -> None:
+    """ω, of the bond or of its length, and the force state to this stretch, as they were learned.
+
+    The force state takes ω as an input and may read it with either sign, so that it is drawn
+    positive where it is largest.
+    """
+    curves, (length, stress) = material.curves(strain=stretch), symbols(material.units)
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    r = np.linalg.norm(curves.xi, axis=1)
-    left.plot(r, curves.omega / np.abs(curves.omega).max())
-    left.axhline(0, color="0.7", linewidth=0.8)
-    left.set(xlabel=f"bond length |ξ| [{length}]", ylabel="ω over its largest size")
+    if material.anisotropic:
+        omega(left, copy.deepcopy(material))
+    else:
+        largest = curves.omega[np.abs(curves.omega).argmax()]
+        left.plot(np.linalg.norm(curves.xi, axis=1), curves.omega / largest)
+        left.axhline(0, color="0.7", linewidth=0.8)
+        left.set(xlabel=f"bond length |ξ| [{length}]", ylabel="ω over its largest value")
     for r, state in zip(curves.lengths, curves.state):
+        state = state - state[len(state) // 2]
         right.plot(100 * curves.stretch, state, label=f"|ξ| = {r:.3g} {length}")
-    right.set(xlabel="stretch e/|ξ| [%], no dilatation", ylabel=f"force state [{stress}/{length}³]")
+    right.set(
+        xlabel="stretch e/|ξ| [%], no dilatation",
+        ylabel=f"force state, less that at rest [{stress}/{length}³]",
+    )
     right.legend(frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+    save_figure(figure, path)
 
 
 def page(report: dict[str, Any]) -> str:
@@ -242,6 +288,9 @@ def main(arguments: list[str] | None = None) -> int:
     for key, kind in (("rate", float), ("batch", int), ("cells", int), ("strain", float)):
         parser.add_argument(f"--{key}", type=kind, help="other than the experiment's")
     parser.add_argument("--seed", type=int)
+    parser.add_argument(
+        "--start", type=Path, help="a material whose numbers a training begins with"
+    )
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--no-solve", action="store_true", help="E_res alone")

@@ -355,6 +355,8 @@ def test_curves_are_the_networks():
         ({"strain": np.nan}, "strain"),
         ({"influence": (3,)}, "influence"),
         ({"state": (3, 0)}, "state"),
+        ({"state": 3}, "state"),
+        ({"horizon": "wide"}, "horizon"),
         ({"units": ("mile", "Pa")}, "length_unit"),
     ],
 )
@@ -366,8 +368,18 @@ def test_numbers_that_are_refused(given, words):
 def test_points_and_fields_that_are_refused():
     points = lattice(3, HORIZON)
     placed = small().on(points)
-    with pytest.raises(InputError, match="shape"):
-        placed(np.zeros((4, 2)))
+    u = random_field(points)
+    for field in (np.zeros((4, 2)), u[None, :4]):
+        with pytest.raises(InputError, match="shape"):
+            placed(field)
+        with pytest.raises(InputError, match="v: expected shape"):
+            placed.product(u, field)
+    with pytest.raises(InputError, match="at least one sample"):
+        placed(u[None][:0])
+    with pytest.raises(InputError, match="v: expected torch.float64"):
+        placed.product(torch.tensor(u), torch.tensor(u).float())
+    with pytest.raises(InputError, match="u: expected shape"):
+        placed.product(u[None], u)
     scattered = Points(points.x, points.interior, 0.0)
     with pytest.raises(InputError, match="lattice"):
         small().on(scattered)

@@ -102,6 +102,8 @@ def test_checkpoints_of_other_trainings(tmp_path):
         goes_on(Operator(HORIZON, (8, 9), (16, 16), strain=0.2).double(), loads(0))
     with pytest.raises(InputError, match="the checkpoint has samples"):
         goes_on(student(), loads(3))
+    with pytest.raises(InputError, match="the checkpoint has validation"):
+        train(student(), loads(0), loads(2), settings, checkpoint=path, progress=False)
     with pytest.raises(InputError, match="the checkpoint has precision"):
         goes_on(student().float(), loads(0))
     whole = path.read_bytes()
@@ -123,15 +125,36 @@ def test_a_training_that_diverges_is_told():
 
 @pytest.mark.parametrize(
     ("given", "words"),
-    [({"epochs": 0}, "epochs"), ({"batch": 1.5}, "batch"), ({"rate": -1.0}, "rate")],
+    [
+        ({"epochs": 0}, "epochs"),
+        ({"epochs": np.nan}, "epochs"),
+        ({"batch": 1.5}, "batch"),
+        ({"rate": -1.0}, "rate"),
+        ({"rate": "fast"}, "rate"),
+        ({"seed": "a"}, "seed"),
+    ],
 )
 def test_settings_that_are_refused(given, words):
     with pytest.raises(InputError, match=words):
         Training(**given)
 
 
-def test_a_sample_without_load_among_loads():
-    samples = loads(0)
-    samples.b[1] = 0
-    with pytest.raises(InputError, match="expected a load in every sample"):
-        train(student(), samples, loads(1), Training(epochs=1), progress=False)
+def test_samples_that_nothing_is_learned_from():
+    """Without them, or with a norm of zero below the line, there would be no error to lower."""
+    one, unseen, bare = loads(0), loads(1), loads(0)
+    one.b[1] = 0
+    none = Samples(unseen.points, unseen.u[:0], unseen.b[:0])
+    at_rest = Samples(bare.points, 0 * bare.u)
+    bare = Samples(bare.points, bare.u)
+    for samples, val, words in (
+        (one, unseen, "expected a load in every sample"),
+        (none, unseen, "expected at least one, got none"),
+        (unseen, none, "expected at least one, got none"),
+        (unseen, bare, "validation: expected loads"),
+        (bare, unseen, "validation: expected no loads"),
+        (at_rest, at_rest, "expected every frame displaced"),
+    ):
+        with pytest.raises(InputError, match=words):
+            train(student(), samples, val, Training(epochs=1), progress=False)
+    with pytest.raises(InputError, match="training: expected"):
+        student().learn(unseen, validation=unseen, training=150)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from scipy.sparse.linalg import SuperLU
 
+from warp_peri.errors import InputError
 from warp_peri.neural.equilibrium import Equilibrium, Found
 from warp_peri.neural.material import Operator
 from warp_peri.points.samples import Samples
@@ -35,6 +36,8 @@ class Frames:
         self.start = np.stack([affine(samples, u) for u in samples.u])
         self.seen = samples.u[:, self.rows]
         self.sizes = np.linalg.norm(self.seen.reshape(len(self.seen), -1), axis=1)
+        if not (self.sizes > 0).all():
+            raise InputError("u: expected every frame displaced inside; (NO8) divides by it")
         self.state = samples.u.copy()
         self.factors: list[SuperLU] = []
         self.numbers: dict[str, torch.Tensor] = {}

@@ -14,6 +14,7 @@ import torch
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Bonds
 from warp_peri.neural.networks import evaluate, network
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 from warp_peri.shown import as_table, in_rows
@@ -88,10 +89,10 @@ class Operator(torch.nn.Module):
     ) -> None:
         super().__init__()
         for name, value in (("horizon", horizon), ("strain", strain)):
-            if not (np.isfinite(value) and value > 0):
+            if not is_positive(value):
                 raise InputError(f"{name}: expected a number > 0, got {value!r}")
         for name, widths in (("influence", influence), ("state", state)):
-            if len(widths) != 2 or any(int(w) != w or w < 1 for w in widths):
+            if np.shape(widths) != (2,) or not all(is_positive(w) and w % 1 == 0 for w in widths):
                 raise InputError(f"{name}: expected two whole numbers ≥ 1, got {widths!r}")
         self.horizon, self.strain, self.units = float(horizon), float(strain), check_units(units)
         self.anisotropic, self.proportional = bool(anisotropic), bool(proportional)
@@ -150,6 +151,8 @@ class Operator(torch.nn.Module):
 
         material = copy.deepcopy(self)
         asked = Training() if training is None else training
+        if not isinstance(asked, Training):
+            raise InputError(f"training: expected Training(…), got {asked!r:.60}")
         history = train(
             material, samples, validation, asked, checkpoint=checkpoint, progress=progress
         )

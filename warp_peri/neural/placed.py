@@ -48,11 +48,12 @@ class Placed:
     def product(self, u: Any, v: Any) -> Any:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2], or u [N, 2] alone."""
         if isinstance(u, torch.Tensor):
+            self._checked(v, "v")
             return self.tangent(u)(v)
-        if np.ndim(u) == 3:
-            return np.stack([self.product(*pair) for pair in zip(u, v, strict=True)])
+        if np.ndim(u) == 3 and np.shape(u) == np.shape(v):
+            return np.stack([self.product(*pair) for pair in zip(u, v)])
         with torch.no_grad():
-            return self.tangent(self._taken(u))(self._taken(v)).double().numpy()
+            return self.product(self._taken(u), self._taken(v)).double().numpy()
 
     def energy(self, u: Any) -> None:
         """None: the forces of a network need not have an energy."""
@@ -118,6 +119,8 @@ class Placed:
 
     def tangent(self, u: torch.Tensor) -> Tangent:
         """The derivative of the force at one field, shape [N, 2]."""
+        if u.dim() != 2:
+            raise InputError(f"u: expected shape {[*self.points.x.shape]}, got {[*u.shape]}")
         return Tangent(self, self._checked(u).detach())
 
     @property
@@ -129,13 +132,19 @@ class Placed:
         """NumPy's field in the material's precision."""
         return torch.as_tensor(np.ascontiguousarray(u), dtype=self.dtype)
 
-    def _checked(self, u: torch.Tensor) -> torch.Tensor:
+    def _checked(self, u: torch.Tensor, name: str = "u") -> torch.Tensor:
         """A field of shape [S, N, 2] in the material's precision."""
         nodes = len(self.points.x)
         if u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
-            raise InputError(f"u: expected shape [{nodes}, 2] or [S, {nodes}, 2], got {[*u.shape]}")
+            raise InputError(
+                f"{name}: expected shape [{nodes}, 2] or [S, {nodes}, 2], got {[*u.shape]}"
+            )
+        if not len(u):
+            raise InputError(f"{name}: expected at least one sample, got none")
         if u.dtype != self.dtype:
-            raise InputError(f"u: expected {self.dtype}, the material's precision, got {u.dtype}")
+            raise InputError(
+                f"{name}: expected {self.dtype}, the material's precision, got {u.dtype}"
+            )
         return u.reshape(-1, nodes, 2)
 
 

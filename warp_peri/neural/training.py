@@ -20,6 +20,7 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.neural.frames import RENEWED, Frames
 from warp_peri.neural.interpolation import CELLS, interpolated_force
 from warp_peri.neural.material import Operator
+from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.samples import Samples
 
 FIRST = 7
@@ -51,11 +52,11 @@ class Training:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("epochs", 1), ("batch", 1), ("cells", 0)):
+        for name, least in (("epochs", 1), ("batch", 1), ("cells", 0), ("seed", 0)):
             value = getattr(self, name)
-            if int(value) != value or value < least:
+            if not (is_number(value) and value >= least and value % 1 == 0):
                 raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r}")
-        if not (math.isfinite(self.rate) and self.rate > 0):
+        if not is_positive(self.rate):
             raise InputError(f"rate: expected a number > 0, got {self.rate!r}")
 
 
@@ -113,6 +114,8 @@ def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 def _taken(material: Operator, samples: Samples) -> _Loads | Frames:
     """Samples by what is known of them."""
+    if not len(samples):
+        raise InputError("samples: expected at least one, got none")
     return _Loads(material, samples) if samples.b is not None else Frames(material, samples)
 
 
@@ -158,11 +161,14 @@ def train(
         seconds: after which no other epoch is begun.
         progress: a bar on stderr.
 
-    Raises InputError for a sample of zero load among loads, a checkpoint of other settings or
-    samples, and a training that diverges.
+    Raises InputError for no samples, a sample of zero load among loads, or at rest among frames,
+    loads in one set alone, a checkpoint of other settings or samples, and a training that diverges.
     """
+    if (samples.b is None) != (val.b is None):
+        asked = "no loads" if samples.b is None else "loads"
+        raise InputError(f"validation: expected {asked}, as the training samples have")
     learned, unseen = _taken(material, samples), _taken(material, val)
-    run = _Run(material, learned, training)
+    run = _Run(material, learned, unseen, training)
     run.resume(checkpoint)
     every = torch.arange(len(unseen.u))
     began, spent, saved = time.perf_counter(), run.history.seconds, time.perf_counter()
@@ -197,8 +203,15 @@ def train(
 class _Run:
     """A training as it stands."""
 
-    def __init__(self, material: Operator, learned: _Loads | Frames, training: Training) -> None:
-        self.material, self.learned, self.training = material, learned, training
+    def __init__(
+        self,
+        material: Operator,
+        learned: _Loads | Frames,
+        unseen: _Loads | Frames,
+        training: Training,
+    ) -> None:
+        self.material, self.training = material, training
+        self.learned, self.unseen = learned, unseen
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = History(), math.inf
@@ -234,14 +247,12 @@ class _Run:
 
     def settings(self) -> dict[str, Any]:
         """What a checkpoint must have been written with: all but how many epochs are asked for."""
-        seen = hashlib.sha256(self.learned.u.numpy().tobytes())
-        if isinstance(self.learned, _Loads):
-            seen.update(self.learned.b.numpy().tobytes())
         known = {**asdict(self.training), **self.material.content()}
         for key in ("epochs", "provenance", "scale"):
             del known[key]
         precision = str(self.learned.u.dtype)
-        return known | {"precision": precision, "samples": seen.hexdigest()[:16]}
+        seen = {"samples": _digest(self.learned), "validation": _digest(self.unseen)}
+        return known | {"precision": precision, **seen}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Everything that is needed to go on."""
@@ -286,6 +297,14 @@ class _Run:
         )
         history = state["history"]
         self.history = History(**{**history, "curve": [tuple(c) for c in history["curve"]]})
+
+
+def _digest(data: _Loads | Frames) -> str:
+    """Tells samples from others."""
+    seen = hashlib.sha256(data.u.numpy().tobytes())
+    if isinstance(data, _Loads):
+        seen.update(data.b.numpy().tobytes())
+    return seen.hexdigest()[:16]
 
 
 def _share(epoch: int, epochs: int) -> float:
