@@ -166,6 +166,9 @@ def started(path: Path, operator: dict[str, Any], units: Units) -> Operator:
 def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solve: bool) -> Any:
     """Errors by kind and set; of held-out frames of the leaflet also each one's E_u.
 
+    "stretch" is the largest |e|/|ξ| of a set; of each held-out sample with a load "each" has it,
+    the root mean square of its load, and its E_res.
+
     Where strains are large single precision tells them to 1e-5.
     """
     found: dict[str, dict[str, Any]] = {}
@@ -179,8 +182,10 @@ def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solv
             found["frames"] = {name: errors["samples"]["E_u"]}
         stretched = stretches(exact, samples)
         found.setdefault("stretch", {})[name] = float(stretched.max())
-        if name == "disks":
-            found["each_disk"] = {"stretch": stretched, "E_res": errors["samples"]["E_res"]}
+        if "E_res" in errors and name in ("test", "disks"):
+            size = np.sqrt((samples.loads[:, samples.interior] ** 2).mean(axis=(1, 2)))
+            alone = {"stretch": stretched, "load": size, "E_res": errors["samples"]["E_res"]}
+            found.setdefault("each", {})[name] = alone
     return found
 
 

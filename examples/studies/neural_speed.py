@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -21,9 +22,11 @@ import torch
 from examples import neural_sets
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
+from warp_peri.neural.bonds import Gather
 from warp_peri.neural.file import load
 from warp_peri.neural.interpolation import interpolated_force
 from warp_peri.neural.material import Operator
+from warp_peri.neural.networks import CHUNK, units
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import relative
 
@@ -54,7 +57,22 @@ def plain(placed: Placed, u: torch.Tensor) -> torch.Tensor:
     return -bonds.area * (M * total[..., None]).sum(2)
 
 
-def least(ways: dict[str, Callable[[], None]], repeats: int) -> dict[str, float]:
+def undecided(placed: Placed, u: torch.Tensor) -> float:
+    """The share of the large products that is made: units whose sign differs within a chunk."""
+    omega, share, r = placed.shares(u.dtype)
+    e, theta = Gather.apply(u, share, placed.bonds)
+    net, parts = placed.material, list[int]()
+    assert isinstance(net, Operator)
+    first: Any = net.state[0]
+    for seen in placed.inputs(omega, theta, e, r):
+        scales: Any = (1.0, net.strain, net.strain * seen[3], net.horizon)
+        inputs = torch.stack([part / scale for part, scale in zip(seen, scales)], dim=1)
+        for part in inputs.split(CHUNK):
+            parts.append(len(part) * len(units(part, first.weight, first.bias)[1]))
+    return sum(parts) / (2 * e.numel() * len(first.bias))
+
+
+def least(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
     """Processor seconds of each, the least."""
     found: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(repeats + 1):
@@ -85,7 +103,7 @@ def main() -> int:
     u = torch.as_tensor(samples.u[: given.samples], dtype=torch.float32)
     b = torch.as_tensor(samples.loads[: given.samples, samples.interior], dtype=torch.float32)
     n = 2 * placed.bonds.acting * given.samples
-    x, W = torch.randn(n, 512), torch.randn(512, 512)
+    x, W, square = torch.randn(n, 512), torch.randn(512, 512), torch.randn(4096, 4096)
 
     def learn(force: Callable[[Placed, torch.Tensor], torch.Tensor]) -> None:
         relative(force(placed, u), b).mean().backward()
@@ -98,7 +116,9 @@ def main() -> int:
 
     with torch.no_grad():
         gap = float((plain(placed, u) - placed(u)).norm() / placed(u).norm())
-    ways: dict[str, Callable[[], None]] = {
+        made = undecided(placed, u)
+    ways: dict[str, Callable[[], object]] = {
+        "square matmul": lambda: square @ square,
         "three matmuls": products,
         "plain torch": lambda: learn(plain),
         "this": lambda: learn(lambda p, v: p(v)),
@@ -112,6 +132,9 @@ def main() -> int:
         "seconds": seconds,
         "of matmul's rate": seconds["three matmuls"] / seconds["this"],
         "GFLOP/s of matmul": rate / seconds["three matmuls"],
+        "GFLOP/s of the processor": 2 * len(square) ** 3 / 1e9 / seconds["square matmul"],
+        "share of products made": made,
+        "GFLOP/s of those": made * rate / seconds["this"],
         "times plain torch": seconds["plain torch"] / seconds["this"],
     }
     print(json.dumps(report, indent=1))

@@ -14,6 +14,7 @@ from examples.neural_sets import mirrored
 from examples.studies.neural_speed import plain
 from tests.support.problems import lattice
 from tools.make_hgo import SQUARES, square_points
+from warp_peri.errors import InputError
 from warp_peri.neural.file import load, save
 from warp_peri.neural.material import Operator
 from warp_peri.neural.training import Training
@@ -64,6 +65,11 @@ def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatc
     assert material.provenance["epochs"] == report["epochs"] == 2
     assert neural_operator.main(asked[:-1]) == 0
     assert "printed" in capsys.readouterr().out
+    go_on = ["--start", str(tmp_path / "graphene.json"), "--out", str(tmp_path / "more")]
+    assert neural_operator.main([*asked, *go_on]) == 0
+    assert load(tmp_path / "more" / "graphene.json").provenance["start"]["epochs"] == 2
+    with pytest.raises(InputError, match="expected strain 0.2, got 0.5"):
+        neural_operator.main([*asked, *go_on, "--strain", "0.2"])
 
 
 def test_what_the_command_tells_by_default(tmp_path, capsys, monkeypatch):
@@ -92,6 +98,11 @@ def test_what_the_command_tells_by_default(tmp_path, capsys, monkeypatch):
     assert report["epochs"] == 7
     assert report["seconds_an_epoch"] == 2
     assert max(report["E_u"].values()) < 1e-6
+    slopes = np.linalg.norm(np.gradient(u[0].reshape(16, 16, 2), axis=0), axis=-1)
+    assert 0.2 * slopes.max() < report["stretch"]["train"] < 2 * slopes.max()
+    assert report["each"]["disks"].keys() == {"stretch", "load", "E_res"}
+    assert max(report["each"]["disks"]["E_res"]) < 1e-6
+    assert (tmp_path / "graphene.png").stat().st_size > 10_000
     assert neural_operator.main([*asked, "--no-rivals", "--no-solve"]) == 0
     assert not {"rivals", "E_u"} & json.loads(capsys.readouterr().out).keys()
 

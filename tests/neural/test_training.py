@@ -6,6 +6,7 @@ import torch
 
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
+from warp_peri.neural import training
 from warp_peri.neural.equilibrium import Equilibrium
 from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.material import Operator
@@ -86,6 +87,29 @@ def test_a_stopped_training_goes_on_where_it_was(tmp_path, seen):
     for mine, theirs in zip(whole.parameters(), fresh.parameters()):
         gap = 0 if seen is loads else 1e-7  # starts and factors of a search are not kept
         torch.testing.assert_close(mine, theirs, rtol=0, atol=gap)
+
+
+def test_an_interrupted_training_goes_on_from_its_last_epoch(tmp_path, monkeypatch):
+    samples, val, settings = loads(0), loads(1), Training(epochs=9, batch=2)
+    whole, parts, path = student(), student(), tmp_path / "run.ckpt"
+    train(whole, samples, val, settings, progress=False)
+    monkeypatch.setattr(training, "SAVED", 0.0)
+    with monkeypatch.context() as patched:
+        epoch = training._Run.epoch
+
+        def stops(run):
+            if run.history.epochs == 3:  # before the first look
+                raise KeyboardInterrupt
+            return epoch(run)
+
+        patched.setattr(training._Run, "epoch", stops)
+        with pytest.raises(KeyboardInterrupt):
+            train(parts, samples, val, settings, checkpoint=path, progress=False)
+    assert torch.load(path, weights_only=True)["history"]["epochs"] == 3
+    fresh = student()
+    train(fresh, samples, val, settings, checkpoint=path, progress=False)
+    for mine, theirs in zip(whole.parameters(), fresh.parameters()):
+        assert torch.equal(mine, theirs)
 
 
 def test_checkpoints_of_other_trainings(tmp_path):

@@ -57,7 +57,7 @@ class _Chunks(torch.autograd.Function):
         for part, g, second, out in zip(
             x.split(CHUNK), seed.split(CHUNK), hidden, by_x.split(CHUNK)
         ):
-            steady, mixed = _units(part, W1, b1)
+            steady, mixed = units(part, W1, b1)
             if learns:
                 by_W3[0].addmv_(second.t(), g)
             back = torch.outer(g, W3[0]).mul_(second > 0)
@@ -81,7 +81,7 @@ class _Chunks(torch.autograd.Function):
         return by_x, by_W1, by_b1, by_W2, by_b2, by_W3, seed.sum()[None]
 
 
-def _units(x: torch.Tensor, W: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def units(x: torch.Tensor, W: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Units of the first layer that act for all of a box around the inputs, and undecided ones."""
     low, high = x.amin(dim=0), x.amax(dim=0)
     middle, half = (low + high) / 2, (high - low) / 2
@@ -94,7 +94,7 @@ def _units(x: torch.Tensor, W: torch.Tensor, b: torch.Tensor) -> tuple[torch.Ten
 def _second(x: torch.Tensor, numbers: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, ...]:
     """The second hidden layer."""
     W1, b1, W2, b2 = numbers[:4]
-    steady, mixed = _units(x, W1, b1)
+    steady, mixed = units(x, W1, b1)
     first = torch.addmm(b1[mixed], x, W1[mixed].t()).relu_()
     bias = torch.addmv(b2, W2[:, steady], b1[steady])
     second = torch.addmm(bias, first, W2[:, mixed].t())

@@ -29,7 +29,7 @@ WARM, DECAY = 5, 0.4
 """Epochs in which the rate rises, and the last share of all, in which it falls."""
 LOOKED = 5
 """Epochs from one look at the validation samples to the next."""
-SAVED = 120.0
+SAVED = 10.0
 """Seconds between two checkpoints."""
 
 
@@ -157,7 +157,8 @@ def train(
         samples: to learn from; every interior node counts.
         val: to choose the epoch by.
         training: settings; with more epochs than a checkpoint has, the work goes on.
-        checkpoint: a file of weights, Adam's state and the curve, written every two minutes.
+        checkpoint: a file of weights, Adam's state and the curve, written at the end of epochs,
+            every ten seconds.
         seconds: after which no other epoch is begun.
         progress: a bar on stderr.
 
@@ -182,12 +183,11 @@ def train(
         epoch, last = run.history.epochs, run.history.epochs == training.epochs or took >= seconds
         run.history.seconds = spent + took
         bar.update()
-        if epoch % LOOKED and not last:
-            continue
-        with torch.no_grad():
-            other = float(unseen.errors(every, training.cells).mean())
-        run.look(error, other)
-        bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
+        if last or epoch % LOOKED == 0:
+            with torch.no_grad():
+                other = float(unseen.errors(every, training.cells).mean())
+            run.look(error, other)
+            bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
         if checkpoint is not None and (last or time.perf_counter() - saved > SAVED):
             run.save(checkpoint)
             saved = time.perf_counter()
