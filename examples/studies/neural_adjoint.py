@@ -72,7 +72,7 @@ def measured() -> dict[str, Any]:
     wide = round(2 * material.horizon / SPACING)
     steps = np.indices(2 * (SIDE + 2 * wide,)).reshape(2, -1).T - wide
     inner = ((steps >= 0) & (steps < SIDE)).all(axis=1)
-    points = wp.Points(SPACING * (steps - (SIDE - 1) / 2), inner, SPACING)
+    points = wp.Points(SPACING * (steps - (SIDE - 1) / 2), inner, SPACING, units=material.units)
     placed = material.on(points)
     rows, inside = torch.as_tensor(placed.bonds.rows), points.interior[:, None]
     wanted = edge(points.x, STRETCH)

@@ -11,6 +11,7 @@ pytest.importorskip("skfem")
 
 from examples import neural_operator, neural_sets
 from examples.neural_sets import mirrored
+from examples.studies import neural_adjoint
 from examples.studies.neural_speed import plain
 from tests.support.problems import lattice
 from tools.make_hgo import SQUARES, square_points
@@ -49,6 +50,17 @@ def test_the_plain_version_is_the_same_force():
     placed = Operator(3.0, (6, 8), (10, 12)).double().on(lattice(4, 3.0))
     u = torch.tensor(0.05 * np.random.default_rng(0).normal(size=(2, len(placed.points.x), 2)))
     torch.testing.assert_close(plain(placed, u), placed(u), rtol=0, atol=1e-12)
+
+
+def test_both_derivatives_of_an_equilibrium(monkeypatch):
+    """docs/neural.md's table on fewer nodes: through more steps, nearer to the adjoint."""
+    monkeypatch.setattr(neural_adjoint, "SIDE", 5)
+    monkeypatch.setattr(neural_adjoint, "STEPS", (5, 40))
+    found = neural_adjoint.measured()
+    short, long = found["unrolled"]
+    assert long["gap"] < 1e-6 < short["gap"]
+    assert long["MB"] > 4 * short["MB"] > 4 * found["adjoint"]["MB"]
+    assert found["steps_from"]["neighbour"] < found["steps_from"]["zeros"]
 
 
 def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatch):

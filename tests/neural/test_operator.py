@@ -135,6 +135,19 @@ def test_momenta_are_balanced(form):
     assert abs(total.sum(axis=0)).max() < ROUNDING * abs(total).max() * len(x)
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_any_strain_has_a_force(form):
+    """Stretched tenfold, folded, all nodes at one place; a turn of that turns its force."""
+    points, R = lattice(3, HORIZON), turn(2.0)
+    placed, u = small(form).on(points), random_field(lattice(3, HORIZON), 0.3)
+    for F in (10 * np.eye(2), np.diag([1.0, -0.5]), np.zeros((2, 2))):
+        moved = points.x @ F.T + u * (F.any())
+        force = placed(moved - points.x)
+        assert np.isfinite(force).all()
+        size = max(abs(force).max(), 1.0)
+        np.testing.assert_allclose(placed(moved @ R.T - points.x), force @ R.T, atol=1e-9 * size)
+
+
 def test_there_need_be_no_energy_and_no_one_solution():
     """The tangent at a field is not symmetric, nor is that at rest always definite."""
     points = lattice(3, HORIZON)
