@@ -221,7 +221,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
             report["epochs"] = made["epochs"] + made.get("start", {}).get("epochs", 0)
             report["seconds_an_epoch"] = made["seconds"] / made["epochs"]
     draw(material, given.out / f"{name}.png", float(stretches(material, sets["train"]).max()))
-    report["weights"] = material.numbers()
+    length, stress = symbols(material.units)
+    report |= {"weights": material.numbers(), "load_unit": f"{stress}/{length}"}
     report |= errors_of(material, sets, given, solve=not given.no_solve)
     report["solved"] = given.solved
     report["printed"] = PRINTED.get(name.replace("_mirror", "").replace("_", " "), {})
@@ -260,20 +261,31 @@ def draw(material: Operator, path: Path, stretch: float) -> None:
 
 
 def page(report: dict[str, Any]) -> str:
-    """Errors of the network beside the printed ones, as Markdown."""
+    """Errors of the network beside those of its rivals and the printed ones, as Markdown."""
+    columns = {"network": report, **report.get("rivals", {}), "printed": report["printed"]}
     rows = []
     for key in ("E_res", "E_u", "E_res_abs"):
-        for name, value in report.get(key, {}).items():
-            printed = report["printed"].get(key, {}).get(name)
-            factor, digits = (1, "{:.3g}") if key == "E_res_abs" else (100, "{:.2f} %")
-            cells = [digits.format(factor * part) for part in (value,)]
-            cells.append("" if printed is None else digits.format(factor * printed))
+        for name in report.get(key, {}):
+            factor, form = (1, "{:.3g}") if key == "E_res_abs" else (100, "{:.2f} %")
+            values = (given.get(key, {}).get(name) for given in columns.values())
+            cells = ["" if value is None else form.format(factor * value) for value in values]
             rows.append([key, name, *cells])
-    text = table(["", "set", "network", "printed"], rows)
-    for rival, errors in report.get("rivals", {}).items():
-        text += f"\n{rival}: {json.dumps(plain(errors))}"
-    parts = ("weights", "epochs", "seconds_an_epoch", "fresh")
-    return text + "\n" + ", ".join(f"{k} {report[k]}" for k in parts if k in report)
+    text = table(["", "set", *columns], rows) + "\n"
+    if "E_res_abs" in report:
+        text += f"\nE_res_abs: ‖Lu − b‖ on the interior [{report['load_unit']}]"
+        if report["experiment"] == "graphene":
+            text += "; inside the disks b is almost zero, so that E_res says little there"
+    text += f"\n{report['weights']} numbers"
+    if "epochs" in report:
+        text += f", {report['epochs']} epochs of {report['seconds_an_epoch']:.1f} s"
+    if "fresh" in report:
+        fresh = report["fresh"]
+        _, learned, unseen = fresh["curve"][-1]
+        text += (
+            f"\na fresh start, {fresh['seconds']:.0f} s: {fresh['epochs']} epochs, "
+            f"{100 * learned:.1f} % in training and {100 * unseen:.1f} % in validation"
+        )
+    return text
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -311,6 +323,8 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     report = finite(plain(run(given)))
     print(json.dumps(report) if given.json else page(report))
+    if not given.json:
+        print(f"picture and numbers: {given.out}")
     return 0
 
 
