@@ -9,7 +9,10 @@ import torch
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
 from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.material import Operator
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 from warp_peri.statics.descent import polak_ribiere
 
 HORIZON = 3.0
@@ -149,6 +152,18 @@ def test_factors_survive_other_numbers():
     fresh = Equilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-10)
     assert found.converged
     np.testing.assert_allclose(found.u, fresh.u, atol=1e-9)
+
+
+def test_a_sheet_without_a_collar_is_not_solved_for():
+    """Its displacement is known up to a motion; its residual is told alone."""
+    points = Points(np.argwhere(np.ones((7, 7))).astype(float), np.ones(49, bool), 1.0, box=(7, 7))
+    material = Operator(HORIZON, (6, 8), (10, 12)).double()
+    u = 0.03 * np.sin(2 * np.pi * points.x / 7)[None]
+    errors = evaluate(material, Samples(points, u, 1.1 * material.on(points)(u)))
+    assert errors["E_res"] == pytest.approx(1 / 11)
+    assert "E_u" not in errors
+    with pytest.raises(InputError, match="expected a collar"):
+        material.on(points).rest(0 * u, u)
 
 
 def test_what_is_refused():

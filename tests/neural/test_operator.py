@@ -398,5 +398,11 @@ def test_points_and_fields_that_are_refused():
         small().on(scattered)
     with pytest.raises(InputError, match="a linear material for a Body"):
         wp.solve(small(), wp.Body(None, {}))
+    cube = Points(np.argwhere(np.ones((3, 3, 3))).astype(float), np.ones(27, bool), 1.0)
+    with pytest.raises(InputError, match="expected a plane, got 3 dimensions"):
+        small().on(cube)
+    for given in ({"lengths": 0}, {"strain": -0.1}):
+        with pytest.raises(InputError, match="expected a number > 0"):
+            small().curves(**given)
     with pytest.raises(InputError, match="complete families"):
         small().on(Points(points.x, np.ones(len(points.x), bool), 1.0))

@@ -182,3 +182,5 @@ def test_samples_that_nothing_is_learned_from():
             train(student(), samples, val, Training(epochs=1), progress=False)
     with pytest.raises(InputError, match="training: expected"):
         student().learn(unseen, validation=unseen, training=150)
+    with pytest.raises(InputError, match="samples: expected Samples, got list"):
+        student().learn([unseen], validation=unseen)

@@ -33,12 +33,15 @@ class Bonds:
             shape [L]. The first `acting` bonds have an interior end.
         own, other: of the acting bonds, the places of the ends among the whole nodes.
 
-    Raises InputError for scattered points, broken bonds, and an interior without its 2δ collar.
+    Raises InputError for scattered points and those in space, broken bonds, and an interior without
+    its 2δ collar.
     """
 
     def __init__(self, points: PointsLike, horizon: float) -> None:
         if not points.spacing > 0:
             raise InputError("points: expected a lattice (spacing > 0), got scattered points")
+        if points.x.shape[1] != 2:
+            raise InputError(f"points: expected a plane, got {points.x.shape[1]} dimensions")
         if points.outside is not None:
             raise InputError("points: expected none outside of the body")
         families = families_of(points, horizon)

@@ -48,10 +48,15 @@ class Equilibrium:
     """Newton's method for one operator: the tangent at rest is factorised once, for all loads.
 
     Linear solves are GMRES on the products of the tangent, which is not symmetric in general, with
-    the last factors before them. The material's numbers may change meanwhile.
+    the last factors before them. The material's numbers may change meanwhile. Raises InputError for
+    points without a collar.
     """
 
     def __init__(self, placed: Placed) -> None:
+        if placed.points.interior.all():
+            raise InputError(
+                "points: expected a collar where u is given; without one it is known up to a motion"
+            )
         self.placed = placed
         rows = placed.bonds.rows
         self.unknown = (2 * rows[:, None] + [0, 1]).ravel()

@@ -32,14 +32,13 @@ def evaluate(
     E_res_abs is ‖force − b‖ [stress/length], E_u the error of the displacement that is solved for
     from zero or, without loads, from the affine motion of the collar, "converged" the share of the
     samples whose equilibrium was found; an E_u is told of all, found or not. A sample without a
-    load has no E_res. With `most`, only the first so many samples are solved.
-
-    Raises InputError for points without the collar.
+    load has no E_res, and nodes that are all interior, as of a periodic sheet, have no E_u. With
+    `most`, only the first so many samples are solved.
     """
     placed = material.on(samples.points)
     inside = samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
-    search = Equilibrium(placed) if solve else None
+    search = Equilibrium(placed) if solve and not inside.all() else None
     enough = TOLERANCE[placed.dtype] if tolerance is None else tolerance
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
     pairs = tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False)

@@ -178,7 +178,15 @@ class Operator(torch.nn.Module):
         Args:
             strain: largest stretch; the networks' own scale where none is given.
             lengths: number of bond lengths, evenly up to δ.
+
+        Raises InputError for a stretch that is none, and lengths below 1.
         """
+        for name, value in (
+            ("strain", self.strain if strain is None else strain),
+            ("lengths", lengths),
+        ):
+            if not is_positive(value):
+                raise InputError(f"{name}: expected a number > 0, got {value!r}")
         line = torch.linspace(0, self.horizon, COUNT + 1, dtype=torch.float64)[1:]
         grid = torch.cat([-line.flip(0), line])
         exact = copy.deepcopy(self).double()

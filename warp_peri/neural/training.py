@@ -165,6 +165,9 @@ def train(
     Raises InputError for no samples, a sample of zero load among loads, or at rest among frames,
     loads in one set alone, a checkpoint of other settings or samples, and a training that diverges.
     """
+    for name, part in (("samples", samples), ("validation", val)):
+        if not isinstance(part, Samples):
+            raise InputError(f"{name}: expected Samples, got {type(part).__name__}")
     if (samples.b is None) != (val.b is None):
         asked = "no loads" if samples.b is None else "loads"
         raise InputError(f"validation: expected {asked}, as the training samples have")
