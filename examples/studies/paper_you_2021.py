@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE
 from warp_peri import Bernstein
 from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
+from warp_peri.learning.output_error import as_model
+from warp_peri.learning.result import Stage
 from warp_peri.methods import TwoStage
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
@@ -44,6 +47,7 @@ CHANGES = {
 }
 """How λ, μ, α and D are kept inside their bounds, and which conditions are asked for."""
 SETS = ("train", "val", "test")
+ALL_ERRORS = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
 NOISE = ("noise_iota", "noise_plain", "noise_printed", "steps")
 """What thermal.longer gives."""
 
@@ -112,6 +116,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "adam": by_adam,
         "strains": lambda: rows_of(strains(data())),
         "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
+        "stages": lambda: rows_of(steps_of_algorithm(runs_of("as printed"))),
         **{name: partial(lambda name: stop()[name], name) for name in ("stopped", "lam", "mu")},
         "metric": lambda: rows_of(metric(runs, data())),
         "chosen": lambda: rows_of(chosen(squares())),
@@ -194,13 +199,18 @@ def table_5(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
 
 def algorithm_1(data: Dataset, bounds: str, conditions: str, seed: int) -> dict[str, Any]:
-    """One run of Algorithm 1."""
+    """One run of Algorithm 1: constants, epochs and errors, those of its prediction step beside."""
     method = TwoStage(bounds, conditions, outer_iterations=ROUNDS, seed=seed)
     found = learn(data["train"], horizon=20.0, kernel=Bernstein(10), method=method, progress=True)
-    model = found.material
-    constants = {"lam": model.lam, "mu": model.mu, "alpha": model.alpha, "seed": seed}
-    epochs = {"epochs": [len(stage.loss) for stage in found.history]}
-    return constants | epochs | errors_of(model, {name: data[name] for name in SETS})
+    units, sets = found.material.units, {name: data[name] for name in SETS}
+
+    def after(stage: Stage) -> dict[str, Any]:
+        model = replace(as_model(stage.parameters, 20.0), units=units)
+        row = {"lam": model.lam, "mu": model.mu, "alpha": model.alpha, "epochs": len(stage.loss)}
+        return row | errors_of(model, sets)
+
+    prediction, correction = map(after, found.history)
+    return correction | {"seed": seed, "prediction": prediction}
 
 
 def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None]:
@@ -219,7 +229,7 @@ def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None
 def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Median constants, then least, median and largest errors over the seeds."""
     cells = [f"{np.median([run[key] for run in runs]):.2f}" for key in ("lam", "mu", "alpha")]
-    for key in ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test"):
+    for key in ALL_ERRORS:
         known = sorted(run[key] for run in runs if run[key] is not None)
         if not known:
             cells.append("refused")
@@ -227,6 +237,17 @@ def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
         text = " / ".join(percent([known[0], float(np.median(known)), known[-1]]))
         cells.append(text + ("" if len(known) == len(runs) else f" ({len(known)} of {len(runs)})"))
     return [name, *cells]
+
+
+def steps_of_algorithm(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Constants, epochs and errors after either step of each run."""
+    rows = []
+    for run in runs:
+        for name, row in (("prediction", run["prediction"]), ("correction", run)):
+            constants = [f"{row[key]:.2f}" for key in ("lam", "mu", "alpha")]
+            errors = percent([row[key] for key in ALL_ERRORS])
+            rows.append([f"{run['seed']}", name, f"{row['epochs']}", *constants, *errors])
+    return rows
 
 
 def stopped(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
