@@ -151,16 +151,20 @@ def draw_limits(path: Path, far: Mapping[str, Any], near: Mapping[str, Any]) -> 
     figure = Figure(figsize=(9.5, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     shown = (
-        (left, far, study.PERIOD, study.PARTS, "u_h^δ → u^δ, δ = 12.5"),
-        (right, near, study.LENGTH, study.CELLS, "u_h^δ → u, δ = 3h"),
+        (left, far, study.PERIOD, study.PARTS, "at a fixed horizon, δ = 12.5 Å", " [Å]"),
+        (right, near, study.LENGTH, study.CELLS, "at a fixed ratio, δ = 3h", ", side 2"),
     )
-    for ax, found, length, numbers, title in shown:
+    for ax, found, length, numbers, title, unit in shown:
         h = [length / number for number in numbers]
         for color, name in enumerate(NAMES):
             if name in found:
                 style = "s--" if name == "state" else "o-"
                 ax.loglog(h, found[name], style, color=f"C{color}", label=NAMES[name])
-        ax.set(xlabel="spacing h", ylabel="relative error of u", title=title)
+        ax.set(xlabel=f"spacing h{unit}", ylabel="relative error of u", title=title)
+        ax.set_xticks(h, [f"{x:.2g}" for x in h])
+        ax.set_xticks([], minor=True)
+    second = [near["bond"][0] * (x / h[0]) ** 2 for x in h]
+    right.loglog(h, second, "k:", linewidth=1, label="second order")
+    for ax in (left, right):
         ax.legend(frameon=False, fontsize=8)
-    right.loglog(h, [near["bond"][0] * (x / h[0]) ** 2 for x in h], "k:", linewidth=1)
     save_figure(figure, path)

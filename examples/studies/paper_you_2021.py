@@ -108,7 +108,9 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
     more = cache(lambda: thermal.longer(warm()["noise"]))
     return {
         "family": lambda: figure("you_2021_family.png", pictures.family),
-        "atoms": lambda: figure("you_2021_atoms.png", partial(pictures.atoms, data())),
+        "atoms": lambda: figure(
+            "you_2021_atoms.png", partial(pictures.atoms, data(), runs.parent / CACHE)
+        ),
         "fields": lambda: figure("you_2021_fields.png", partial(pictures.fields, data())),
         "kernels": lambda: figure("you_2021_kernels.png", kernels),
         "manufactured": lambda: manufactured("fixed_alpha"),
