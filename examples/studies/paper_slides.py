@@ -69,6 +69,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "diffusion": lambda: rows_of(kept("diffusion", conduction)),
         "coupled": lambda: rows_of(kept("coupled", coupling)),
         "pressure": lambda: rows_of(kept("pressure", pressure)),
+        "fluxes": lambda: rows_of(kept("fluxes", fluxes)),
     }
 
 
@@ -121,6 +122,15 @@ def coupling() -> list[list[str]]:
         [*errors(name, row), study.order(SIDES, list(row))]
         for name, row in zip(("u", "φ"), zip(*found))
     ]
+
+
+def fluxes() -> list[list[str]]:
+    """Errors where the flux jumps, in one material and between two, and their orders."""
+    rows = []
+    for name, right in (("κ the same", 1.0), ("κ jumps 1:10 there", 10.0)):
+        found = [diffusion.flux_jump(n, right) for n in SIDES]
+        rows.append([*errors(name, found), study.order(SIDES, found)])
+    return rows
 
 
 def pressure() -> list[list[str]]:
