@@ -27,7 +27,8 @@ BATH = Bath(steps=1500, transient=800)
 SEEDS = {True: 10, False: 4}
 """Of the sheet, which is periodic, and of the disk."""
 FACTORS = (1.0, 0.25, 0.1)
-DAMPINGS, SMOOTHINGS = (0.02, 0.1, 1.0), (1.0, 0.3, 0.1, 0.03, 0.01)
+RUNS, SMOOTHINGS = ((0.02, 1), (0.1, 1), (1.0, 1), (0.1, 5)), (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Damping [ps] and how many times as long as the bath's the average is."""
 WATCHED = (7,)
 """Training loads, of those that run, that the signal-to-noise ratio is measured on."""
 SETS, AVERAGES = ("val", "test"), ("iota", "plain")
@@ -153,12 +154,13 @@ def curve(model: warp_peri.Model) -> dict[str, list[float]]:
 
 
 def ratios(cache: Path) -> dict[str, Any]:
-    """√(Σ|B|²/Σ|B + F|²) by damping, with the forces F smoothed in time by ι."""
+    """√(Σ|B|²/Σ|B + F|²) by damping and length, with the forces F smoothed in time by ι."""
     plan = next(plan for plan in short_plans() if plan.body.cells)
     loads = [plan.groups["train"][number] for number in WATCHED]
     samples = solve_all({plan.body: loads}, cache, 1, False)[plan.body]
     found = {}
-    for damping in DAMPINGS:
+    for damping, times in RUNS:
+        average = times * (BATH.steps - BATH.transient)
         squares = np.zeros(len(SMOOTHINGS))
         for sample in samples:
             with LammpsSession(
@@ -166,7 +168,7 @@ def ratios(cache: Path) -> dict[str, Any]:
             ) as session:
                 steps = session.trajectory(
                     sample.reference + sample.displacement, sample.force,
-                    temperature=BATH.temperature, seed=1, steps=BATH.steps,
+                    temperature=BATH.temperature, seed=1, steps=BATH.transient + average,
                     timestep=BATH.timestep, damping=damping,
                 )  # fmt: skip
                 smooth = np.zeros((len(SMOOTHINGS), *sample.force.shape))
@@ -175,8 +177,7 @@ def ratios(cache: Path) -> dict[str, Any]:
                         row += iota * (sample.force + inner - row)
                     if step >= BATH.transient:
                         squares += (smooth**2).sum(axis=(1, 2)) / (sample.force**2).sum()
-        kept = len(loads) * (BATH.steps - BATH.transient)
-        found[f"{damping:g}"] = np.sqrt(kept / squares).tolist()
+        found[f"{damping:g}, {average}"] = np.sqrt(len(loads) * average / squares).tolist()
     return found
 
 
@@ -260,8 +261,8 @@ def rows_of_table_6(found: Mapping[str, Mapping[str, float]]) -> list[list[str]]
 
 
 def rows_of_ratios(found: Mapping[str, Sequence[float]]) -> list[list[str]]:
-    """Signal-to-noise ratios by damping and smoothing."""
-    return [[damping, *(f"{value:.3f}" for value in row)] for damping, row in found.items()]
+    """Signal-to-noise ratios by damping, length and smoothing."""
+    return [[run, *(f"{value:.3f}" for value in row)] for run, row in found.items()]
 
 
 def longer(found: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
