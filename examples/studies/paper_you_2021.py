@@ -49,7 +49,8 @@ CHANGES = {
 }
 """How λ, μ, α and D are kept inside their bounds, and which conditions are asked for."""
 SETS = ("train", "val", "test")
-ALL_ERRORS = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
+E_U = ("E_u train", "E_u val", "E_u test")
+ALL_ERRORS = ("E_res train", "E_res val", *E_U)
 NOISE = ("noise_iota", "noise_plain", "noise_printed", "steps")
 """What thermal.longer gives."""
 
@@ -110,7 +111,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         return rows_of(rows(told("noise_study/noise.json")["sweep"]))
 
     law = thermal.law_of_ratios()
-    stop = cache(lambda: stopped(runs_of("as printed")))
+    end = cache(lambda: ends(runs_of("as printed")))
     more = cache(lambda: thermal.longer(warm()["noise"]))
     return {
         "family": lambda: figure("you_2021_family.png", pictures.family),
@@ -125,7 +126,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "strains": lambda: rows_of(strains(data())),
         "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
         "stages": lambda: rows_of(steps_of_algorithm([*runs_of("as printed"), moved()])),
-        **{name: partial(lambda name: stop()[name], name) for name in ("stopped", "lam", "mu")},
+        **{name: partial(lambda name: end()[name], name) for name in ("lam", "mu", "E_u")},
         "metric": lambda: rows_of(metric(runs, data())),
         "chosen": lambda: rows_of(chosen(squares())),
         "table_3": lambda: rows_of(map(table_3, sweep()["by_degree"], sweep()["AvgE"])),
@@ -267,14 +268,14 @@ def steps_of_algorithm(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def stopped(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """How many runs end near the printed constants (λ below −0.4), and between which."""
-    there = [run for run in runs if run["lam"] < -0.4]
-    ranges = {
-        key: f"{min(run[key] for run in there):.2f} to {max(run[key] for run in there):.2f}"
-        for key in ("lam", "mu")
-    }
-    return {"stopped": f"{len(there)}", **ranges}
+def ends(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Between which constants, and errors of displacement in %, the runs end."""
+    texts = {}
+    for name, keys, digits in (("lam", ("lam",), 2), ("mu", ("mu",), 2), ("E_u", E_U, 1)):
+        values = [run[key] for run in runs for key in keys if run[key] is not None]
+        values = [100 * value for value in values] if keys is E_U else values
+        texts[name] = f"{min(values):.{digits}f} to {max(values):.{digits}f}"
+    return texts
 
 
 def metric(runs: Path, data: Dataset) -> list[list[str]]:
