@@ -171,10 +171,10 @@ def draw_limits(path: Path, far: Mapping[str, Any], near: Mapping[str, Any]) -> 
                 style = "s--" if name == "state" else "o-"
                 ax.loglog(h, found[name], style, color=f"C{color}", label=NAMES[name])
         ax.set(xlabel=f"spacing h{unit}", ylabel="relative error of u", title=title)
+        if ax is right:
+            second = [near["bond"][0] * (x / h[0]) ** 2 for x in h]
+            ax.loglog(h, second, "k:", linewidth=1, label="second order")
         ax.set_xticks(h, [f"{x:.2g}" for x in h])
         ax.set_xticks([], minor=True)
-    second = [near["bond"][0] * (x / h[0]) ** 2 for x in h]
-    right.loglog(h, second, "k:", linewidth=1, label="second order")
-    for ax in (left, right):
         ax.legend(frameon=False, fontsize=8)
     save_figure(figure, path)
