@@ -108,6 +108,7 @@ def test_algorithm_1_by_projection(data):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")
 def test_the_prediction_step_of_algorithm_1(data):
     """The correction step ends elsewhere for another rounding, and is held to nothing."""
     told = row("you_2021", "Algorithm 1, step by step", "| 0 | prediction |")
