@@ -72,7 +72,7 @@ def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         above.plot([], [], "k:", label="exact law")
     above.legend(frameon=False, fontsize=8)
     lines = below.get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=4)
+    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=3)
     save_figure(figure, path)
 
 
