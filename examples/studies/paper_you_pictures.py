@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -63,9 +64,10 @@ def atoms(data: Dataset, cache: Path, path: Path) -> None:
     near.set_title("atoms, nodes (+), smoothing")
     inside = data["train"].interior
     u = {"atoms": loaded.displacement[:, 0], "nodes": data["train"].u[SHOWN["train"], inside, 0]}
-    style: Any = {"cmap": "RdBu_r", "vmin": -np.abs(u["atoms"]).max()}
-    style["vmax"] = -style["vmin"]
-    whole.scatter(*(places + loaded.displacement).T, c=u["atoms"], s=3, **style)
+    most = np.abs(u["atoms"]).max()
+    style: Any = {"cmap": colormaps["RdBu_r"].resampled(15), "vmin": -most, "vmax": most}
+    style |= {"linewidths": 0, "antialiaseds": False}  # few colours: a page is not to be large
+    whole.scatter(*(places + loaded.displacement).T, c=u["atoms"], s=4, **style)
     whole.set_title(f"{len(places)} atoms under a load")
     drawn = nodes.scatter(*x[inside].T, c=u["nodes"], s=16, **style)
     nodes.set_title(f"{inside.sum()} nodes, 5 Å apart")
