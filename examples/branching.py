@@ -156,8 +156,9 @@ def main(argv: list[str] | None = None) -> int:
     figure = Figure(figsize=(4, 6) if args.kalthoff else (8, 3.6), layout="constrained")
     ax = figure.subplots()
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
-    ax.set(aspect="equal", xlabel="[mm]", title=f"damage after {run.time[-1] * 1e6:.0f} µs")
-    figure.colorbar(shown, ax=ax)
+    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    ax.set_title(f"damage after {run.time[-1] * 1e6:.0f} µs")
+    figure.colorbar(shown, ax=ax, label="share of broken bonds")
     figure.savefig(args.out / "damage.png", dpi=120)
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0

@@ -69,6 +69,23 @@ def jump(cells: int, along: bool = True) -> float:
     return error(points, RATIO, cells, kappa if along else kappa(points.x), exact, 0.0)
 
 
+def flux_jump(cells: int, right: float = 10.0) -> float:
+    """A line source: the flux jumps at x = 0, [κ ∂φ/∂x] = 2 sin(y + 0.3), κ 1 left of it.
+
+    The source lies on the two columns of nodes beside the line, half on either.
+    """
+    points = square(cells, RATIO)
+    x, y = points.x.T
+
+    def kappa(place: np.ndarray) -> np.ndarray:
+        return np.where(place[..., 0] < 0, 1.0, right)
+
+    flux = np.where(x < 0, 1.0, 3.0)
+    exact = np.sin(y + 0.3) * (np.cosh(x) + flux * np.sinh(x) / kappa(points.x))
+    source = -2.0 * np.sin(y + 0.3) * (np.abs(x) < points.spacing) / (2 * points.spacing)
+    return error(points, RATIO, cells, kappa, exact, source)
+
+
 def coupled(cells: int) -> tuple[float, float]:
     """Errors of u and φ after two steps of a solution that grows linearly in time."""
     points = square(cells, 2 * RATIO)
@@ -168,6 +185,7 @@ def main(argv: list[str] | None = None) -> int:
         "smooth, scattered": study(cells, lambda n: smooth(n, 0.2)),
         "jump, series": study(cells, jump),
         "jump, harmonic": study(cells, lambda n: jump(n, along=False)),
+        "flux jumps": study(cells, flux_jump),
     }
     both = [coupled(n) for n in cells]
     for place, name in enumerate(("coupled, u", "coupled, φ")):

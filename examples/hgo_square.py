@@ -134,8 +134,8 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
     for ax, (title, size) in zip(axes, shown.items()):
         place = (disks.x + truth)[inner]
         drawn = ax.scatter(*place.T, c=size[inner], s=26, marker="s", cmap="viridis")
-        figure.colorbar(drawn, ax=ax, shrink=0.8)
-        ax.set(title=f"|u|, {title}", aspect="equal", xlabel="x", ylabel="y")
+        figure.colorbar(drawn, ax=ax, shrink=0.8, label="|u| in sides of a square")
+        ax.set(title=f"|u|, {title}", aspect="equal", xlabel="x in sides", ylabel="y")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     plt.close(figure)

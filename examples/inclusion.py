@@ -16,9 +16,11 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.graphene_report import save_figure
 from warp_peri.damage import Cracked, Mixed, box
 from warp_peri.damage.inclusions import MEANS
 from warp_peri.errors import exit_status
@@ -60,6 +62,19 @@ def inclusion(
     return float(off), x, u - exact
 
 
+def draw(ax: Axes, x: np.ndarray, off: np.ndarray, title: str) -> None:
+    """Size of an error of u, in space in a plane near the middle, and the interface."""
+    plane = (np.abs(x[:, 2:]) == np.abs(x[:, 2:]).min(axis=0)).all(axis=1) & (x[:, 2:] >= 0).all(1)
+    plane &= (np.abs(x) <= 1).all(axis=1)
+    sides = [np.unique(x[plane, k]) for k in (0, 1)]
+    size = np.linalg.norm(off[plane], axis=1).reshape(len(sides[0]), -1)
+    drawn = ax.pcolormesh(*sides, size.T, cmap="magma_r", shading="nearest")
+    ax.figure.colorbar(drawn, ax=ax, label="|error of u|, |u| = |x| far away")
+    turn = np.linspace(0, 2 * np.pi, 200)
+    ax.plot(RADIUS * np.cos(turn), RADIUS * np.sin(turn), "C0", linewidth=1)
+    ax.set(aspect="equal", title=title, xlabel="x₁", ylabel="x₂")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -74,8 +89,8 @@ def main(argv: list[str] | None = None) -> int:
     if min(args.cells) < 4 or len(set(args.cells)) < 2:
         parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
     numbers: dict = {}
-    figure = Figure(figsize=(5, 4), layout="constrained")
-    ax = figure.subplots()
+    figure = Figure(figsize=(9.5, 4), layout="constrained")
+    shown, ax = figure.subplots(1, 2)
     for name, materials in CASES.items():
         if args.case not in (None, name):
             continue
@@ -87,9 +102,13 @@ def main(argv: list[str] | None = None) -> int:
             numbers[name][label] = {"errors": errors, "order": float(order)}
         ax.loglog(args.cells, numbers[name]["series, ball"]["errors"], "o-", label=name)
     ax.set(xlabel="nodes per unit length", ylabel="relative error of u")
+    ax.set_xticks(args.cells, [f"{n}" for n in args.cells])
+    ax.set_xticks([], minor=True)
     ax.legend(frameon=False, fontsize=8)
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "inclusion.png", dpi=120)
+    case = args.case or next(iter(CASES))
+    _, x, off = inclusion(args.cells[-1], *CASES[case], d=d)
+    draw(shown, x, off, f"{case}, {args.cells[-1]} nodes per unit length")
+    save_figure(figure, args.out / "inclusion.png")
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0
 

@@ -145,7 +145,7 @@ FIGURES = (
     ),
     Figure(
         "The lattice, the atoms, the nodes",
-        "Graphene, a sheet of it, and the nodes that its atoms are smoothed onto "
+        "Graphene with the cone that smooths it onto a node, its atoms under a load, and the nodes "
         "([more](papers/you_2021.md)).",
         ("python examples/studies/papers.py you_2021",),
         "papers/you_2021_atoms.png",
@@ -219,6 +219,28 @@ FIGURES = (
         "pictures/penny.png",
     ),
     Figure(
+        "Cracks in graphene",
+        "Strain at which cracks open over their length: atoms (dots), and a continuum with one "
+        "toughness ([more](cracks_from_atoms.md)).",
+        ("python examples/cracked_graphene.py --all",),
+        "pictures/graphene_cracks.png",
+    ),
+    Figure(
+        "An inclusion",
+        "A stiff disk in a soft plate under equal strain: where the error lies, and how it falls "
+        "for five pairs of materials ([more](cracks.md)).",
+        ("python examples/inclusion.py",),
+        "gallery/inclusion.png",
+        "inclusion/inclusion.png",
+    ),
+    Figure(
+        "Grains",
+        "Twins and several grains of copper: which grain, the stiffness that was learned, "
+        "displacement of the atoms, error ([more](dressed.md)).",
+        ("python examples/grains.py",),
+        "grains.png",
+    ),
+    Figure(
         "Holes in a plate",
         "Stress around three holes under tension, elements along their edges ([more](bodies.md)).",
         ("python examples/plate_with_hole.py --three-holes",),
@@ -245,6 +267,13 @@ FIGURES = (
         ("python examples/diffusion.py",),
         "gallery/diffusion.png",
         "diffusion/diffusion.png",
+    ),
+    Figure(
+        "Many processes",
+        "A plate solved on four ranks: its displacement, and who owns which nodes "
+        "([more](ranks.md)).",
+        ("mpiexec -n 4 python examples/large_plate.py --sides 128",),
+        "ranks.png",
     ),
     Figure(
         "Speed against accuracy",

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from examples.graphene_report import save_figure
 from tools.make_hgo import NODES
@@ -22,15 +23,22 @@ BINS = 60
 def shown(figure: Figure, ax: Axes, x: Any, value: Any, label: str, limit: float | None) -> None:
     """Contours of a field on its nodes: with a limit around zero, else from zero on."""
     points, field = np.array(x, float), np.array(value, float)
-    if limit is None:
-        levels, colours = np.linspace(0, max(field.max(), 1e-12), 15), "magma_r"
-    else:
-        levels, colours = np.linspace(-limit, limit, 21), "RdBu_r"
+    most = 1.001 * (limit or max(field.max(), 1e-12))
+    levels = np.linspace(-most, most, 21) if limit else np.linspace(0, most, 15)
     drawn: Any = ax.tricontourf(
-        points[:, 0], points[:, 1], field, levels=levels.tolist(), cmap=colours, extend="both"
+        points[:, 0],
+        points[:, 1],
+        field,
+        levels=levels.tolist(),
+        cmap="RdBu_r" if limit else "magma_r",
     )
-    figure.colorbar(drawn, ax=ax, label=label, shrink=0.85)
+    short = ScalarFormatter()
+    short.set_powerlimits((-3, 4))
+    bar = figure.colorbar(drawn, ax=ax, label=label, shrink=0.85, format=short)
+    bar.locator = MaxNLocator(5)
+    bar.update_ticks()
     ax.set_aspect("equal")
+    ax.locator_params(axis="x", nbins=4)
 
 
 def prediction(path: Path, field: Mapping[str, Any], length: str, load: str) -> None:
@@ -96,7 +104,7 @@ def loads(path: Path, sets: Mapping[str, Samples]) -> None:
         parts += [(f"u{'₁₂'[n]} [mm]", samples.u[0, :, n]) for n in (0, 1)]
         for ax, (label, field) in zip(row, parts):
             shown(figure, ax, samples.x, field, label, np.abs(field).max())
-            ax.set_title(f"{titles[name]}, {label[:2]}")
+            ax.set(title=f"{titles[name]}, {label[:2]}", xlabel="x₁ [mm]", ylabel="x₂ [mm]")
     save_figure(figure, path)
 
 
@@ -152,12 +160,14 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
             sheet.plot(x, y, "o", color="C3", markersize=100 * TINE)
     sheet.plot(*samples.x.T, ".", color="0.7", markersize=1.5)
     sheet.plot(*samples.x[samples.interior].T, ".", color="C0", markersize=3)
-    sheet.set(aspect="equal", title="sheet, tines (red), nodes seen, equations (blue)")
+    sheet.set(aspect="equal", title="tines (red), nodes seen (grey),\nequations (blue)")
     most = int(np.argmax(np.abs(samples.u).max(axis=(1, 2))))
     y = samples.x + samples.u[most]
     stretched.plot(*samples.x.T, ".", color="0.8", markersize=1.5)
     stretched.plot(*y.T, ".", color="C0", markersize=2)
-    stretched.set(aspect="equal", title="nodes at rest (grey) and pulled most")
+    stretched.set(aspect="equal", title="nodes at rest (grey)\nand pulled most")
+    for ax in (sheet, stretched):
+        ax.set(xlabel="x₁", ylabel="x₂")
     for number, (a, b) in enumerate(PROTOCOLS, 1):
         ratios.plot([0, a], [0, b], color="0.8", linewidth=0.8)
         ratios.annotate(f"{number}", (a, b), xytext=(4, 4), textcoords="offset points")

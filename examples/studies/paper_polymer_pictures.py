@@ -62,8 +62,6 @@ def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         above.set(title=f"De = {De:g}", xlabel="t / t0", ylabel="σ_xy at five heights")
         for color, n in enumerate(COUNTS):
             for name, style in zip((*LAWS, "coupled"), ("--", "-", ":")):
-                if (De, name, n) not in plates:
-                    continue
                 run = plates[De, name, n]
                 below.semilogy(
                     run["t"][1:], run["error"][1:], f"C{color}{style}", label=f"{name}, {n}"
@@ -74,7 +72,7 @@ def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         above.plot([], [], "k:", label="exact law")
     above.legend(frameon=False, fontsize=8)
     lines = below.get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=4)
+    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=3)
     save_figure(figure, path)
 
 
@@ -127,7 +125,7 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
         "exact law",
         "learned, exact rates",
         "learned, 100000 dumbbells",
-        "coupled, 10000 dumbbells",
+        "coupled, 100000 dumbbells",
     )
     for i, (ax, height) in enumerate(zip(figure.subplots(1, 3, sharey=True), HEIGHTS)):
         for name, style in zip(shown, ("k-", "C0--", "C1:", "C2-.")):

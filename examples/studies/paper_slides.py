@@ -69,6 +69,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "diffusion": lambda: rows_of(kept("diffusion", conduction)),
         "coupled": lambda: rows_of(kept("coupled", coupling)),
         "pressure": lambda: rows_of(kept("pressure", pressure)),
+        "fluxes": lambda: rows_of(kept("fluxes", fluxes)),
     }
 
 
@@ -123,6 +124,15 @@ def coupling() -> list[list[str]]:
     ]
 
 
+def fluxes() -> list[list[str]]:
+    """Errors where the flux jumps, in one material and between two, and their orders."""
+    rows = []
+    for name, right in (("κ the same", 1.0), ("κ jumps 1:10 there", 10.0)):
+        found = [diffusion.flux_jump(n, right) for n in SIDES]
+        rows.append([*errors(name, found), study.order(SIDES, found)])
+    return rows
+
+
 def pressure() -> list[list[str]]:
     """Opening and volume of a crack under pressure over Sneddon's."""
     rows = []
@@ -151,16 +161,20 @@ def draw_limits(path: Path, far: Mapping[str, Any], near: Mapping[str, Any]) -> 
     figure = Figure(figsize=(9.5, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     shown = (
-        (left, far, study.PERIOD, study.PARTS, "u_h^δ → u^δ, δ = 12.5"),
-        (right, near, study.LENGTH, study.CELLS, "u_h^δ → u, δ = 3h"),
+        (left, far, study.PERIOD, study.PARTS, "at a fixed horizon, δ = 12.5 Å", " [Å]"),
+        (right, near, study.LENGTH, study.CELLS, "at a fixed ratio, δ = 3h", ", side 2"),
     )
-    for ax, found, length, numbers, title in shown:
+    for ax, found, length, numbers, title, unit in shown:
         h = [length / number for number in numbers]
         for color, name in enumerate(NAMES):
             if name in found:
                 style = "s--" if name == "state" else "o-"
                 ax.loglog(h, found[name], style, color=f"C{color}", label=NAMES[name])
-        ax.set(xlabel="spacing h", ylabel="relative error of u", title=title)
+        ax.set(xlabel=f"spacing h{unit}", ylabel="relative error of u", title=title)
+        if ax is right:
+            second = [near["bond"][0] * (x / h[0]) ** 2 for x in h]
+            ax.loglog(h, second, "k:", linewidth=1, label="second order")
+        ax.set_xticks(h, [f"{x:.2g}" for x in h])
+        ax.set_xticks([], minor=True)
         ax.legend(frameon=False, fontsize=8)
-    right.loglog(h, [near["bond"][0] * (x / h[0]) ** 2 for x in h], "k:", linewidth=1)
     save_figure(figure, path)

@@ -198,7 +198,7 @@ def at_degree(degree: int, lam: float, points: Points, u: np.ndarray, b: np.ndar
     return error_of(law.on(points, quadrature_degree=degree), points, u, b)
 
 
-def fixed_horizon() -> dict[str, list[float]]:
+def fixed_horizon(numbers: tuple[int, ...] = PARTS) -> dict[str, list[float]]:
     """u_h^δ → u^δ: the load is that of the integral, δ = 12.5 stays, nodes come closer.
 
     The field is two waves across their own direction, so that the integral only scales it, and by
@@ -209,7 +209,7 @@ def fixed_horizon() -> dict[str, list[float]]:
     factor = across @ continuum_symbol(q * np.array([1.0, -1.0])) @ across
     found: dict[str, list[float]] = {"bond": [], "state": [], "quintic": [], "cells": []}
     found["degree"] = []
-    for number in PARTS:
+    for number in numbers:
         points = lattice(number, HORIZON, PERIOD)
         u = no_dilatation(q * points.x)
         b = factor * u

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE
 from warp_peri import Bernstein
 from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
+from warp_peri.learning.output_error import as_model
+from warp_peri.learning.result import Stage
 from warp_peri.methods import TwoStage
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
@@ -37,6 +40,8 @@ TEMPLATE = Path(__file__).with_suffix(".md")
 SEEDS = range(5)
 ROUNDS = 100
 """Outer iterations of Algorithm 1, as printed."""
+MOVED = 1e-12
+"""Of displacements, relative: what rounding may do."""
 CHANGES = {
     "as printed": ("relu", "dense"),
     "conditions over the zone": ("relu", "symbol"),
@@ -44,6 +49,8 @@ CHANGES = {
 }
 """How λ, μ, α and D are kept inside their bounds, and which conditions are asked for."""
 SETS = ("train", "val", "test")
+E_U = ("E_u train", "E_u val", "E_u test")
+ALL_ERRORS = ("E_res train", "E_res val", *E_U)
 NOISE = ("noise_iota", "noise_plain", "noise_printed", "steps")
 """What thermal.longer gives."""
 
@@ -82,6 +89,10 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
             for seed in SEEDS
         ]
 
+    def moved() -> Any:
+        given = partial(algorithm_1, data(), *CHANGES["as printed"], 0, MOVED)
+        return kept("algorithm_1_moved", given)
+
     def squares() -> Any:
         return kept("squares", lambda: both_metrics(runs, sweep()["trials"], data()))
 
@@ -100,11 +111,13 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         return rows_of(rows(told("noise_study/noise.json")["sweep"]))
 
     law = thermal.law_of_ratios()
-    stop = cache(lambda: stopped(runs_of("as printed")))
+    end = cache(lambda: ends(runs_of("as printed")))
     more = cache(lambda: thermal.longer(warm()["noise"]))
     return {
         "family": lambda: figure("you_2021_family.png", pictures.family),
-        "atoms": lambda: figure("you_2021_atoms.png", partial(pictures.atoms, data())),
+        "atoms": lambda: figure(
+            "you_2021_atoms.png", partial(pictures.atoms, data(), runs.parent / CACHE)
+        ),
         "fields": lambda: figure("you_2021_fields.png", partial(pictures.fields, data())),
         "kernels": lambda: figure("you_2021_kernels.png", kernels),
         "manufactured": lambda: manufactured("fixed_alpha"),
@@ -112,7 +125,8 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "adam": by_adam,
         "strains": lambda: rows_of(strains(data())),
         "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
-        **{name: partial(lambda name: stop()[name], name) for name in ("stopped", "lam", "mu")},
+        "stages": lambda: rows_of(steps_of_algorithm([*runs_of("as printed"), moved()])),
+        **{name: partial(lambda name: end()[name], name) for name in ("lam", "mu", "E_u")},
         "metric": lambda: rows_of(metric(runs, data())),
         "chosen": lambda: rows_of(chosen(squares())),
         "table_3": lambda: rows_of(map(table_3, sweep()["by_degree"], sweep()["AvgE"])),
@@ -193,14 +207,27 @@ def table_5(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     ]
 
 
-def algorithm_1(data: Dataset, bounds: str, conditions: str, seed: int) -> dict[str, Any]:
-    """One run of Algorithm 1."""
+def algorithm_1(
+    data: Dataset, bounds: str, conditions: str, seed: int, moved: float = 0.0
+) -> dict[str, Any]:
+    """One run of Algorithm 1: constants, epochs and errors, those of its prediction step beside.
+
+    `moved` multiplies each displacement that is learned from by a random 1 ± moved.
+    """
     method = TwoStage(bounds, conditions, outer_iterations=ROUNDS, seed=seed)
-    found = learn(data["train"], horizon=20.0, kernel=Bernstein(10), method=method, progress=True)
-    model = found.material
-    constants = {"lam": model.lam, "mu": model.mu, "alpha": model.alpha, "seed": seed}
-    epochs = {"epochs": [len(stage.loss) for stage in found.history]}
-    return constants | epochs | errors_of(model, {name: data[name] for name in SETS})
+    samples = data["train"]
+    factors = 1 + moved * np.random.default_rng(0).uniform(-1, 1, samples.u.shape)
+    samples = replace(samples, u=samples.u * factors)
+    found = learn(samples, horizon=20.0, kernel=Bernstein(10), method=method, progress=True)
+    units, sets = found.material.units, {name: data[name] for name in SETS}
+
+    def after(stage: Stage) -> dict[str, Any]:
+        model = replace(as_model(stage.parameters, 20.0), units=units)
+        row = {"lam": model.lam, "mu": model.mu, "alpha": model.alpha, "epochs": len(stage.loss)}
+        return row | errors_of(model, sets)
+
+    prediction, correction = map(after, found.history)
+    return correction | {"seed": seed, "prediction": prediction}
 
 
 def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None]:
@@ -219,7 +246,7 @@ def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None
 def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Median constants, then least, median and largest errors over the seeds."""
     cells = [f"{np.median([run[key] for run in runs]):.2f}" for key in ("lam", "mu", "alpha")]
-    for key in ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test"):
+    for key in ALL_ERRORS:
         known = sorted(run[key] for run in runs if run[key] is not None)
         if not known:
             cells.append("refused")
@@ -229,14 +256,26 @@ def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
     return [name, *cells]
 
 
-def stopped(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """How many runs end near the printed constants (λ below −0.4), and between which."""
-    there = [run for run in runs if run["lam"] < -0.4]
-    ranges = {
-        key: f"{min(run[key] for run in there):.2f} to {max(run[key] for run in there):.2f}"
-        for key in ("lam", "mu")
-    }
-    return {"stopped": f"{len(there)}", **ranges}
+def steps_of_algorithm(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Constants, epochs and errors after either step of each run; of the last, u was moved."""
+    rows = []
+    for run in runs:
+        for name, row in (("prediction", run["prediction"]), ("correction", run)):
+            constants = [f"{row[key]:.2f}" for key in ("lam", "mu", "alpha")]
+            errors = percent([row[key] for key in ALL_ERRORS])
+            rows.append([f"{run['seed']}", name, f"{row['epochs']}", *constants, *errors])
+    rows[-2][0] = rows[-1][0] = f"{runs[-1]['seed']}, u moved"
+    return rows
+
+
+def ends(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Between which constants, and errors of displacement in %, the runs end."""
+    texts = {}
+    for name, keys, digits in (("lam", ("lam",), 2), ("mu", ("mu",), 2), ("E_u", E_U, 1)):
+        values = [run[key] for run in runs for key in keys if run[key] is not None]
+        values = [100 * value for value in values] if keys is E_U else values
+        texts[name] = f"{min(values):.{digits}f} to {max(values):.{digits}f}"
+    return texts
 
 
 def metric(runs: Path, data: Dataset) -> list[list[str]]:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from examples.graphene_report import save_figure
-from tools.make_graphene import graphene_bodies
+from tools.make_graphene import SMOOTHING_RADIUS, read_samples
 from warp_peri.points.dataset import Dataset
 
 HORIZON = 20.0
 """Of the family that is drawn [Å]."""
+SHOWN = {"train": 8, "val": 0, "test": 0}
+"""Loads that are drawn."""
 
 
 def family(path: Path) -> None:
@@ -42,21 +47,31 @@ def family(path: Path) -> None:
     save_figure(figure, path)
 
 
-def atoms(data: Dataset, path: Path) -> None:
-    """Figure 4: the lattice, the sheet of atoms, the nodes."""
-    sheet, _ = graphene_bodies()
-    places = sheet.positions()
-    middle = places.mean(axis=0)
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
+def atoms(data: Dataset, cache: Path, path: Path) -> None:
+    """Figure 4: lattice and nodes with the cone of one, atoms and nodes under a training load."""
+    loaded, x = read_samples(cache, "train")[2][SHOWN["train"]], data["train"].x
+    places = loaded.reference
+    r = np.linalg.norm(places, axis=1)
+    figure = Figure(figsize=(11.5, 3.6), layout="constrained")
     near, whole, nodes = figure.subplots(1, 3)
-    close = np.abs(places - middle).max(axis=1) < 8
-    near.plot(*places[close].T, "o", color="C0", markersize=7)
-    near.set_title("hexagonal lattice")
-    whole.plot(*places.T, ".", color="C0", markersize=1)
-    whole.set_title(f"{len(places)} atoms")
-    inner = data["train"].x[data["train"].interior]
-    nodes.plot(*inner.T, ".", color="C1", markersize=4)
-    nodes.set_title(f"{len(inner)} nodes, 5 Å apart")
+    close = np.abs(places).max(axis=1) < 13
+    cone = np.clip(1 - r / SMOOTHING_RADIUS, 0, None)[close]
+    drawn = near.scatter(*places[close].T, c=cone, s=16, cmap="Blues", edgecolors="0.6", lw=0.4)
+    figure.colorbar(drawn, ax=near, label="cone of the middle node", shrink=0.8)
+    near.plot(*x[np.abs(x).max(axis=1) < 13].T, "+", color="C1", markersize=9)
+    turn = np.linspace(0, 2 * np.pi, 200)
+    near.plot(*(SMOOTHING_RADIUS * np.array([np.cos(turn), np.sin(turn)])), "C1-", linewidth=1)
+    near.set_title("atoms, nodes (+), smoothing")
+    inside = data["train"].interior
+    u = {"atoms": loaded.displacement[:, 0], "nodes": data["train"].u[SHOWN["train"], inside, 0]}
+    most = np.abs(u["atoms"]).max()
+    style: Any = {"cmap": colormaps["RdBu_r"].resampled(15), "vmin": -most, "vmax": most}
+    style |= {"linewidths": 0, "antialiaseds": False}  # few colours: a page is not to be large
+    whole.scatter(*(places + loaded.displacement).T, c=u["atoms"], s=4, **style)
+    whole.set_title(f"{len(places)} atoms under a load")
+    drawn = nodes.scatter(*x[inside].T, c=u["nodes"], s=16, **style)
+    nodes.set_title(f"{inside.sum()} nodes, 5 Å apart")
+    figure.colorbar(drawn, ax=[whole, nodes], label="u₁ [Å]", shrink=0.8)
     for ax in (near, whole, nodes):
         ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]")
     save_figure(figure, path)
@@ -64,20 +79,19 @@ def atoms(data: Dataset, path: Path) -> None:
 
 def fields(data: Dataset, path: Path) -> None:
     """Figure 5: u₁ and b₁ of a training, a validation and a test sample."""
-    figure = Figure(figsize=(10.5, 6.4), layout="constrained")
+    figure = Figure(figsize=(11, 6), layout="constrained")
     titles = {"train": "training", "val": "validation", "test": "disk"}
-    rows = figure.subplots(2, 3)
-    for column, (name, title) in zip(rows.T, titles.items()):
-        samples = data[name]
-        number = 8 if name == "train" else 0
+    for column, (name, title) in zip(figure.subplots(2, 3).T, titles.items()):
+        samples, number = data[name], SHOWN[name]
         x = samples.x[samples.interior]
-        shown = {"u₁ [Å]": samples.u, "b₁ [TPa/Å]": np.asarray(samples.b)}
+        shown = {"u₁ [Å]": samples.u, "b₁ [GPa/Å]": 1e3 * np.asarray(samples.b)}
         for ax, (label, field) in zip(column, shown.items()):
             values = field[number][samples.interior, 0]
             limit = np.abs(values).max()
             drawn = ax.tricontourf(*x.T, values, levels=21, cmap="RdBu_r", vmin=-limit, vmax=limit)
-            figure.colorbar(drawn, ax=ax, label=label, shrink=0.8)
-            ax.set(
-                aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]", title=f"{title}, load {number}"
-            )
+            bar = figure.colorbar(drawn, ax=ax, label=label, shrink=0.75)
+            bar.locator = MaxNLocator(5, symmetric=True)
+            bar.update_ticks()
+            ax.set(aspect="equal", title=f"{title}, load {number}")
+            ax.set(xlabel="x₁ [Å]", ylabel="x₂ [Å]")
     save_figure(figure, path)

@@ -27,7 +27,8 @@ BATH = Bath(steps=1500, transient=800)
 SEEDS = {True: 10, False: 4}
 """Of the sheet, which is periodic, and of the disk."""
 FACTORS = (1.0, 0.25, 0.1)
-DAMPINGS, SMOOTHINGS = (0.02, 0.1, 1.0), (1.0, 0.3, 0.1, 0.03, 0.01)
+RUNS, SMOOTHINGS = ((0.02, 1), (0.1, 1), (1.0, 1), (0.1, 5)), (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Damping [ps] and how many times as long as the bath's the average is."""
 WATCHED = (7,)
 """Training loads, of those that run, that the signal-to-noise ratio is measured on."""
 SETS, AVERAGES = ("val", "test"), ("iota", "plain")
@@ -153,12 +154,13 @@ def curve(model: warp_peri.Model) -> dict[str, list[float]]:
 
 
 def ratios(cache: Path) -> dict[str, Any]:
-    """√(Σ|B|²/Σ|B + F|²) by damping, with the forces F smoothed in time by ι."""
+    """√(Σ|B|²/Σ|B + F|²) by damping and length, with the forces F smoothed in time by ι."""
     plan = next(plan for plan in short_plans() if plan.body.cells)
     loads = [plan.groups["train"][number] for number in WATCHED]
     samples = solve_all({plan.body: loads}, cache, 1, False)[plan.body]
     found = {}
-    for damping in DAMPINGS:
+    for damping, times in RUNS:
+        average = times * (BATH.steps - BATH.transient)
         squares = np.zeros(len(SMOOTHINGS))
         for sample in samples:
             with LammpsSession(
@@ -166,7 +168,7 @@ def ratios(cache: Path) -> dict[str, Any]:
             ) as session:
                 steps = session.trajectory(
                     sample.reference + sample.displacement, sample.force,
-                    temperature=BATH.temperature, seed=1, steps=BATH.steps,
+                    temperature=BATH.temperature, seed=1, steps=BATH.transient + average,
                     timestep=BATH.timestep, damping=damping,
                 )  # fmt: skip
                 smooth = np.zeros((len(SMOOTHINGS), *sample.force.shape))
@@ -175,8 +177,7 @@ def ratios(cache: Path) -> dict[str, Any]:
                         row += iota * (sample.force + inner - row)
                     if step >= BATH.transient:
                         squares += (smooth**2).sum(axis=(1, 2)) / (sample.force**2).sum()
-        kept = len(loads) * (BATH.steps - BATH.transient)
-        found[f"{damping:g}"] = np.sqrt(kept / squares).tolist()
+        found[f"{damping:g}, {average}"] = np.sqrt(len(loads) * average / squares).tolist()
     return found
 
 
@@ -260,8 +261,8 @@ def rows_of_table_6(found: Mapping[str, Mapping[str, float]]) -> list[list[str]]
 
 
 def rows_of_ratios(found: Mapping[str, Sequence[float]]) -> list[list[str]]:
-    """Signal-to-noise ratios by damping and smoothing."""
-    return [[damping, *(f"{value:.3f}" for value in row)] for damping, row in found.items()]
+    """Signal-to-noise ratios by damping, length and smoothing."""
+    return [[run, *(f"{value:.3f}" for value in row)] for run, row in found.items()]
 
 
 def longer(found: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
@@ -275,7 +276,10 @@ def longer(found: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
 
 
 def draw_kernels(path: Path, cold: warp_peri.Model, kernels: Mapping[str, Any]) -> None:
-    """Figure 7: K at 0 and 300 K, and at 300 K under three sizes of load."""
+    """Figure 7: K at 0 and 300 K, and at 300 K under three sizes of load.
+
+    Between bonds K is hundreds of times what it is at them, so that the axis is theirs.
+    """
     figure = Figure(figsize=(10.5, 3.8), layout="constrained")
     both, noises = figure.subplots(1, 2, sharey=True)
     zero = curve(cold)
@@ -285,11 +289,13 @@ def draw_kernels(path: Path, cold: warp_peri.Model, kernels: Mapping[str, Any]) 
     }  # fmt: skip
     lines = [(both, zero, "0 K"), *((both, kernels[k], names[k]) for k in ("shared 1", "iota 1"))]
     lines += [(noises, kernels[k], names[k]) for k in ("iota 1", "iota 0.25", "iota 0.1")]
+    most = 1.3 * max(np.abs(line["K at bonds"]).max() for _, line, _ in lines)
     for number, (ax, line, label) in enumerate(lines):
-        ax.plot(line["r"], line["K"], color=f"C{number % 5}", label=label)
-        ax.plot(line["bonds"], line["K at bonds"], "o", color=f"C{number % 5}", markersize=4)
+        color, marker = f"C{number % 5}", "os^"[number % 3]
+        ax.plot(line["r"], line["K"], color=color, linewidth=0.7)
+        ax.plot(line["bonds"], line["K at bonds"], marker, color=color, markersize=5, label=label)
     for ax, title in ((both, "at 0 and 300 K"), (noises, "at 300 K, by the size of the loads")):
         ax.axhline(0, color="grey", linewidth=0.8)
-        ax.set(xlabel="r [Å]", ylabel="K / m [Å⁻⁴]", title=title)
-        ax.legend(frameon=False)
+        ax.set(xlabel="r [Å]", ylabel="K / m [Å⁻⁴]", title=title, ylim=(-most, most))
+        ax.legend(frameon=False, loc="lower right")
     save_figure(figure, path)

@@ -4,26 +4,38 @@ The shipped networks of jafarzadeh_2024 are held to their rows in test_neural.py
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from examples.studies import manufactured, paper_polymer_walls, paper_slides, paper_you_thermal
+from examples import diffusion, pressurised_crack
+from examples.studies import (
+    atlas_points,
+    manufactured,
+    paper_polymer_walls,
+    paper_slides,
+    paper_you_thermal,
+)
 from examples.studies import paper_slides_incompressible as stiff
 from examples.studies import paper_slides_rates as rates
+from examples.studies.paper_you_2021 import ALL_ERRORS, algorithm_1, chosen, errors_of, strains
 from warp_peri import Bernstein, evaluate, load
 from warp_peri.learning.fit import learn
+from warp_peri.learning.output_error import as_model
+from warp_peri.methods import TwoStage
 
 PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"
 WITHIN = 1.3
+UNCERTIFIED = "ignore:spacing. the model is certified on no spacing"
+"""What is said of models that the algorithm leaves, or may leave."""
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def row(page, section, start):
     """Numbers of the first row of a section that starts so, its name left out."""
-    text = (PAGES / f"{page}.md").read_text(encoding="utf-8").split(f"\n## {section}")[1]
-    line = next(line for line in text.split("\n## ")[0].splitlines() if line.startswith(start))
-    return [float(n) for n in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", line[len(start) :])]
+    return rows(page, section, start)[0]
 
 
 def held(measured, told):
@@ -32,6 +44,13 @@ def held(measured, told):
     assert len(measured) == len(told)
     assert (measured <= WITHIN * told).all(), (measured, told)
     assert (told <= WITHIN * measured).all(), (measured, told)
+
+
+def rows(page, section, start):
+    """Numbers of every row of a section that starts so."""
+    text = (PAGES / f"{page}.md").read_text(encoding="utf-8").split(f"\n## {section}")[1]
+    lines = [x for x in text.split("\n## ")[0].splitlines() if x.startswith(start)]
+    return [[float(n) for n in NUMBER.findall(line[len(start) :])] for line in lines]
 
 
 def percent(table, *keys):
@@ -54,6 +73,14 @@ def test_printed_signal_to_noise_ratios_hold_noise_and_a_part_of_the_load():
     assert (noise, part) == pytest.approx((19.7, 21.6), abs=0.1)
 
 
+def test_the_strains_of_the_loads(data):
+    cells = next(cells for cells in strains(data) if cells[0] == "test")
+    assert " ".join(cells[1:]).replace(" to", "").split() == [
+        f"{n:g}" if n == int(n) else f"{n:.2f}"
+        for n in row("you_2021", "Figure 5, Tables 1 and 2", "| test |")
+    ]
+
+
 def test_walls_by_msph():
     for name in ("MSPH, as printed", "images"):
         told = row("polymer_gp", "Walls", f"| {name} | 0.2 |")
@@ -63,24 +90,59 @@ def test_walls_by_msph():
 
 @pytest.mark.slow
 def test_a_kernel_that_is_known():
-    told = row("you_2021", "Figures 2 and 3", "| M = 4 |")
+    told, alpha_too = rows("you_2021", "Figures 2 and 3: ", "| M = 4 |")
     samples = manufactured.manufactured(5.0)
     weight = manufactured.sample_weights([samples], normalise=False)[0]
     reduced = manufactured.reduce(samples, manufactured.HORIZON, weight, quadrature_degree=5)
-    found = manufactured.positive_fit(reduced, 4, learn_alpha=False, seed=0)
-    held([manufactured.relative_residual(reduced, *found)], told[:1])
+    for learn_alpha, loss in ((False, told[0]), (True, alpha_too[0])):
+        found = manufactured.positive_fit(reduced, 4, learn_alpha=learn_alpha, seed=0)
+        held([manufactured.relative_residual(reduced, *found)], [loss])
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings(UNCERTIFIED)
 def test_algorithm_1_by_projection(data):
-    from examples.studies.paper_you_2021 import algorithm_1
-
     found = algorithm_1(data, "projected", "symbol", 0)
     told = row("you_2021", "Algorithm 1", "| and bounds by projection |")
     assert [found["lam"], found["mu"]] == pytest.approx(told[:2], abs=0.01)
     for number, key in enumerate(("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")):
         least, _, most = told[3 + 3 * number : 6 + 3 * number]
         assert least / WITHIN < 100 * found[key] < WITHIN * most
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(UNCERTIFIED, "ignore:λ . μ ended on the lower bound")
+def test_the_prediction_step_of_algorithm_1(data):
+    """The correction step ends elsewhere for another rounding, and is held to nothing."""
+    told = row("you_2021", "Algorithm 1, step by step", "| 0 | prediction |")
+    method = TwoStage("relu", "symbol", seed=0, inner_epochs=1, outer_iterations=1)
+    found = learn(data["train"], horizon=20.0, kernel=Bernstein(10), method=method)
+    first = found.history[0]
+    assert len(first.loss) == told[0]
+    model = replace(as_model(first.parameters, 20.0), units=found.material.units)
+    assert [model.lam, model.mu, model.alpha] == pytest.approx(told[1:4], abs=0.01)
+    errors = errors_of(model, {name: data[name] for name in ("train", "val", "test")})
+    held(percent(errors, *ALL_ERRORS), told[4:])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
+def test_the_choice_of_the_horizon_by_either_metric(data):
+    """All pairs of degree 5, and their choice, beside that of degree 0."""
+    trials = []
+    for degree, horizons in ((0, (10.0,)), (5, np.arange(10, 27.5, 2.5))):
+        for horizon in horizons:
+            model = learn(data["train"], horizon=horizon, kernel=Bernstein(degree)).material
+            errors = errors_of(model, {name: data[name] for name in ("train", "val")})
+            trials.append({"horizon": horizon, "degree": degree, **errors})
+    told = row("you_2021", "The metric", "| 5 |")
+    found = chosen(trials)[1]
+    measured = [float(n) for cell in found[1:3] for n in cell.split(", ")]
+    assert measured[::2] == told[:4:2]
+    held(measured[1::2], told[1:4:2])
+    for trial in trials[1:]:
+        pair = rows("you_2021", "Table 3 at 0 K", f"| {trial['horizon']:g} | ")[-1][1]
+        held(percent(trial, "E_u val"), [pair])
 
 
 @pytest.mark.slow
@@ -133,6 +195,50 @@ def test_polymer_laws_and_flows():
 
 
 @pytest.mark.slow
+def test_the_printed_step_forces_and_costs_of_the_channel():
+    from examples.studies import paper_polymer_gp as gp
+
+    told = row("polymer_gp", "Table 1: the time step", "| 8.6e-05 |")
+    held([float(cell) for cell in gp.printed_step()[1][1:]], told)
+    costs = {name: gp.whole_run(name) for name in ("exact law", "coupled, 1000 dumbbells")}
+    ((name, *forces),) = gp.force_rows(costs)
+    held([float(cell) for cell in forces], row("polymer_gp", "Figure 8", f"| {name} |"))
+    held([costs[name]["error"]], row("polymer_gp", "What a run costs", f"| {name} |")[-1:])
+
+
+@pytest.mark.slow
+def test_hyperparameters_of_the_likeliest_law():
+    pytest.importorskip("pyro")
+    from examples.studies import paper_polymer_gp as gp
+
+    (name, *found), _ = gp.nuts(draws=10)["rows"]
+    held([float(cell) for cell in found], row("polymer_gp", "Averaging", f"| {name} |"))
+
+
+@pytest.mark.slow
+def test_gradients_and_a_disk_of_the_neural_operators_page(graphene, tmp_path):
+    pytest.importorskip("skfem")
+    from examples.studies import paper_jafarzadeh_2024 as page
+    from tools.make_hgo import make_hgo
+
+    sizes = page.sizes_of_gradients(make_hgo(tmp_path, jobs=1, progress=False))
+    held(np.quantile(sizes, page.SHARES), row("jafarzadeh_2024", "Figure 7", "| size |"))
+    disk = page.graphene_disk(graphene)
+    told = row("jafarzadeh_2024", "Figure 4", "| pictures alone |")
+    held([100 * page.gap(disk, "u")], told)
+
+
+def test_what_shipped_weights_say_of_their_training():
+    from examples.studies import paper_jafarzadeh_2024 as page
+
+    law = load(page.WEIGHTS / "hgo_3.json")
+    told = rows("jafarzadeh_2024", "Figure 11", "| 3 | ")[-1]
+    pace = law.provenance["seconds"] / law.provenance["epochs"]
+    assert [law.numbers(), law.provenance["epochs"]] == told[:2]
+    assert pace == pytest.approx(told[2], abs=0.05)
+
+
+@pytest.mark.slow
 def test_claims_of_the_slides():
     found = rates.pointwise(3, 2.5, 4)
     assert found["rate"] == pytest.approx(
@@ -148,6 +254,21 @@ def test_claims_of_the_slides():
         solved = stiff.forms(model, points)[form]().solve(b[None], u[None])[0]
         error = np.linalg.norm(solved - u) / np.linalg.norm(u[points.interior])
         assert told[2] / WITHIN < error < WITHIN * told[3]
+
+
+def test_limits_diffusion_and_pressure_of_the_slides():
+    for name, errors in rates.fixed_horizon((10, 12)).items():
+        start = f"| {paper_slides.NAMES.get(name, name)} |"
+        held(errors, row("slides", "To the nonlocal", start)[:2])
+    for name, start in ((1.0, "| bond-based, the printed field |"), (3.0, "| λ = 3μ, renor")):
+        found = atlas_points.free_edge(16, name * atlas_points.MU, corrected=True)
+        held([found], row("slides", "Free edges", start)[1:2])
+    held([diffusion.jump(8)], row("slides", "Diffusion in", "| κ jumps 1:10, in ser")[:1])
+    held([diffusion.coupled(8)[0]], row("slides", "Diffusion coupled", "| u |")[:1])
+    opening = pressurised_crack.opening(8)[0]["opening"]
+    assert opening == pytest.approx(row("slides", "Pressure", "| L/8 |")[0], abs=0.001)
+    for right, start in ((1.0, "| κ the same |"), (10.0, "| κ jumps 1:10 there |")):
+        held([diffusion.flux_jump(8, right)], row("slides", "Neumann", start)[:1])
 
 
 def test_functionals_stretches_and_edges_of_the_slides():

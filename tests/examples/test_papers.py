@@ -1,5 +1,6 @@
 """The pages on the sources: what they compute, and that they name what is missing."""
 
+import re
 from pathlib import Path
 from string import Formatter
 
@@ -70,6 +71,18 @@ def test_thirty_sections_each_with_its_command():
         page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
         commands += sum("\n```\n" in text for text in papers.sections(page).values())
     assert commands >= 30
+
+
+@pytest.mark.parametrize("name", papers.SOURCES)
+def test_each_section_has_what_is_printed_and_measured_a_command_and_a_sentence(name):
+    template = papers.SOURCES[name].TEMPLATE.read_text(encoding="utf-8")
+    printed = re.compile(r"[Pp]rinted|[Cc]laimed|[Tt]he (source|paper|slides)")
+    for title, text in list(papers.sections(template).items())[1:]:
+        assert printed.search(text), title
+        assert "\n|---" in text or "\n![" in text, title
+        *_, command, last = text.split("```")
+        assert command.startswith(("\npython ", "\npytest ")), title
+        assert re.search(r"^[^|!\s].*\.", last, re.MULTILINE), title
 
 
 def test_a_section_is_made_again_and_the_foot_says_where():
