@@ -158,6 +158,25 @@ def carried():
     return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
 
 
+def waves(points, folder):
+    """A solid that swings: 15 steps, or 25 of which others have taken some."""
+    b, u = fields(points.x)
+    d = points.dimension
+    law = solid(2) if d == 2 else wp.micromodulus.tensors_of(solid(3), H)
+    problem, last = wp.Dirichlet(points, b, u), 15 if points.comm.size == 2 else 25
+    motion = wp.move(
+        law, problem, **SWING, v=u[:, ::-1], steps=last,
+        checkpoint=folder / f"waves_{d}.h5", checkpoint_every=2, series=folder / f"waves_{d}",
+    )  # fmt: skip
+    end = points.gather(np.concatenate([motion.u, motion.v], axis=1))
+    if points.comm.rank == 0:
+        np.save(folder / f"waves_{d}_{points.comm.size}.npy", end)
+    return {"end": digest(end), "energy": motion.energy.tolist(), "drift": motion.drift}
+
+
+SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
+
+
 def by_newton(points, folder):
     """Where the fixed point has no time to get."""
     steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
@@ -189,7 +208,8 @@ def rest(folder):
                              * np.ones(len(points.x)))  # fmt: skip
         name = f"{len(shape)}-D"
         found[name] = {"u": digest(answer), "iterations": solution.iterations[0],
-                       "residual": solution.residual, "left": left.max()}  # fmt: skip
+                       "residual": solution.residual, "left": left.max(),
+                       "waves": waves(points, folder)}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", answer)
     sheet = lattice((52, 52), H, inside, axis=0.0)
@@ -222,6 +242,9 @@ def rest(folder):
     for wrong in (
         lambda: solid(3).on(points)(u),
         lambda: wp.solve(solid(2), wp.Dirichlet(wide, *fields(wide.x))),
+        lambda: wp.move(
+            solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
+        ),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
     ):
         try:

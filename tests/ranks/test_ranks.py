@@ -15,6 +15,7 @@ import warp_peri as wp
 from examples.large_plate import main as large_plate
 from tests.ranks.job import (
     ASKED,
+    SWING,
     H,
     block,
     carried,
@@ -109,6 +110,26 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimens
     assert np.abs(answer - alone.u).max() <= 10 * tolerance * np.abs(alone.u).max()
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(dimension, jobs, folder):
+    one, two, three = (jobs[count][f"{dimension}-D"]["waves"] for count in (1, 2, 3))
+    assert one == three
+    assert two["energy"] == one["energy"][: len(two["energy"])]
+    assert one["drift"] < 1e-12
+    x = H * np.argwhere(np.ones((52,) * 2 if dimension == 2 else (25,) * 3))
+    (b, u), points = fields(x), wp.Points(x, inside(x), H)
+    law = solid(2) if dimension == 2 else wp.micromodulus.tensors_of(solid(3), H)
+    problem = wp.Dirichlet(points, b, u)
+    for count, steps in ((2, 15), (3, 25)):
+        alone = wp.move(law, problem, **SWING, v=u[:, ::-1], steps=steps)
+        end = np.concatenate([alone.u, alone.v], axis=1)
+        place = folder / ("." if count == 2 else "3") / f"waves_{dimension}_{count}.npy"
+        np.testing.assert_allclose(np.load(place), end, rtol=0, atol=1e-11 * np.abs(end).max())
+    np.testing.assert_allclose(one["energy"], alone.energy, rtol=1e-12)
+    for name in (f"waves_{dimension}.h5", f"waves_{dimension}/motion.xdmf"):
+        assert (folder / "1" / name).read_bytes() == (folder / "3" / name).read_bytes()
+
+
 def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
     found = [jobs[count]["nonlinear"] for count in (1, 2, 3)]
     assert found[0] == found[1] == found[2]
@@ -187,9 +208,10 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    one, edge, many = jobs[2]["refused"]
+    one, edge, long, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
     assert edge.startswith("points: expected 4 nodes around the interior")
+    assert long.startswith("step: expected at most 0.0025")
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,7 @@ class RowOperator:
             raise InputError("points: expected a lattice in rows for a body at rest on ranks")
         comm, rows, d = piece.comm, piece.rows, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
+        self._rows = rows
         first, last = rows.starts[comm.rank : comm.rank + 2]
         box = (int(last - first), *rows.shape[1:])
         self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
@@ -59,12 +61,25 @@ class RowOperator:
         self._L = Convolution(
             comm, rows, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
         )
-        width, symbol = inverse_filter(law.steps, tensors, law.tensor())
-        self._H = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
-        self._between = Between(comm, rows.starts)
-        few = coarser(self.mask)
-        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        self._coarse = cycle(comm, *near, few, self._between.coarse)
+
+    @cached_property
+    def _H(self) -> Convolution:
+        """The inverse at short range, which waves do not need."""
+        law, scale = self.model, self.model.spacing**-2
+        width, symbol = inverse_filter(law.steps, law.tensors / scale, law.tensor())
+        over = self.points.comm, self._rows
+        return Convolution(*over, width, lambda torus: symbol(torus) / scale, np.float32)
+
+    @cached_property
+    def _between(self) -> Between:
+        return Between(self.points.comm, self._rows.starts)
+
+    @cached_property
+    def _coarse(self) -> Any:
+        """Multigrid on every second node."""
+        law, d = self.model, self.dimension
+        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * law.spacing**-2)
+        return cycle(self.points.comm, *near, coarser(self.mask), self._between.coarse)
 
     def _check(self) -> None:
         piece, law = self.points, self.model
