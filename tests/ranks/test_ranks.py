@@ -15,6 +15,7 @@ import warp_peri as wp
 from examples.large_plate import main as large_plate
 from tests.ranks.job import (
     ASKED,
+    LOOSE,
     SWING,
     H,
     block,
@@ -22,6 +23,7 @@ from tests.ranks.job import (
     crack,
     family,
     fields,
+    halved,
     inside,
     nonlinear,
     proofs,
@@ -29,6 +31,7 @@ from tests.ranks.job import (
     small,
     solid,
     uneven,
+    wide,
 )
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -181,6 +184,32 @@ def test_an_answer_says_how_far_the_rich_one_is_as_on_one_process(name, jobs, fo
     for part in parts:  # rough solves by another way
         assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)
     assert alone.uncovered == () or alone.uncovered[0].split(":")[0] in one["why"]
+
+
+@pytest.mark.filterwarnings("ignore:strain:UserWarning")
+@pytest.mark.parametrize("name", LOOSE)
+def test_an_answer_on_every_second_node_is_that_of_one_process(name, jobs, folder):
+    one, two, three = (jobs[count][name] for count in (1, 2, 3))
+    assert one == two == three
+    (law, tolerance), x = LOOSE[name], H * np.argwhere(np.ones((62, 62)))
+    problem = wp.Dirichlet(wp.Points(x, wide(x), H, axis=0.0), *small(x))
+    rich = law()
+    alone = wp.predict(halved(rich), problem, tolerance)
+    on = ("from" if name == "from coarse" else "on") + " every second node, linear"
+    assert one["why"].startswith(on)
+    assert alone.why.startswith(on)
+    for part in ("waves", "strain") + ("data",) * (name == "from coarse"):
+        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)  # rough solves
+    assert one["error"] == pytest.approx(alone.error, rel=0.05)
+    truth, answer = wp.solve(rich, problem).u, np.load(folder / f"{name}_2.npy")
+    wrong = np.linalg.norm((answer[:, :2] - truth)[wide(x)]) / np.linalg.norm(truth[wide(x)])
+    assert wrong < one["error"]
+    if name == "bound":
+        bound = alone.guarantee
+        assert one["bound"]["energy"] == pytest.approx(bound.energy, rel=0.05)
+        assert wrong < one["bound"]["displacement"] == pytest.approx(bound.displacement, rel=0.05)
+    else:
+        assert answer[wide(x), 2].min() > 0
 
 
 def test_ranks_share_the_cells_of_a_proof_and_prove_the_same(jobs):

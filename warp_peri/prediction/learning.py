@@ -212,7 +212,7 @@ def _on_every_second(
     answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(u[inside]))
     row: dict[str, Any] = {"slope": coarse.gradient(answer)}
     row["seen"] = coarse.spectrum.shares(answer[coarse.nodes.chosen])
-    row["hidden"] = coarse.hidden.of(placed.load(b), given) / size
+    row["hidden"] = coarse.hidden(placed.load(b), given) / size
     for name, other in zip(APARTS, (first, u)):
         row[name] = float(np.linalg.norm((answer - other)[inside])) / size
     return row

@@ -49,7 +49,8 @@ class Convolution:
     ) -> None:
         self.reach, self.block, self.dtype = reach, rows.block, dtype
         self.halo = RowHalo(comm, rows.starts, reach)
-        sizes = (rows.block + 2 * reach, *(n + reach for n in rows.shape[1:]))
+        across = (max(n, reach + 1) + reach for n in rows.shape[1:])  # the stencil fits too
+        sizes = (rows.block + 2 * reach, *across)
         self.torus = tuple(scipy.fft.next_fast_len(n, real=True) for n in sizes)
         self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
 

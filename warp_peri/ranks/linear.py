@@ -119,7 +119,9 @@ class RowOperator:
 
     def product(self, field: np.ndarray) -> np.ndarray:
         """L of planes, at the unknown nodes."""
-        return np.asarray(self._L(field) * self.mask)
+        pulled = self._L(field)
+        pulled *= self.mask
+        return pulled
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
@@ -130,8 +132,11 @@ class RowOperator:
         """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""
         self._H.start(r)
         long = self._coarse(self._between.restrict(r) * self._coarse.mask)
-        z = self._between.prolong(long, self._box)
-        return np.asarray((LONG * z + self._H.finish()) * self.mask)
+        z: np.ndarray = self._between.prolong(long, self._box)
+        z *= LONG  # in place: here a rank has most in memory
+        z += self._H.finish()
+        z *= self.mask
+        return z
 
     def inner(self) -> Inner:
         """Scalar products and largest values over all ranks; sums of rows, then of all rows."""

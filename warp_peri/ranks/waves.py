@@ -20,7 +20,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import shared_by
 from warp_peri.ranks.files import Series, as_text, read_arrays, read_text, write_arrays
 from warp_peri.ranks.processes import agreed
-from warp_peri.ranks.sums import fingerprint, total
+from warp_peri.ranks.sums import fingerprint
 
 if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece
@@ -50,11 +50,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     operator = piece.operator(material)
     free = piece.interior
 
-    def dot(a: np.ndarray, b: np.ndarray) -> float:
-        return float(total(comm, (a * b).sum(axis=1)))
-
     count = comm.allreduce(int(np.count_nonzero(free)))
-    body = Inert(operator, free, density, start["b"][free], dot=dot, count=count)
+    body = Inert(operator, free, density, start["b"][free], dot=piece.dot, count=count)
     state = body.state(start["u"], start["v"][free])
     kept = Kept(piece, dt, steps["every"], **files)
     return marched(body, state, dt, steps["steps"], steps["every"], kept)
