@@ -158,6 +158,21 @@ def test_scattered_points_have_the_same_bits_and_those_of_one_process_nearly(job
     assert np.abs(answer - alone).max() <= 1e-8 * np.abs(alone).max()
 
 
+def test_scattered_points_are_told_how_far_the_rich_answer_is(jobs, folder):
+    one, two, three = (jobs[count]["told"] for count in (1, 2, 3))
+    assert one == two == three
+    points = scattered()
+    problem = wp.Dirichlet(points, *fields(points.x))
+    alone, free = wp.predict(family(carried()), problem, None), points.interior
+    for part in ("waves", "data"):
+        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)
+    assert one["why"] == alone.why
+    answer = np.load(folder / "told_2.npy")
+    wrong = np.linalg.norm((answer[:, :2] - alone.u)[free]) / np.linalg.norm(alone.u[free])
+    assert 0.6 * one["parts"]["left"] < wrong < one["parts"]["left"]
+    np.testing.assert_allclose(answer[free, 2], alone.map()[free], rtol=0.5)
+
+
 def test_newton_has_the_same_bits_and_finds_what_the_fixed_point_does(jobs, folder):
     found = [jobs[count]["newton"] for count in (1, 2, 3)]
     assert found[0] == found[1] == found[2]

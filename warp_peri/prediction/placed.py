@@ -84,8 +84,6 @@ class PlacedMembers:
         """A member on the points, or on the piece of them that this rank has."""
         if self.on_ranks:
             taken(self.options, "predict")
-            if not self.points.spacing:
-                raise InputError("points: expected a lattice for predict on ranks")
             return self.points.operator(material)
         return placed(material, self.points, verb="predict", has="straight", **self.options)
 

@@ -136,11 +136,14 @@ def cut(kernel: np.ndarray, window: Callable[[np.ndarray], np.ndarray]) -> np.nd
 
 def folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
     """The symbol of a stencil [c, 2w + 1, ...] on a torus."""
-    field = np.zeros((len(stencil), *torus))
-    field[:, *(slice(n) for n in stencil.shape[1:])] = stencil
-    axes = tuple(range(1, field.ndim))
-    field = np.roll(field, tuple(-(n // 2) for n in stencil.shape[1:]), axes)
-    return np.ascontiguousarray(scipy.fft.rfftn(field, axes=axes).real)
+    d = len(torus)
+    symbol = np.empty((len(stencil), *torus[:-1], torus[-1] // 2 + 1))
+    for part, wave in zip(stencil, symbol):  # one at a time: transforms are large in space
+        field = np.zeros(torus)
+        field[*(slice(n) for n in part.shape)] = part
+        field = np.roll(field, tuple(-(n // 2) for n in part.shape), range(d))
+        wave[:] = scipy.fft.rfftn(field).real
+    return symbol
 
 
 def smallest(symbol: np.ndarray) -> float:

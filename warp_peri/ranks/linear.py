@@ -63,23 +63,16 @@ class RowOperator:
         )
 
     @cached_property
-    def _H(self) -> Convolution:
-        """The inverse at short range, which waves do not need."""
-        law, scale = self.model, self.model.spacing**-2
-        width, symbol = inverse_filter(law.steps, law.tensors / scale, law.tensor())
-        over = self.points.comm, self._rows
-        return Convolution(*over, width, lambda torus: symbol(torus) / scale, np.float32)
-
-    @cached_property
-    def _between(self) -> Between:
-        return Between(self.points.comm, self._rows.starts)
-
-    @cached_property
-    def _coarse(self) -> Any:
-        """Multigrid on every second node."""
-        law, d = self.model, self.dimension
-        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * law.spacing**-2)
-        return cycle(self.points.comm, *near, coarser(self.mask), self._between.coarse)
+    def _near(self) -> tuple[Convolution, Between, Any]:
+        """What nearly inverts L, which waves do not need: a filter for short waves, and multigrid
+        on every second node."""
+        law, comm, rows, d = self.model, self.points.comm, self._rows, self.dimension
+        scale = law.spacing**-2
+        width, symbol = inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+        short = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
+        between = Between(comm, rows.starts)
+        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
+        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse)
 
     def _check(self) -> None:
         piece, law = self.points, self.model
@@ -130,11 +123,12 @@ class RowOperator:
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
         """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""
-        self._H.start(r)
-        long = self._coarse(self._between.restrict(r) * self._coarse.mask)
-        z: np.ndarray = self._between.prolong(long, self._box)
+        short, between, coarse = self._near
+        short.start(r)
+        long = coarse(between.restrict(r) * coarse.mask)
+        z: np.ndarray = between.prolong(long, self._box)
         z *= LONG  # in place: here a rank has most in memory
-        z += self._H.finish()
+        z += short.finish()
         z *= self.mask
         return z
 
@@ -177,6 +171,7 @@ class RowOperator:
 
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """Planes, zero off the unknown nodes, with L of them as given there."""
+        _ = self._near  # made before the search has its fields
         return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
 
     def inverse(self, loads: int) -> Inverse:
