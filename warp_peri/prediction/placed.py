@@ -11,10 +11,10 @@ import numpy as np
 
 from warp_peri.contract import placed, taken
 from warp_peri.errors import InputError
+from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.coarse import APART, EverySecond
 from warp_peri.prediction.hidden import Hidden
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
@@ -319,9 +319,7 @@ def by_first(points: Any, told: Callable[..., Any], *fields: np.ndarray) -> Any:
 
 def _by_rows(points: Any, material: Any) -> tuple[Any, Any]:
     """Every second node of a piece, and a material there; InputError where it is for others."""
-    from warp_peri.ranks.coarse import RowsEverySecond
-
-    nodes, linear = RowsEverySecond(points), getattr(material, "linear", material)
+    nodes, linear = points.every_second(), getattr(material, "linear", material)
     known = getattr(linear, "is_certified_on", None)  # a crystal is refused by its spacing
     if known is not None and not known(nodes.nodes.spacing):
         raise InputError("material: not certified on every second node")

@@ -13,9 +13,8 @@ import numpy as np
 from scipy.ndimage import spline_filter
 
 from warp_peri.errors import InputError
-from warp_peri.prediction.coarse import APART, halved
+from warp_peri.points.every_second import APART, halved
 from warp_peri.ranks.halo import RowHalo
-from warp_peri.ranks.pieces import Rows
 
 if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece
@@ -25,7 +24,7 @@ FAR = 32
 
 
 class RowsEverySecond:
-    """As prediction.coarse.EverySecond, of a piece of a box in rows.
+    """As points.every_second.EverySecond, of a piece of a box in rows.
 
     Args:
         piece: of a lattice in the plane.
@@ -45,10 +44,11 @@ class RowsEverySecond:
         if not np.diff(starts).all():
             raise InputError("ranks: one has no coarse rows")
         grid = (place // APART)[self.chosen].astype(np.int32)
+        few = replace(rows, shape=shape, block=rows.block // APART, starts=starts)
         self.nodes = replace(
             piece, x=piece.x[self.chosen], interior=piece.interior[self.chosen],
             spacing=APART * piece.spacing, number=np.ravel_multi_index(tuple(grid.T), shape),
-            count=int(np.prod(shape)), grid=grid, rows=Rows(shape, rows.block // APART, starts),
+            count=int(np.prod(shape)), grid=grid, rows=few,
         )  # fmt: skip
         self._fine, self._wide = RowHalo(comm, rows.starts, 1), RowHalo(comm, starts, FAR + 2)
         self._box = (int(np.diff(rows.starts)[comm.rank]), rows.shape[1])

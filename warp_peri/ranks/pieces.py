@@ -106,6 +106,12 @@ class Piece:
 
         return strain_on_ranks(self, u)
 
+    def every_second(self) -> Any:
+        """Every second node of a box in rows: RowsEverySecond."""
+        from warp_peri.ranks.coarse import RowsEverySecond
+
+        return RowsEverySecond(self)
+
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
         values = np.ascontiguousarray(values)
