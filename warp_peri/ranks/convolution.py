@@ -110,9 +110,10 @@ def short_inverse(
     torus = (TORUS * width,) * d
     shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
     table = shifted_inverse(torus, steps, tensors, shift)
-    axes = tuple(range(1, d + 1))
-    kernel = scipy.fft.irfftn(table, s=torus, axes=axes)
-    return torus, np.roll(kernel, (width,) * d, axes)[:, *(slice(2 * width + 1),) * d]
+    near, axes = (slice(2 * width + 1),) * d, tuple(range(d))
+    return torus, np.stack(
+        [np.roll(scipy.fft.irfftn(one, s=torus), (width,) * d, axes)[near] for one in table]
+    )
 
 
 def hann(away: np.ndarray) -> np.ndarray:
@@ -149,7 +150,10 @@ def folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
 def smallest(symbol: np.ndarray) -> float:
     """Smallest eigenvalue of symmetric matrices [d (d + 1)/2, ...]."""
     d = {3: 2, 6: 3}[len(symbol)]
-    full = np.empty((*symbol.shape[1:], d, d))
-    for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), symbol):
-        full[..., i, j] = full[..., j, i] = part
-    return float(np.linalg.eigvalsh(full).min())
+    least = np.inf
+    for row in np.moveaxis(symbol, 1, 0):  # in space all matrices at once are much memory
+        full = np.empty((*row.shape[1:], d, d))
+        for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), row):
+            full[..., i, j] = full[..., j, i] = part
+        least = min(least, float(np.linalg.eigvalsh(full).min()))
+    return least
