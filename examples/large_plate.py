@@ -98,7 +98,8 @@ def main(argv: list[str] | None = None) -> int:
         numbers_of_K = model.alpha, model.D, model.horizon
         model = wp.Model(lam, model.mu, *numbers_of_K, certified_on=(SPACING,))
     law = wp.micromodulus.tensors_of(model, SPACING)
-    numbers: dict = {"iterations": {}, "residual": {}, "bits": {}, "seconds": {}, "processor": {}}
+    of_sizes = "iterations", "residual", "bits", "seconds", "processor", "memory"
+    numbers: dict = {name: {} for name in of_sizes}
     solver = wp.Krylov(tolerance=args.tolerance)
     for n in args.sides:
         points = plate(args.shape, n, law)
@@ -110,7 +111,7 @@ def main(argv: list[str] | None = None) -> int:
         busy = max(points.comm.allgather(time.process_time() - busy))
         numbers["processor"][n] = round(busy, 2)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        numbers["memory_mb"] = round(max(points.comm.allgather(memory)))
+        numbers["memory"][n] = numbers["memory_mb"] = round(max(points.comm.allgather(memory)))
         numbers["iterations"][n] = solution.iterations[0]
         numbers["residual"][n] = solution.residual
         if n == args.sides[0]:

@@ -8,7 +8,7 @@ import pytest
 import warp_peri as wp
 from tests.prediction.test_predict import family, far  # noqa: F401 (a fixture)
 from tests.support.problems import lattice, smooth
-from warp_peri.prediction.coarse import EverySecond
+from warp_peri.points.every_second import EverySecond
 from warp_peri.prediction.hidden import Hidden
 from warp_peri.prediction.spectrum import Record
 

@@ -74,6 +74,33 @@ ASKED = {
 """Rich members and tolerances of answers."""
 
 
+def halved(rich):
+    """The same family with a member on every second node, and what its answers there were."""
+    few = replace(solid(2), horizon=5 * H, certified_on=(2 * H,))
+    coarse = replace(rich, linear=few) if isinstance(rich, NonlinearModel) else few
+    told = Record(H * np.array([2.0, 8.0, 32.0]), np.full(3, 0.12))
+    return replace(family(rich), coarse=coarse, carried=told)
+
+
+def proven():
+    """A linear solid with its proof."""
+    figures = wp.certify(solid(2), spacing=H).figures()
+    return replace(solid(2), certificate={f"{H:g}": figures})
+
+
+LOOSE = {
+    "coarse": (nonlinear, 0.3),
+    "from coarse": (nonlinear, 0.03),
+    "bound": (proven, 0.3),
+}
+"""The same on every second node, or from there."""
+
+
+def wide(x):
+    """An L with a collar wide enough for a law on every second node."""
+    return (np.abs(x - 15.25) < 18.1 * H).all(axis=1) & ~(x > 18.25).all(axis=1)
+
+
 def inside(x):
     """A thick L in the plane, a ball in space, with room for a collar."""
     away = (x - CENTRE[x.shape[1]]) / H
@@ -158,6 +185,25 @@ def carried():
     return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
 
 
+def waves(points, folder):
+    """A solid that swings: 15 steps, or 25 of which others have taken some."""
+    b, u = fields(points.x)
+    d = points.dimension
+    law = solid(2) if d == 2 else wp.micromodulus.tensors_of(solid(3), H)
+    problem, last = wp.Dirichlet(points, b, u), 15 if points.comm.size == 2 else 25
+    motion = wp.move(
+        law, problem, **SWING, v=u[:, ::-1], steps=last,
+        checkpoint=folder / f"waves_{d}.h5", checkpoint_every=2, series=folder / f"waves_{d}",
+    )  # fmt: skip
+    end = points.gather(np.concatenate([motion.u, motion.v], axis=1))
+    if points.comm.rank == 0:
+        np.save(folder / f"waves_{d}_{points.comm.size}.npy", end)
+    return {"end": digest(end), "energy": motion.energy.tolist(), "drift": motion.drift}
+
+
+SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
+
+
 def by_newton(points, folder):
     """Where the fixed point has no time to get."""
     steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
@@ -189,7 +235,8 @@ def rest(folder):
                              * np.ones(len(points.x)))  # fmt: skip
         name = f"{len(shape)}-D"
         found[name] = {"u": digest(answer), "iterations": solution.iterations[0],
-                       "residual": solution.residual, "left": left.max()}  # fmt: skip
+                       "residual": solution.residual, "left": left.max(),
+                       "waves": waves(points, folder)}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", answer)
     sheet = lattice((52, 52), H, inside, axis=0.0)
@@ -199,11 +246,15 @@ def rest(folder):
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"nonlinear_{comm.size}.npy", answer)
-    for name, (rich, tolerance) in ASKED.items():
-        answer = wp.predict(family(rich), wp.Dirichlet(sheet, *small(sheet.x)), tolerance)
-        u = sheet.gather(np.concatenate([answer.u, answer.map()[:, None]], axis=1))
+    plate = lattice((62, 62), H, wide, axis=0.0)
+    loose = {name: (law(), tolerance) for name, (law, tolerance) in LOOSE.items()}
+    for name, (rich, tolerance) in (ASKED | loose).items():
+        on, known = (sheet, family) if name in ASKED else (plate, halved)
+        answer = wp.predict(known(rich), wp.Dirichlet(on, *small(on.x)), tolerance)
+        u = on.gather(np.concatenate([answer.u, answer.map()[:, None]], axis=1))
+        bound = answer.guarantee if name == "bound" else None
         found[name] = {"u": digest(u), "error": answer.error, "parts": answer.parts,
-                       "why": answer.why}  # fmt: skip
+                       "why": answer.why, "bound": bound and vars(bound)}  # fmt: skip
         if comm.rank == 0:
             np.save(folder / f"{name}_{comm.size}.npy", u)
     cloud = spread(scattered())
@@ -214,14 +265,22 @@ def rest(folder):
                           "residual": solution.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"scattered_{comm.size}.npy", answer)
+    told = wp.predict(family(carried()), wp.Dirichlet(cloud, b, u), None)
+    u = cloud.gather(np.concatenate([told.u, told.map()[:, None]], axis=1))
+    found["told"] = {"u": digest(u), "error": told.error, "parts": told.parts, "why": told.why}
+    if comm.rank == 0:
+        np.save(folder / f"told_{comm.size}.npy", u)
     found["newton"] = by_newton(sheet, folder)
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["refused"] = []
-    wide = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
+    full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (
         lambda: solid(3).on(points)(u),
-        lambda: wp.solve(solid(2), wp.Dirichlet(wide, *fields(wide.x))),
+        lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
+        lambda: wp.move(
+            solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
+        ),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
     ):
         try:

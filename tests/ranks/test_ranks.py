@@ -15,12 +15,15 @@ import warp_peri as wp
 from examples.large_plate import main as large_plate
 from tests.ranks.job import (
     ASKED,
+    LOOSE,
+    SWING,
     H,
     block,
     carried,
     crack,
     family,
     fields,
+    halved,
     inside,
     nonlinear,
     proofs,
@@ -28,6 +31,7 @@ from tests.ranks.job import (
     small,
     solid,
     uneven,
+    wide,
 )
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -109,6 +113,26 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimens
     assert np.abs(answer - alone.u).max() <= 10 * tolerance * np.abs(alone.u).max()
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(dimension, jobs, folder):
+    one, two, three = (jobs[count][f"{dimension}-D"]["waves"] for count in (1, 2, 3))
+    assert one == three
+    assert two["energy"] == one["energy"][: len(two["energy"])]
+    assert one["drift"] < 1e-12
+    x = H * np.argwhere(np.ones((52,) * 2 if dimension == 2 else (25,) * 3))
+    (b, u), points = fields(x), wp.Points(x, inside(x), H)
+    law = solid(2) if dimension == 2 else wp.micromodulus.tensors_of(solid(3), H)
+    problem = wp.Dirichlet(points, b, u)
+    for count, steps in ((2, 15), (3, 25)):
+        alone = wp.move(law, problem, **SWING, v=u[:, ::-1], steps=steps)
+        end = np.concatenate([alone.u, alone.v], axis=1)
+        place = folder / ("." if count == 2 else "3") / f"waves_{dimension}_{count}.npy"
+        np.testing.assert_allclose(np.load(place), end, rtol=0, atol=1e-11 * np.abs(end).max())
+    np.testing.assert_allclose(one["energy"], alone.energy, rtol=1e-12)
+    for name in (f"waves_{dimension}.h5", f"waves_{dimension}/motion.xdmf"):
+        assert (folder / "1" / name).read_bytes() == (folder / "3" / name).read_bytes()
+
+
 def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
     found = [jobs[count]["nonlinear"] for count in (1, 2, 3)]
     assert found[0] == found[1] == found[2]
@@ -132,6 +156,21 @@ def test_scattered_points_have_the_same_bits_and_those_of_one_process_nearly(job
     alone = wp.solve(carried(), wp.Dirichlet(points, *fields(points.x))).u
     answer = np.load(folder / "scattered_2.npy")
     assert np.abs(answer - alone).max() <= 1e-8 * np.abs(alone).max()
+
+
+def test_scattered_points_are_told_how_far_the_rich_answer_is(jobs, folder):
+    one, two, three = (jobs[count]["told"] for count in (1, 2, 3))
+    assert one == two == three
+    points = scattered()
+    problem = wp.Dirichlet(points, *fields(points.x))
+    alone, free = wp.predict(family(carried()), problem, None), points.interior
+    for part in ("waves", "data"):
+        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)
+    assert one["why"] == alone.why
+    answer = np.load(folder / "told_2.npy")
+    wrong = np.linalg.norm((answer[:, :2] - alone.u)[free]) / np.linalg.norm(alone.u[free])
+    assert 0.6 * one["parts"]["left"] < wrong < one["parts"]["left"]
+    np.testing.assert_allclose(answer[free, 2], alone.map()[free], rtol=0.5)
 
 
 def test_newton_has_the_same_bits_and_finds_what_the_fixed_point_does(jobs, folder):
@@ -162,6 +201,32 @@ def test_an_answer_says_how_far_the_rich_one_is_as_on_one_process(name, jobs, fo
     assert alone.uncovered == () or alone.uncovered[0].split(":")[0] in one["why"]
 
 
+@pytest.mark.filterwarnings("ignore:strain:UserWarning")
+@pytest.mark.parametrize("name", LOOSE)
+def test_an_answer_on_every_second_node_is_that_of_one_process(name, jobs, folder):
+    one, two, three = (jobs[count][name] for count in (1, 2, 3))
+    assert one == two == three
+    (law, tolerance), x = LOOSE[name], H * np.argwhere(np.ones((62, 62)))
+    problem = wp.Dirichlet(wp.Points(x, wide(x), H, axis=0.0), *small(x))
+    rich = law()
+    alone = wp.predict(halved(rich), problem, tolerance)
+    on = ("from" if name == "from coarse" else "on") + " every second node, linear"
+    assert one["why"].startswith(on)
+    assert alone.why.startswith(on)
+    for part in ("waves", "strain") + ("data",) * (name == "from coarse"):
+        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)  # rough solves
+    assert one["error"] == pytest.approx(alone.error, rel=0.05)
+    truth, answer = wp.solve(rich, problem).u, np.load(folder / f"{name}_2.npy")
+    wrong = np.linalg.norm((answer[:, :2] - truth)[wide(x)]) / np.linalg.norm(truth[wide(x)])
+    assert wrong < one["error"]
+    if name == "bound":
+        bound = alone.guarantee
+        assert one["bound"]["energy"] == pytest.approx(bound.energy, rel=0.05)
+        assert wrong < one["bound"]["displacement"] == pytest.approx(bound.displacement, rel=0.05)
+    else:
+        assert answer[wide(x), 2].min() > 0
+
+
 def test_ranks_share_the_cells_of_a_proof_and_prove_the_same(jobs):
     proven, cells = proofs()
     assert [jobs[count]["proofs"] for count in (1, 2, 3)] == [proven] * 3
@@ -187,9 +252,10 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    one, edge, many = jobs[2]["refused"]
+    one, edge, long, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
     assert edge.startswith("points: expected 4 nodes around the interior")
+    assert long.startswith("step: expected at most 0.0025")
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 

@@ -6,8 +6,9 @@ The step is bounded by the symbol (theory.md, 49–51); the energy that leapfrog
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,9 @@ from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.stability.proof import largest_bound
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.operator import LPSOperator
+
+if TYPE_CHECKING:
+    from warp_peri.ranks.waves import Kept
 
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
@@ -103,13 +107,24 @@ class Inert:
         interior: nodes that move, shape [N] bool.
         density: ρ [kg/m³].
         load: b on the interior nodes [TPa/Å], shape [I, d].
+        dot: the scalar product of two fields [I, d]; over all ranks where there are some.
+        count: of interior nodes, likewise.
     """
 
     def __init__(
-        self, operator: LPSOperator, interior: np.ndarray, density: float, load: np.ndarray
+        self,
+        operator: LPSOperator,
+        interior: np.ndarray,
+        density: float,
+        load: np.ndarray,
+        *,
+        dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot,
+        count: int | None = None,
     ) -> None:
         self.operator, self.interior, self.load = operator, interior, load
         self.inertia = inertia(density, operator.model.units)
+        self.dot = dot
+        self.count = int(np.count_nonzero(interior)) if count is None else count
 
     def state(self, u: np.ndarray, v: np.ndarray) -> State:
         """The state with displacement [N, d] and velocity [I, d]."""
@@ -168,55 +183,69 @@ def march(
     points = operator.points
     if points.spacing == 0:
         raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
-    none = 0 * points.x
-    fields = {"u": u, "v": none if v is None else v, "b": none if b is None else b}
-    start = _checked(points, fields)
-    _positive("step", step)
-    for name, number in (("steps", steps), ("every", every)):
-        if not (isinstance(number, (int, np.integer)) and number >= 1):
-            raise InputError(f"{name}: expected a whole number ≥ 1, got {number!r}")
-    model = operator.model
+    start = checked(points, {"u": u, "v": v, "b": b}, step, steps, every)
     allowed = getattr(operator, "allowed", False)
-    _check_step(model, points.spacing, density, step, allow_uncertified=allowed)
+    check_step(operator.model, points.spacing, density, step, allow_uncertified=allowed)
     free = points.interior
     body = Inert(operator, free, density, start["b"][free])
-    state = body.state(start["u"], start["v"][free])
-    return _march(body, state, step, steps, every)
+    return marched(body, body.state(start["u"], start["v"][free]), step, steps, every)
 
 
-def _march(body: Inert, state: State, dt: float, steps: int, every: int) -> Motion:
-    """A loop over steps, with the energy (52) halfway in every so many of them."""
-    free, inertia = body.interior, body.inertia
+def marched(
+    body: Inert, state: State, dt: float, steps: int, every: int, kept: Kept | None = None
+) -> Motion:
+    """A loop over steps, with the energy (52) halfway in every so many of them.
+
+    `kept` may begin later, and sees each record and the end.
+    """
+    free, inertia, dot = body.interior, body.inertia, body.dot
     still = np.where(free[:, None], 0.0, state.u)
     constant = body.operator(still) - body.load  # collar and load: g at u = 0
-    time, energy = [], []
-    for number in range(steps):
+    begin, energy = 0, list[float]()
+    if kept is not None:
+        state, begin, energy = kept.begun(body, state, steps)
+    for number in range(begin, steps):
         before, state = state, step(body, state, dt)
-        if number % every == 0:
+        recorded = number % every == 0
+        if recorded:
             half = state.v + dt / (2 * inertia) * state.g
-            kinetic = inertia / 2 * np.vdot(half, half)
+            kinetic = inertia / 2 * dot(half, half)
             inner = before.u[free]
-            potential = (np.vdot(inner, state.g) + np.vdot(constant, state.u[free])) / 2
-            energy.append((kinetic + potential) / len(inner))
-            time.append((number + 0.5) * dt)
+            potential = (dot(inner, state.g) + dot(constant, state.u[free])) / 2
+            energy.append((kinetic + potential) / body.count)
+        if kept is not None and (recorded or number + 1 == steps):
+            kept.reached(number + 1, state, energy, recorded=recorded)
     v = np.zeros_like(state.u)
     v[free] = state.v
-    return Motion(np.array(time), state.u, v, {"energy": np.array(energy)})
+    time = (np.arange(len(energy)) * every + 0.5) * dt
+    return Motion(time, state.u, v, {"energy": np.array(energy)})
 
 
-def _checked(points: PointsLike, fields: dict[str, ArrayLike]) -> dict[str, np.ndarray]:
-    """The fields as arrays of their own; InputError naming one that does not fit."""
-    arrays = {name: np.array(field, dtype=float) for name, field in fields.items()}
+def checked(
+    points: PointsLike, fields: dict[str, ArrayLike | None], step: float, steps: int, every: int
+) -> dict[str, np.ndarray]:
+    """The fields as arrays of their own, zero where none is given.
+
+    Raises InputError naming what does not fit.
+    """
     shape = points.x.shape
+    arrays = {
+        name: np.zeros(shape) if field is None else np.array(field, dtype=float)
+        for name, field in fields.items()
+    }
     for name, field in arrays.items():
         if field.shape != shape or not np.isfinite(field).all():
             raise InputError(
                 f"{name}: expected finite values of shape {list(shape)}, got {list(field.shape)}"
             )
+    _positive("step", step)
+    for name, number in (("steps", steps), ("every", every)):
+        if not (isinstance(number, (int, np.integer)) and number >= 1):
+            raise InputError(f"{name}: expected a whole number ≥ 1, got {number!r}")
     return arrays
 
 
-def _check_step(
+def check_step(
     model: Any, spacing: float, density: float, step: float, *, allow_uncertified: bool
 ) -> None:
     """Raise InputError for a step that is longer than the critical one."""

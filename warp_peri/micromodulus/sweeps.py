@@ -125,14 +125,14 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
     """D(k) h² or D(k), as the tensors are, at the waves of a torus: its upper triangle first,
     [d (d + 1)/2, *torus] with the last axis halved."""
     flat = entries(tensors)
-    stencil = np.zeros((flat.shape[1], *torus))
-    for sign in (1, -1):
-        for step, c in zip(sign * steps, flat):
-            stencil[(slice(None), *(step % torus))] -= c
-    stencil.reshape(len(stencil), -1)[:, 0] += 2 * flat.sum(axis=0)
-    axes = tuple(range(1, len(torus) + 1))
-    wave = scipy.fft.rfftn(stencil, axes=axes, workers=threads(), overwrite_x=True)
-    return np.ascontiguousarray(wave.real)
+    symbol = np.empty((flat.shape[1], *torus[:-1], torus[-1] // 2 + 1))
+    place = np.ravel_multi_index(tuple(np.concatenate([steps, -steps]).T), torus, mode="wrap")
+    for part, whole, c in zip(symbol, flat.sum(axis=0), flat.T):
+        stencil = np.zeros(torus)
+        np.subtract.at(stencil.reshape(-1), place, np.concatenate([c, c]))
+        stencil.flat[0] += 2 * whole
+        part[:] = scipy.fft.rfftn(stencil, workers=threads(), overwrite_x=True).real
+    return symbol
 
 
 def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
@@ -159,19 +159,22 @@ def times(symbol: np.ndarray, wave: np.ndarray) -> np.ndarray:
     return out
 
 
-def inverse(symbol: np.ndarray, shift: float = 0.0) -> np.ndarray:
-    """(D + shift I)⁻¹ of symmetric matrices [d (d + 1)/2, …]; 0 where that has none (k = 0)."""
+def inverse(symbol: np.ndarray) -> np.ndarray:
+    """D⁻¹ of symmetric matrices [d (d + 1)/2, …]; 0 where that has none (k = 0)."""
     d = {3: 2, 6: 3}[len(symbol)]
     pairs = list(itertools.combinations_with_replacement(range(d), 2))
-    full = np.empty((*symbol.shape[1:], d, d), symbol.dtype)
-    for (i, j), part in zip(pairs, symbol):
-        full[..., i, j] = full[..., j, i] = part
-    full += shift * np.eye(d)
-    zero = (0,) * (symbol.ndim - 1)
-    singular = np.abs(full[zero]).max() <= 1e-12 * np.abs(full).max()
-    if singular:
-        full[zero] = np.eye(d)
-    answer = np.linalg.inv(full)
-    if singular:
-        answer[zero] = 0
-    return np.stack([answer[..., i, j] for i, j in pairs])
+    answer, largest = np.empty_like(symbol), max(symbol.max(), -symbol.min())
+    for row in range(symbol.shape[1]):  # in space all matrices at once are much memory
+        full = np.empty((*symbol.shape[2:], d, d), symbol.dtype)
+        for (i, j), part in zip(pairs, symbol[:, row]):
+            full[..., i, j] = full[..., j, i] = part
+        zero = (0,) * (symbol.ndim - 2)
+        singular = row == 0 and np.abs(full[zero]).max() <= 1e-12 * largest
+        if singular:
+            full[zero] = np.eye(d)
+        found = np.linalg.inv(full)
+        if singular:
+            found[zero] = 0
+        for (i, j), part in zip(pairs, answer[:, row]):
+            part[...] = found[..., i, j]
+    return answer

@@ -9,27 +9,30 @@ from scipy.spatial import cKDTree
 from warp_peri.points.samples import PointsLike
 
 
-def largest_strain(points: PointsLike, u: ArrayLike) -> float:
+def largest_strain(
+    points: PointsLike, u: ArrayLike, nodes: np.ndarray | slice = slice(None)
+) -> float:
     """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
 
     Args:
         points: a lattice or scattered points; nodes outside the body do not count.
         u: displacement [Å], shape [N, d] or [S, N, d].
+        nodes: of the body, that are looked at; all by default.
     """
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x = points.x[body]
     count = min(2 * x.shape[1] + 1, len(x))
-    r, near = cKDTree(x).query(x, k=count)
+    r, near = cKDTree(x).query(x[nodes], k=count)
     r, near = r.reshape(-1, count)[:, 1:], near.reshape(-1, count)[:, 1:]
     if points.spacing > 0:
-        near = np.where(r < 1.1 * points.spacing, near, np.arange(len(near))[:, None])
-    xi = x[near] - x[:, None]
+        near = np.where(r < 1.1 * points.spacing, near, np.arange(len(x))[nodes, None])
+    xi = x[near] - x[nodes, None]
     square = (xi**2).sum(axis=-1)
     unit = xi / np.where(square > 0, square, np.inf)[..., None]
     fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
     return max(
         (
-            float(np.abs((unit * (field[near] - field[:, None])).sum(axis=-1)).max())
+            float(np.abs((unit * (field[near] - field[nodes, None])).sum(axis=-1)).max())
             for field in fields
         ),
         default=0.0,

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.points import Points
 from warp_peri.prediction.placed import PlacedMembers
 from warp_peri.stability.uniqueness import curvature_bound
 
@@ -39,10 +38,15 @@ class Guarantee:
     statement: str
 
 
-def smallest_laplacian(points: Points) -> float:
-    """A lower bound of λ₁ h² of the (2d + 1)-point Laplacian on the interior: that of its box."""
-    grid = lattice_steps(points)[0][points.interior]
-    sides = np.ptp(grid, axis=0) + 1
+def smallest_laplacian(points: Any) -> float:
+    """A lower bound of λ₁ h² of the (2d + 1)-point Laplacian on the interior, of all ranks: that of
+    its box."""
+    if hasattr(points, "comm"):
+        low, high = points.span
+    else:
+        grid = lattice_steps(points)[0][points.interior]
+        low, high = grid.min(axis=0), grid.max(axis=0)
+    sides = high - low + 1
     return float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
 
 
@@ -50,8 +54,9 @@ def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarant
     """The bound for an answer u, or None where nothing is proven of the rich member there."""
     operator: Any = placed.rich
     points, inside = placed.points, placed.points.interior
+    dot = placed.dot
     stiffness = proven_stiffness(operator, points.spacing)
-    if not (points.is_plain_lattice and stiffness > 0):
+    if not ((placed.on_ranks or points.is_plain_lattice) and stiffness > 0):
         return None
     smallest = stiffness * smallest_laplacian(points) / points.spacing**2
 
@@ -65,8 +70,8 @@ def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarant
     le = linear(e)
     rest = r - le
     # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
-    square = float((e * le).sum() + 2 * (e * rest).sum() + (rest**2).sum() / smallest)
-    size, without = np.sqrt(max(square, 0.0)), float(np.linalg.norm(r) / np.sqrt(smallest))
+    square = dot(e, le) + 2 * dot(e, rest) + dot(rest, rest) / smallest
+    size, without = np.sqrt(max(square, 0.0)), placed.norm(r) / float(np.sqrt(smallest))
     q, largest = 0.0, 0.0
     if placed.nonlinear:
         found = contraction(operator, points.spacing, float(operator.largest_gradient(u)), size)
@@ -74,9 +79,9 @@ def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarant
             return None
         q, largest = found
     inner = u[inside]
-    bound, whole = size / (1 - q), float(np.sqrt(max((inner * linear(inner)).sum(), 0.0)))
+    bound, whole = size / (1 - q), float(np.sqrt(max(dot(inner, linear(inner)), 0.0)))
     relative = bound / whole if whole > 0 else np.inf
-    moved = bound / np.sqrt(smallest) / max(float(np.linalg.norm(inner)), 1e-300)
+    moved = bound / np.sqrt(smallest) / max(placed.norm(inner), 1e-300)
     words = (
         f"The model's own solution lies within {relative:.2g} of this answer in the energy norm"
         + (f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else ".")

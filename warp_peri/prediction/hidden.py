@@ -7,9 +7,9 @@ import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import distance_transform_edt
 
+from warp_peri.points.every_second import APART
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.prediction.coarse import APART
 
 PASSED = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0]) / 64
 """Third power of the second difference: 1 of the shortest wave, an eighth of that of four nodes."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
+from warp_peri.points.every_second import EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.coarse import EverySecond
 from warp_peri.prediction.members import Factors, Members
 from warp_peri.prediction.placed import PlacedMembers, pulled, spread
 from warp_peri.prediction.predict import HIDDEN, MOST, SOLVED
@@ -212,7 +212,7 @@ def _on_every_second(
     answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(u[inside]))
     row: dict[str, Any] = {"slope": coarse.gradient(answer)}
     row["seen"] = coarse.spectrum.shares(answer[coarse.nodes.chosen])
-    row["hidden"] = coarse.hidden.of(placed.load(b), given) / size
+    row["hidden"] = coarse.hidden(placed.load(b), given) / size
     for name, other in zip(APARTS, (first, u)):
         row[name] = float(np.linalg.norm((answer - other)[inside])) / size
     return row

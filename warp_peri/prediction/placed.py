@@ -11,10 +11,10 @@ import numpy as np
 
 from warp_peri.contract import placed, taken
 from warp_peri.errors import InputError
+from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.coarse import APART, EverySecond
 from warp_peri.prediction.hidden import Hidden
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
@@ -84,8 +84,6 @@ class PlacedMembers:
         """A member on the points, or on the piece of them that this rank has."""
         if self.on_ranks:
             taken(self.options, "predict")
-            if not self.points.spacing:
-                raise InputError("points: expected a lattice for predict on ranks")
             return self.points.operator(material)
         return placed(material, self.points, verb="predict", has="straight", **self.options)
 
@@ -96,9 +94,11 @@ class PlacedMembers:
 
     def norm(self, field: np.ndarray) -> float:
         """‖field‖₂ of vectors [n, d], over the nodes of all ranks."""
-        if not self.on_ranks:
-            return float(np.linalg.norm(field))
-        return float(self.points.norm(field))
+        return size_of(self.points, field)
+
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Scalar product of vectors [n, d], over the nodes of all ranks."""
+        return float(self.points.dot(a, b) if self.on_ranks else (a * b).sum())
 
     def straight(self, u: np.ndarray) -> np.ndarray:
         """The linear part of the rich member at u."""
@@ -132,8 +132,7 @@ class PlacedMembers:
 
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H| near the unknowns."""
-        mean = getattr(self.rich, "mean_gradient", None)
-        return _gradient(self.rich, u) if mean is None else float(mean(u))
+        return _gradient(self.rich, u)
 
     def largest_strain(self, u: np.ndarray) -> float:
         """Between neighbours of all ranks."""
@@ -142,11 +141,8 @@ class PlacedMembers:
     @cached_property
     def spectrum(self) -> Any:
         """What part of a field has which wavelength, by the record; None on ranks but the first."""
-        points = self.points
-        if self.on_ranks:
-            x, inside = (points.joined(values) for values in (points.x, points.interior))
-            points = None if x is None else Points(x, inside, points.spacing)
-        return None if points is None else _spectrum(points, self.family.record, points.spacing)
+        points = whole_of(self.points)
+        return points and _spectrum(points, self.family.record, self.points.spacing)
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
@@ -154,26 +150,30 @@ class PlacedMembers:
         record = self.family.record
         if record is None or self.points.spacing == 0:
             return None, 0.0
-        spectrum, whole = self.spectrum, self.points.joined(u) if self.on_ranks else u
-        told = (0.0, 0.0) if spectrum is None else record.told(spectrum.shares(whole))
-        return self.points.comm.bcast(told) if self.on_ranks else told
+        spectrum = self.spectrum
+        told: tuple[float, float] = by_first(
+            self.points, lambda u: record.told(spectrum.shares(u)), u
+        )
+        return told
 
     @cached_property
     def coarse(self) -> OnCoarse | None:
         """The family on every second node; None where it has no answers there."""
         points, family = self.points, self.family
-        if self.on_ranks:
-            return None
-        plain = points.is_plain_lattice and points.dimension == 2 and self.turned is None
-        if family.coarse is None or not plain:
+        plain = self.on_ranks or points.is_plain_lattice
+        if family.coarse is None or not (plain and points.dimension == 2) or self.turned:
             return None
         try:
-            nodes = EverySecond(points)
-            placed = family.coarse.on(nodes.nodes, transfer=False)
+            if self.on_ranks:
+                nodes, placed = _by_rows(points, family.coarse)
+            else:
+                nodes = EverySecond(points)
+                placed = family.coarse.on(nodes.nodes, transfer=False)
+            here = np.count_nonzero(nodes.nodes.interior)
+            few = sum(points.comm.allgather(here)) if self.on_ranks else here
+            return None if few < FEW else OnCoarse(nodes, placed, family)
         except InputError:  # no unknowns there, another spacing, a narrow collar
             return None
-        few = np.count_nonzero(nodes.nodes.interior) < FEW
-        return None if few else OnCoarse(nodes, placed, family)
 
     @cached_property
     def turned(self) -> Any:
@@ -223,12 +223,12 @@ class OnCoarse:
     """The linear member on every second node, with residuals from all of them (Q14, Q15).
 
     Args:
-        nodes: every second one.
+        nodes: every second one, EverySecond; on ranks RowsEverySecond.
         operator: the rich member there.
         family: which it is of.
     """
 
-    def __init__(self, nodes: EverySecond, operator: Any, family: Members) -> None:
+    def __init__(self, nodes: Any, operator: Any, family: Members) -> None:
         self.nodes, self.operator, self.inverse = nodes, operator, operator.inverse(1)
         self.family = family
         linear = operator.straight if hasattr(operator, "straight") else operator
@@ -257,26 +257,73 @@ class OnCoarse:
         record, carried = self.family.record, self.family.carried
         if record is None:
             return None, 0.0, None
-        shares = self.spectrum.shares(u[self.nodes.chosen])
-        return *record.told(shares), None if carried is None else carried.of(shares)
+        spectrum = self.spectrum
+
+        def told(u: np.ndarray) -> tuple[float, float, float | None]:
+            shares = spectrum.shares(u)
+            return *record.told(shares), None if carried is None else carried.of(shares)
+
+        found: tuple[float, float, float | None] = by_first(
+            self.nodes.nodes, told, u[self.nodes.chosen]
+        )
+        return found
+
+    def hidden(self, load: np.ndarray, given: np.ndarray) -> float:
+        """What these nodes do not tell from long waves: ‖e_hidden‖ of Hidden.of."""
+        known, points = self._hidden, self.nodes.points
+        field = np.zeros_like(given)
+        field[points.interior] = load
+        return float(by_first(points, lambda b, u: known.of(b[known.inside], u), field, given))
 
     @cached_property
-    def hidden(self) -> Hidden:
-        """What these nodes do not tell from long waves."""
-        return Hidden(self.nodes.points, float(self.family.linear.mu))
+    def _hidden(self) -> Any:
+        points = whole_of(self.nodes.points)
+        return points and Hidden(points, float(self.family.linear.mu))
 
     @cached_property
-    def spectrum(self) -> Spectrum:
-        """What part of a field has which wavelength, by the record of the family."""
-        return _spectrum(self.nodes.nodes, self.family.record, self.nodes.points.spacing)
+    def spectrum(self) -> Any:
+        """What part of a field has which wavelength, by the record; None on ranks but the first."""
+        points = whole_of(self.nodes.nodes)
+        return points and _spectrum(points, self.family.record, self.nodes.points.spacing)
 
     def correction(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """e [I, 2] of a residual on all unknown nodes, and what coarse nodes do not see of it: the
         size that it has if it is as short as their shortest wave [length] (Q15)."""
         e, seen = np.zeros(self.nodes.nodes.x.shape), self.nodes.gathered(residual)
         e[self.nodes.nodes.interior] = self.inverse(seen, COARSE)
-        short = (residual**2).sum() - APART**2 * (seen**2).sum()
+        sizes = size_of(self.nodes.points, residual), size_of(self.nodes.nodes, seen)
+        short = sizes[0] ** 2 - (APART * sizes[1]) ** 2
         return self.nodes.spread(e), self.unseen * float(np.sqrt(max(short, 0.0)))
+
+
+def size_of(points: Any, field: np.ndarray) -> float:
+    """‖field‖₂ of vectors [n, d], over the nodes of all ranks."""
+    return float(points.norm(field) if hasattr(points, "comm") else np.linalg.norm(field))
+
+
+def whole_of(points: Any) -> Points | None:
+    """The points; of a piece those of the whole body on the first rank, None on others."""
+    if not hasattr(points, "comm"):
+        return points  # type: ignore[no-any-return]
+    x, inside = (points.joined(values) for values in (points.x, points.interior))
+    return None if x is None else Points(x, inside, points.spacing)
+
+
+def by_first(points: Any, told: Callable[..., Any], *fields: np.ndarray) -> Any:
+    """What `told` says of fields of the whole body: on ranks the first one asks, and all hear."""
+    if not hasattr(points, "comm"):
+        return told(*fields)
+    whole = [points.joined(field) for field in fields]
+    return points.comm.bcast(None if whole[0] is None else told(*whole))
+
+
+def _by_rows(points: Any, material: Any) -> tuple[Any, Any]:
+    """Every second node of a piece, and a material there; InputError where it is for others."""
+    nodes, linear = points.every_second(), getattr(material, "linear", material)
+    known = getattr(linear, "is_certified_on", None)  # a crystal is refused by its spacing
+    if known is not None and not known(nodes.nodes.spacing):
+        raise InputError("material: not certified on every second node")
+    return nodes, nodes.nodes.operator(material)
 
 
 def _spectrum(points: Points, record: Record | None, spacing: float) -> Spectrum:
@@ -286,6 +333,8 @@ def _spectrum(points: Points, record: Record | None, spacing: float) -> Spectrum
 
 def _gradient(operator: Any, u: np.ndarray) -> float:
     """Root mean square of |H|; 0 of a linear operator."""
+    if hasattr(operator, "mean_gradient"):  # over all ranks
+        return float(operator.mean_gradient(u))
     if not hasattr(operator, "straight"):
         return 0.0
     H, _ = operator.gradients(u)

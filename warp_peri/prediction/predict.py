@@ -159,18 +159,18 @@ def _on_coarse(
     first = coarse.start(b, given, share)
     told, unseen, carried = coarse.recorded(first)
     if tolerance is not None and carried is not None:
-        hidden = coarse.hidden.of(load, given)
+        hidden = coarse.hidden(load, given)
         parts = _unasked(placed, first, hidden, told, carried) | {"noise": noise}
         if _size(parts) <= tolerance:
             return _Stage(first, parts, None, 0, unseen, "on every second node, ")
     u, before = first.copy(), np.inf
     taken = 0
     while True:
-        size = float(np.linalg.norm(u[inside])) or 1.0
+        size = placed.norm(u[inside]) or 1.0
         left, missed = coarse.correction(load - placed.rich(u))
-        moved = GROWN * float(np.linalg.norm(left)) / size
+        moved = GROWN * placed.norm(left) / size
         moves = (first - u)[inside] - left if taken else left
-        bent = float(np.linalg.norm(moves)) / size
+        bent = placed.norm(moves) / size
         parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
         parts["waves"] = float(np.hypot(parts["waves"], missed / size))
         answers = tolerance is not None and _size(parts) <= tolerance
@@ -194,7 +194,7 @@ def _unasked(
     """
     coarse, factors = placed.coarse, placed.family.factors
     assert coarse is not None
-    size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
+    size = placed.norm(u[placed.points.interior]) or 1.0
     gradient = coarse.gradient(u)
     bent = factors.screen * gradient
     left = float(np.hypot(factors.first * np.hypot(bent, carried), hidden / size))

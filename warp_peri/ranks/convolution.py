@@ -49,7 +49,8 @@ class Convolution:
     ) -> None:
         self.reach, self.block, self.dtype = reach, rows.block, dtype
         self.halo = RowHalo(comm, rows.starts, reach)
-        sizes = (rows.block + 2 * reach, *(n + reach for n in rows.shape[1:]))
+        across = (max(n, reach + 1) + reach for n in rows.shape[1:])  # the stencil fits too
+        sizes = (rows.block + 2 * reach, *across)
         self.torus = tuple(scipy.fft.next_fast_len(n, real=True) for n in sizes)
         self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
 
@@ -109,9 +110,10 @@ def short_inverse(
     torus = (TORUS * width,) * d
     shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
     table = shifted_inverse(torus, steps, tensors, shift)
-    axes = tuple(range(1, d + 1))
-    kernel = scipy.fft.irfftn(table, s=torus, axes=axes)
-    return torus, np.roll(kernel, (width,) * d, axes)[:, *(slice(2 * width + 1),) * d]
+    near, axes = (slice(2 * width + 1),) * d, tuple(range(d))
+    return torus, np.stack(
+        [np.roll(scipy.fft.irfftn(one, s=torus), (width,) * d, axes)[near] for one in table]
+    )
 
 
 def hann(away: np.ndarray) -> np.ndarray:
@@ -135,17 +137,23 @@ def cut(kernel: np.ndarray, window: Callable[[np.ndarray], np.ndarray]) -> np.nd
 
 def folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
     """The symbol of a stencil [c, 2w + 1, ...] on a torus."""
-    field = np.zeros((len(stencil), *torus))
-    field[:, *(slice(n) for n in stencil.shape[1:])] = stencil
-    axes = tuple(range(1, field.ndim))
-    field = np.roll(field, tuple(-(n // 2) for n in stencil.shape[1:]), axes)
-    return np.ascontiguousarray(scipy.fft.rfftn(field, axes=axes).real)
+    d = len(torus)
+    symbol = np.empty((len(stencil), *torus[:-1], torus[-1] // 2 + 1))
+    for part, wave in zip(stencil, symbol):  # one at a time: transforms are large in space
+        field = np.zeros(torus)
+        field[*(slice(n) for n in part.shape)] = part
+        field = np.roll(field, tuple(-(n // 2) for n in part.shape), range(d))
+        wave[:] = scipy.fft.rfftn(field).real
+    return symbol
 
 
 def smallest(symbol: np.ndarray) -> float:
     """Smallest eigenvalue of symmetric matrices [d (d + 1)/2, ...]."""
     d = {3: 2, 6: 3}[len(symbol)]
-    full = np.empty((*symbol.shape[1:], d, d))
-    for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), symbol):
-        full[..., i, j] = full[..., j, i] = part
-    return float(np.linalg.eigvalsh(full).min())
+    least = np.inf
+    for row in np.moveaxis(symbol, 1, 0):  # in space all matrices at once are much memory
+        full = np.empty((*row.shape[1:], d, d))
+        for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), row):
+            full[..., i, j] = full[..., j, i] = part
+        least = min(least, float(np.linalg.eigvalsh(full).min()))
+    return least

@@ -7,6 +7,7 @@ is read by any HDF5.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -85,10 +86,24 @@ def _laid_out(
     return offsets
 
 
+def as_text(comm: Comm, content: Any) -> tuple[np.ndarray, np.ndarray, int]:
+    """Plain values, the same on all ranks, as an array of `write_arrays`, which one rank writes."""
+    text = np.frombuffer(json.dumps(content).encode(), np.uint8)
+    mine = text if comm.rank == 0 else text[:0]
+    return mine, np.arange(len(mine)), len(text)
+
+
+def read_text(values: np.ndarray) -> Any:
+    """What `as_text` laid down."""
+    return json.loads(values.tobytes())
+
+
 def read_arrays(
-    path: str | os.PathLike[str], comm: Comm, place: Mapping[str, np.ndarray]
+    path: str | os.PathLike[str], comm: Comm, place: Mapping[str, np.ndarray | None]
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Rows at rising places of arrays that `write_arrays` wrote, by name, and the attributes.
+
+    All rows where None is asked.
 
     Raises InputError for a file that is none or lacks an array.
     """
@@ -109,6 +124,7 @@ def read_arrays(
     file, found = MPI.File.Open(comm, str(path), MPI.MODE_RDONLY), {}
     for name, rows in place.items():
         offset, shape, dtype = laid[name]
+        rows = np.arange(shape[0]) if rows is None else rows
         values = found[name] = np.empty((len(rows), *shape[1:]), dtype)
         file.Set_view(offset, MPI.BYTE, view := _view(rows, _row(values)))
         file.Read_all([values, values.nbytes, MPI.BYTE])

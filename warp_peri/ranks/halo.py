@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece
 
 
+NEAREST = 4.0
+"""Mean spacings of scattered points within which a node has its nearest neighbours."""
+
+
 class NodeHalo:
     """Nodes of other ranks in the boxes around a piece.
 
@@ -108,12 +112,12 @@ class NodeHalo:
 
 def strain_on_ranks(piece: Piece, u: np.ndarray) -> float:
     """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
-    halo = NodeHalo(piece, piece.spacing)
+    halo = NodeHalo(piece, piece.spacing or NEAREST * piece.carrier)
     field = np.zeros_like(halo.x)
     field[halo.own] = u
     halo.exchange(field)
     here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
-    return float(max(piece.comm.allgather(largest_strain(here, field))))
+    return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))
 
 
 class RowHalo:

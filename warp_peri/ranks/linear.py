@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,7 @@ class RowOperator:
             raise InputError("points: expected a lattice in rows for a body at rest on ranks")
         comm, rows, d = piece.comm, piece.rows, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
+        self._rows = rows
         first, last = rows.starts[comm.rank : comm.rank + 2]
         box = (int(last - first), *rows.shape[1:])
         self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
@@ -59,12 +61,18 @@ class RowOperator:
         self._L = Convolution(
             comm, rows, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
         )
-        width, symbol = inverse_filter(law.steps, tensors, law.tensor())
-        self._H = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
-        self._between = Between(comm, rows.starts)
-        few = coarser(self.mask)
+
+    @cached_property
+    def _near(self) -> tuple[Convolution, Between, Any]:
+        """What nearly inverts L, which waves do not need: a filter for short waves, and multigrid
+        on every second node."""
+        law, comm, rows, d = self.model, self.points.comm, self._rows, self.dimension
+        scale = law.spacing**-2
+        width, symbol = inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+        short = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
+        between = Between(comm, rows.starts)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        self._coarse = cycle(comm, *near, few, self._between.coarse)
+        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse)
 
     def _check(self) -> None:
         piece, law = self.points, self.model
@@ -104,7 +112,9 @@ class RowOperator:
 
     def product(self, field: np.ndarray) -> np.ndarray:
         """L of planes, at the unknown nodes."""
-        return np.asarray(self._L(field) * self.mask)
+        pulled = self._L(field)
+        pulled *= self.mask
+        return pulled
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
@@ -113,10 +123,14 @@ class RowOperator:
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
         """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""
-        self._H.start(r)
-        long = self._coarse(self._between.restrict(r) * self._coarse.mask)
-        z = self._between.prolong(long, self._box)
-        return np.asarray((LONG * z + self._H.finish()) * self.mask)
+        short, between, coarse = self._near
+        short.start(r)
+        long = coarse(between.restrict(r) * coarse.mask)
+        z: np.ndarray = between.prolong(long, self._box)
+        z *= LONG  # in place: here a rank has most in memory
+        z += short.finish()
+        z *= self.mask
+        return z
 
     def inner(self) -> Inner:
         """Scalar products and largest values over all ranks; sums of rows, then of all rows."""
@@ -157,6 +171,7 @@ class RowOperator:
 
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """Planes, zero off the unknown nodes, with L of them as given there."""
+        _ = self._near  # made before the search has its fields
         return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
 
     def inverse(self, loads: int) -> Inverse:

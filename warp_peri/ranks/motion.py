@@ -27,7 +27,7 @@ from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweeps
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
-from warp_peri.ranks.files import Series, read_arrays, write_arrays
+from warp_peri.ranks.files import Series, as_text, read_arrays, read_text, write_arrays
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import fingerprint, total
@@ -156,10 +156,7 @@ class RankedRun(CrackRun):
         }
         whole = {name: (values, piece.number, piece.count) for name, values in arrays.items()}
         numbers = {"format": FORMAT, "time": state.time, "steps": state.steps}
-        # text of any length goes to a dataset, by one rank
-        text = np.frombuffer(json.dumps(content).encode(), np.uint8)
-        mine = text if piece.comm.rank == 0 else text[:0]
-        whole["text"] = mine, np.arange(len(mine)), len(text)
+        whole["text"] = as_text(piece.comm, content)
         write_arrays(self.path, piece.comm, whole, numbers)
 
     def _resumed(self, state: BreakingState, steps: int) -> BreakingState:
@@ -167,10 +164,9 @@ class RankedRun(CrackRun):
         if self.path is None or not comm.bcast(self.path.exists()):
             return state
         names = [*NODAL, "dissipated", "whole", "kept"]
-        size = comm.bcast(_text_size(self.path) if comm.rank == 0 else 0)
-        place = {name: self.halo.number for name in names} | {"text": np.arange(size)}
-        arrays, numbers = read_arrays(self.path, comm, place)
-        content = json.loads(arrays.pop("text").tobytes())
+        place: dict[str, Any] = dict.fromkeys(names, self.halo.number)
+        arrays, numbers = read_arrays(self.path, comm, place | {"text": None})
+        content = read_text(arrays.pop("text"))
         taken_so_far = np.array(int(numbers["steps"]))
         kept = {"key": np.array(json.dumps(content["key"])), "steps": taken_so_far}
         self._check(kept | {"ramp": np.array(content["ramp"])}, steps)
@@ -191,16 +187,6 @@ class RankedRun(CrackRun):
         return state
 
 
-def _text_size(path: Any) -> int:
-    import h5py
-
-    try:
-        with h5py.File(path) as file:
-            return int(file["text"].shape[0])
-    except (OSError, KeyError):
-        return 0  # read_arrays says so
-
-
 def _cut(body: BreakingBody, halo: NodeHalo, line: ArrayLike) -> Section | None:
     """The part of a section that this rank's nodes carry."""
     try:
@@ -212,13 +198,18 @@ def _cut(body: BreakingBody, halo: NodeHalo, line: ArrayLike) -> Section | None:
 
 def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     """Motion of a Cracked on ranks: see Cracked.moved; fields are those of this rank's nodes.
+    Of an unbroken body: see ranks.waves.
 
-    Raises InputError for anything but steps of a BrittleSolid, and for bonds that break by energy.
+    Raises InputError for anything but steps, and for bonds that break by energy.
     """
     piece, comm = problem.points, problem.points.comm
+    if hasattr(problem, "b") and not isinstance(problem, Cracked):
+        from warp_peri.ranks import waves
+
+        return waves.move(material, problem, options)
     with agreed(comm):
         if not isinstance(problem, Cracked) or "step" not in options:
-            raise InputError("move: expected a Cracked and step=…, steps=… on ranks")
+            raise InputError("move: expected a Dirichlet or Cracked, and step=…, steps=… on ranks")
         offered(material, "density", "move", "a BrittleSolid")
         if material.by_energy or problem.pressure is not None:
             raise InputError(

@@ -97,6 +97,11 @@ class RowNonlinear:
         """As RowOperator.inverse, of the linear part."""
         return self.linear.inverse(loads)
 
+    def largest_gradient(self, u: np.ndarray) -> float:
+        """Largest |H|, of all ranks."""
+        own = float(self.placed.largest_gradient(self.around(u)))
+        return float(max(self.points.comm.allgather(own)))
+
     def mean_gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H| over all nodes within δ of unknown ones, of all ranks."""
         H, _ = self.placed.gradients(self.around(u))
@@ -171,7 +176,6 @@ class RowNonlinear:
                 f"after {record.solves} linear solves; the load may be more than the solid bears"
             )
         answer = given + rows.take_up(v)
-        own = float(self.placed.largest_gradient(self.around(answer)))
-        record.largest_gradient = max(self.points.comm.allgather(own))
+        record.largest_gradient = self.largest_gradient(answer)
         record.unique = record.largest_gradient <= self.strain
         return answer, record

@@ -78,9 +78,21 @@ class Piece:
         """2 or 3."""
         return int(self.x.shape[1])
 
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Scalar product of vectors [n, d] over all ranks, with the same bits on any number."""
+        return float(total(self.comm, (a * b).sum(axis=1)))
+
     def norm(self, field: np.ndarray) -> float:
-        """‖field‖₂ of vectors [n, d] over all ranks, with the same bits on any number."""
-        return float(np.sqrt(total(self.comm, (field**2).sum(axis=1))))
+        """‖field‖₂ of vectors [n, d], likewise."""
+        return float(np.sqrt(self.dot(field, field)))
+
+    @property
+    def span(self) -> tuple[np.ndarray, np.ndarray]:
+        """First and last lattice steps of the interior nodes of all ranks, each of shape [d]."""
+        inside, far = self.grid[self.interior], np.iinfo(np.int32).max
+        ends = [inside.min(axis=0, initial=far), -inside.max(axis=0, initial=-far)]
+        low, high = np.min(self.comm.allgather(ends), axis=0)
+        return low, -high
 
     def operator(self, material: Any) -> Any:
         """A material on these nodes, as statics.operator_on."""
@@ -93,6 +105,12 @@ class Piece:
         from warp_peri.ranks.halo import strain_on_ranks
 
         return strain_on_ranks(self, u)
+
+    def every_second(self) -> Any:
+        """Every second node of a box in rows: RowsEverySecond."""
+        from warp_peri.ranks.coarse import RowsEverySecond
+
+        return RowsEverySecond(self)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""

@@ -28,12 +28,15 @@ from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece
+    from warp_peri.statics.equilibrium import Inverse
 
 TOUCH = 2.0 * np.sqrt(NEIGHBOURS / np.pi)
 """Mean spacings within which a place of the lattice finds the nodes that it is interpolated from,
 and more."""
 INSIDE = 0.5
 """Share of a coarse node's neighbourhood that is unknown where it is."""
+SHARPER = 0.1
+"""Of a residual that is asked for as on a lattice: of the same one more is left of long waves."""
 LONG = 2.0
 """Share of the long waves' answer beside the diagonal's."""
 
@@ -104,20 +107,26 @@ class ScatteredOperator:
             raise InputError("checkpoint: expected a lattice on ranks, got scattered points")
         inside = self.points.interior
         field = np.where(inside[:, None], 0.0, u)
-        right = self.load(b) - self(field)
+        field[inside], record = self.inverted(self.load(b) - self(field), tolerance)
+        return field, record
+
+    def inverse(self, loads: int) -> Inverse:
+        """A⁻¹ of a load on this rank's interior [i, 2], to a relative residual, for `predict`."""
+        return lambda right, tolerance: self.inverted(right, SHARPER * tolerance)[0]
+
+    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+        """v at this rank's interior nodes with A v = right, both [i, 2], zero on the collar."""
+        inside = self.points.interior
 
         def product(v: np.ndarray) -> np.ndarray:
-            alone = np.zeros_like(field)
+            alone = np.zeros_like(self.points.x)
             alone[inside] = v
             return self(alone)
 
         def nearly_inverse(r: np.ndarray) -> np.ndarray:
             return r / self._diagonal + LONG * self._long(r)
 
-        field[inside], record = definite(
-            product, nearly_inverse, right, tolerance, inner=self.inner()
-        )
-        return field, record
+        return definite(product, nearly_inverse, right, tolerance, inner=self.inner())
 
 
 class _Coarse:

@@ -49,7 +49,7 @@ class EverySecond:
 
     def spread(self, u: np.ndarray) -> np.ndarray:
         """Of u on the coarse nodes [C, 2] what all unknown nodes have, shape [I, 2]."""
-        found = [_halved(spline_filter(one[self.nearest])).ravel()[self.own] for one in u.T]
+        found = [halved(spline_filter(one[self.nearest])).ravel()[self.own] for one in u.T]
         return np.stack(found, axis=-1)
 
     def gathered(self, r: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ class EverySecond:
         return np.stack(found, axis=-1)
 
 
-def _halved(coefficients: np.ndarray) -> np.ndarray:
+def halved(coefficients: np.ndarray) -> np.ndarray:
     """A cubic B-spline [n, m] at its knots and half way between them, shape [2 n, 2 m]."""
     for _ in (0, 1):
         c = coefficients
