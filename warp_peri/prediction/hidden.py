@@ -56,10 +56,10 @@ class Hidden:
 
     def of_load(self, load: np.ndarray) -> float:
         """How far a load [I, 2] may be answered wrongly: a norm over the unknown nodes [length]."""
-        field = np.zeros((2, int(np.prod(self.shape))))
-        field[:, self.own] = (load * self.window).T
+        field, largest = np.zeros((2, int(np.prod(self.shape))), np.float32), np.abs(load).max()
+        field[:, self.own] = (load / max(float(largest), 1e-300) * self.window).T
         wave = scipy.fft.rfft2(field.reshape(2, *self.shape))
-        return float(np.sqrt(((wave.real**2 + wave.imag**2) * self.weight).sum()))
+        return float(largest * np.sqrt(((wave.real**2 + wave.imag**2) * self.weight).sum()))
 
     def of_collar(self, given: np.ndarray) -> float:
         """The same of what is given on the collar, [N, 2]: its short waves count as deep ones."""

@@ -40,8 +40,6 @@ SHORTER, STRAINED = 0.01, 1.2
 linear, from which the error does not speak of an answer."""
 HIDDEN = 0.05
 """Of the displacement: where coarse nodes may miss more than this, a correction is asked for."""
-SURE = 2.0
-"""Times that the series is taken where the cubic part beside it was not computed."""
 FAMILY = (
     "a family, as fit(samples, Family(…)).material is: one law alone knows nothing of its error"
 )
@@ -159,8 +157,8 @@ def _on_coarse(
     first = coarse.start(b, given, share)
     told, unseen, carried = coarse.recorded(first)
     if tolerance is not None and carried is not None:
-        hidden = coarse.hidden.of(load, given)
-        parts = _unasked(placed, first, hidden, told, carried) | {"noise": noise}
+        apart = carried, coarse.hidden.of(load, given)
+        parts = _unasked(placed, first, b, told, apart, tolerance) | {"noise": noise}
         if _size(parts) <= tolerance:
             return _Stage(first, parts, None, 0, unseen, "on every second node, ")
     u, before = first.copy(), np.inf
@@ -185,22 +183,28 @@ def _on_coarse(
 
 
 def _unasked(
-    placed: PlacedMembers, u: np.ndarray, hidden: float, told: float | None, carried: float
+    placed: PlacedMembers,
+    u: np.ndarray,
+    b: np.ndarray,
+    told: float | None,
+    apart: tuple[float, float],
+    tolerance: float,
 ) -> dict[str, float]:
     """Parts of the first answer on every second node, which no correction sees (Q16).
 
-    `hidden` is what those nodes may have taken for long waves, `carried` what the record says of
-    linear answers there.
+    `apart` is what the record says of linear answers there, over them, and what those nodes may
+    have taken for long waves [length].
     """
-    coarse, factors = placed.coarse, placed.family.factors
+    coarse, (carried, hidden) = placed.coarse, apart
     assert coarse is not None
     size = float(np.linalg.norm(u[placed.points.interior])) or 1.0
+    unseen = float(np.hypot(carried, hidden / size)) if hidden <= HIDDEN * size else np.inf
     gradient = coarse.gradient(u)
-    bent = factors.screen * gradient
-    left = float(np.hypot(factors.first * np.hypot(bent, carried), hidden / size))
-    if hidden > HIDDEN * size:
-        left = np.inf
-    return _screened(placed, gradient, 0.0, bent, told) | {"left": left}
+    parts = _screened(placed, gradient, 0.0, 0.0, told)
+    if _size(parts | {"left": unseen}) <= tolerance:
+        own = coarse.own(b, u)
+        parts = _screened(placed, gradient, own, own, told)
+    return parts | {"left": float(np.hypot(parts["left"], unseen))}
 
 
 def _screened(
@@ -213,7 +217,7 @@ def _screened(
     if told is None or placed.turned is not None:
         return {"left": np.inf, "waves": np.inf}
     factors = placed.family.factors
-    strain = SURE * BEYOND * factors.floor * factors.screen * gradient * max(bent, gradient)
+    strain = BEYOND * factors.floor * factors.screen * gradient * bent
     waves = factors.floor * told
     return {"left": factors.left * moved, "waves": waves, "data": 0.0, "strain": strain}
 
