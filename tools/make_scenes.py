@@ -33,8 +33,10 @@ from warp_peri.points.samples import Samples
 OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-SHEET = (MixedLoad(104, 31.0), MixedLoad(105, 37.0), MixedLoad(106, 58.0))
-DISK = (RandomRim(904), RandomRim(905), RandomRim(906))
+WAVES = (26.0, 33.0, 39.0, 47.0, 55.0, 72.0)
+SHEET = tuple(MixedLoad(111 + n, shortest) for n, shortest in enumerate(WAVES))
+DISK = tuple(RandomRim(1001 + n) for n in range(6))
+"""Named when the form of the error stood, before they were made."""
 SEEN = (
     (((81, 27.0), (82, 38.0), (83, 62.0)), (701, 702, 703)),
     (((91, 29.0), (92, 40.0), (93, 68.0)), (801, 802, 803)),

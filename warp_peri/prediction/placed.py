@@ -245,7 +245,9 @@ class OnCoarse:
         """‖e‖/‖u‖ of u [N, 2] by the residual on these nodes alone, which the linear answer leaves
         of what is not linear (Q16)."""
         inside, coarse = self.nodes.nodes.interior, u[self.nodes.chosen]
-        left = self.inverse(self.operator.load(b[self.nodes.chosen]) - self.operator(coarse), COARSE)
+        left = self.inverse(
+            self.operator.load(b[self.nodes.chosen]) - self.operator(coarse), COARSE
+        )
         return float(np.linalg.norm(left) / max(np.linalg.norm(coarse[inside]), 1e-300))
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float, float | None]:
