@@ -51,7 +51,7 @@ TURN = 13.0
 """Angle of the crystal to the nodes of the turned sets [degrees]."""
 
 
-def pool() -> tuple[list[Load], list[Load]]:
+def pool() -> tuple[Sequence[Load], Sequence[Load]]:
     """Loads of all sets that were seen, on the sheet and on the disk."""
     sheet: list[Load] = [MixedLoad(*one) for waves, _ in SEEN for one in waves]
     return sheet, [RandomRim(seed) for _, seeds in SEEN for seed in seeds]
@@ -123,11 +123,10 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = base.short_warning
 
     def work() -> None:
-        out, loads = given.out or OUT, (SHEET, DISK)
-        if given.pool:
-            out, loads = given.out or POOL, pool()
-        quiet = {"jobs": given.jobs, "progress": not given.quiet}
-        print(make_scenes(out, sheet=loads[0], disk=loads[1], **quiet))
+        sheet, disk = pool() if given.pool else (SHEET, DISK)
+        out = given.out or (POOL if given.pool else OUT)
+        progress = not given.quiet
+        print(make_scenes(out, sheet=sheet, disk=disk, jobs=given.jobs, progress=progress))
 
     return exit_status(work, "finished samples are kept", name="make_scenes")
 

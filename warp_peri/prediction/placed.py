@@ -244,11 +244,10 @@ class OnCoarse:
     def own(self, b: np.ndarray, u: np.ndarray) -> float:
         """‖e‖/‖u‖ of u [N, 2] by the residual on these nodes alone, which the linear answer leaves
         of what is not linear (Q16)."""
-        inside, coarse = self.nodes.nodes.interior, u[self.nodes.chosen]
-        left = self.inverse(
-            self.operator.load(b[self.nodes.chosen]) - self.operator(coarse), COARSE
-        )
-        return float(np.linalg.norm(left) / max(np.linalg.norm(coarse[inside]), 1e-300))
+        chosen, inside = self.nodes.chosen, self.nodes.nodes.interior
+        residual = self.operator.load(b[chosen]) - self.operator(u[chosen])
+        size = float(np.linalg.norm(u[chosen][inside])) or 1.0
+        return float(np.linalg.norm(self.inverse(residual, COARSE))) / size
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float, float | None]:
         """As PlacedMembers.recorded, of the waves that these nodes hold; and how far from linear
