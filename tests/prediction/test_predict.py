@@ -25,7 +25,7 @@ from warp_peri.prediction import (
     strain,
     stress,
 )
-from warp_peri.prediction.placed import pulled
+from warp_peri.prediction.placed import BEYOND, pulled
 from warp_peri.prediction.spectrum import Record, Spectrum
 from warp_peri.proofs import certify, uniqueness
 
@@ -107,6 +107,20 @@ def test_a_part_is_as_large_as_what_was_planted(family):
     assert "1 % is not kept" in tight.why
     assert loose.kept
     assert "most of it data" in loose.why
+
+
+def test_strain_counts_what_its_orders_go_on_to(family):
+    """The nonlinear part times c|H|, as a part of an answer and as its screen sees it."""
+    points, u, b = problem(family, 0.05)
+    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    best, placed = wp.predict(family, given, None), family.with_doubts(points)
+    linear = placed.inverse(placed.load(b) - placed.straight(given.u), 1e-6)
+    size = np.linalg.norm(u[points.interior])
+    bent = np.linalg.norm(u[points.interior] - linear) / size
+    ratio = BEYOND * family.factors.screen * placed.gradient(u)
+    assert best.parts["strain"] == pytest.approx(family.factors.floor * ratio * bent, rel=0.1)
+    loose = wp.predict(family, given, 1.05 * best.error)
+    assert loose.parts["strain"] == pytest.approx(best.parts["strain"], rel=0.2)
 
 
 def test_quantities_come_with_a_signed_correction(family):
