@@ -33,15 +33,19 @@ from warp_peri.points.samples import Samples
 OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-WAVES = (26.0, 33.0, 39.0, 47.0, 55.0, 72.0)
-SHEET = tuple(MixedLoad(111 + n, shortest) for n, shortest in enumerate(WAVES))
-DISK = tuple(RandomRim(1001 + n) for n in range(6))
+WAVES = (28.0, 31.0, 42.0, 50.0, 57.0, 68.0)
+SHEET = tuple(MixedLoad(121 + n, shortest) for n, shortest in enumerate(WAVES))
+DISK = tuple(RandomRim(1101 + n) for n in range(6))
 """Named when the form of the error stood, before they were made."""
 SEEN = (
     (((81, 27.0), (82, 38.0), (83, 62.0)), (701, 702, 703)),
     (((91, 29.0), (92, 40.0), (93, 68.0)), (801, 802, 803)),
     (((101, 27.0), (102, 41.0), (103, 66.0)), (901, 902, 903)),
     (((104, 31.0), (105, 37.0), (106, 58.0)), (904, 905, 906)),
+    (
+        ((111, 26.0), (112, 33.0), (113, 39.0), (114, 47.0), (115, 55.0), (116, 72.0)),
+        (1001, 1002, 1003, 1004, 1005, 1006),
+    ),
 )
 """Loads that were each scored once, in this order, by the form that the error had then: what the
 form is chosen on now. Older ones are MixedLoad(41, 30), (42, 45), (43, 70), (51, 28), (52, 40),

@@ -186,13 +186,20 @@ class PlacedMembers:
         """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""
         return self.inverse(load - self.rich(u), ROUGH)
 
-    def series(self, u: np.ndarray) -> float:
-        """What each order of the strain in u may be, over the one before (Q3)."""
-        return BEYOND * self.family.factors.screen * self.gradient(u)
+    def series(self, gradient: float, slowed: float = 0.0) -> float:
+        """What is beyond the square of the strain may be, over what is not linear (Q3).
 
-    def doubts(self, u: np.ndarray, left: np.ndarray, told: float | None = None) -> Parts:
+        Args:
+            gradient: |H|.
+            slowed: the second correction over the first, where both are known.
+        """
+        return max(BEYOND * self.family.factors.screen * gradient, slowed)
+
+    def doubts(
+        self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
+    ) -> Parts:
         """Fields of what the members do not know of u, [N, d]; `left` is its correction, `told`
-        what the record says of it."""
+        what the record says of it, `slowed` as in `series`."""
         second, *halves = self.others
         lin = self.straight(u)
         waves = self.inverse(lin - second(u), ROUGH)
@@ -201,7 +208,7 @@ class PlacedMembers:
         if self.nonlinear or self.turned is not None:
             non = self.rich(u)
         if self.nonlinear:
-            strain = self.series(u) * self.inverse(non - lin, ROUGH)
+            strain = self.series(self.gradient(u), slowed) * self.inverse(non - lin, ROUGH)
         if self.turned is not None:
             axis = self.inverse(non - self.turned(u), ROUGH)
         size = self.norm(u[self.points.interior]) or 1.0
