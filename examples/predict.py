@@ -144,6 +144,7 @@ def counted(placed: PlacedMembers) -> Iterator[dict[str, int]]:
     count(placed.spectrum, "shares", "record")
     if coarse is not None:
         count(coarse, "start", "coarse")
+        count(coarse, "own", "own")
         count(coarse, "correction", "coarse correction")
     try:
         yield taken
@@ -219,6 +220,7 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     prices = {
         "coarse": fastest(lambda: coarse.start(b, start, FIRST)),
         "coarse correction": fastest(corrected),
+        "own": fastest(lambda: coarse.own(b, linear)),
         "linear": fastest(lambda: placed.inverse(right, FIRST)),
         "correction": fastest(lambda: (placed.correction(load, linear), placed.gradient(linear))),
         "record": fastest(lambda: placed.recorded(u)),
@@ -228,7 +230,7 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     loose: Any = wp.predict(placed, problem, LOOSE)
     own = fastest(lambda: wp.predict(placed, problem, LOOSE))
     assert loose.why.startswith("on every second node, linear;"), loose.why
-    prices["else"] = max(own - prices["coarse"], 0.0)  # the record and |H|, too
+    prices["else"] = max(own - prices["coarse"] - prices["own"], 0.0)  # the record and |H|, too
     with warnings.catch_warnings(action="ignore"):
         solved = fastest(lambda: wp.solve(material.linear.on(points), problem), 2)
         whole = fastest(lambda: wp.solve(nonlinear, problem), 3)

@@ -30,20 +30,35 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.samples import Samples
 
-OUT = Path("data/graphene_0K_scenes.h5")
+OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-SHEET = (MixedLoad(104, 31.0), MixedLoad(105, 37.0), MixedLoad(106, 58.0))
-DISK = (RandomRim(904), RandomRim(905), RandomRim(906))
-"""The form of the error was chosen on MixedLoad(41, 30), (42, 45), (43, 70), (51, 28), (52, 40),
-(53, 60), (61, 26), (62, 36), (63, 80) and RandomRim(301–303, 401–403, 501–503), on other
-rectangles, another L and at 17, 29 and 41 degrees. It was scored once on (71, 28), (72, 42),
-(73, 65) and 601–603, once on (81, 27), (82, 38), (83, 62) and 701–703, where errors of strain
-came out too small and are taken larger since, once on (91, 29), (92, 40), (93, 68) and 801–803, and
-once on (101, 27), (102, 41), (103, 66) and 901–903, where no answer was taken without a correction.
-These came after."""
+WAVES = (28.0, 31.0, 42.0, 50.0, 57.0, 68.0)
+SHEET = tuple(MixedLoad(121 + n, shortest) for n, shortest in enumerate(WAVES))
+DISK = tuple(RandomRim(1101 + n) for n in range(6))
+"""Named when the form of the error stood, before they were made."""
+SEEN = (
+    (((81, 27.0), (82, 38.0), (83, 62.0)), (701, 702, 703)),
+    (((91, 29.0), (92, 40.0), (93, 68.0)), (801, 802, 803)),
+    (((101, 27.0), (102, 41.0), (103, 66.0)), (901, 902, 903)),
+    (((104, 31.0), (105, 37.0), (106, 58.0)), (904, 905, 906)),
+    (
+        ((111, 26.0), (112, 33.0), (113, 39.0), (114, 47.0), (115, 55.0), (116, 72.0)),
+        (1001, 1002, 1003, 1004, 1005, 1006),
+    ),
+)
+"""Loads that were each scored once, in this order, by the form that the error had then: what the
+form is chosen on now. Older ones are MixedLoad(41, 30), (42, 45), (43, 70), (51, 28), (52, 40),
+(53, 60), (61, 26), (62, 36), (63, 80), (71, 28), (72, 42), (73, 65) and RandomRim(301–303, 401–403,
+501–503, 601–603)."""
 TURN = 13.0
 """Angle of the crystal to the nodes of the turned sets [degrees]."""
+
+
+def pool() -> tuple[Sequence[Load], Sequence[Load]]:
+    """Loads of all sets that were seen, on the sheet and on the disk."""
+    sheet: list[Load] = [MixedLoad(*one) for waves, _ in SEEN for one in waves]
+    return sheet, [RandomRim(seed) for _, seeds in SEEN for seed in seeds]
 
 
 def shape(points: Samples, name: str) -> Samples:
@@ -66,15 +81,22 @@ def turned(body: Piece, samples: Sequence[Sample]) -> Samples:
     return dataclasses.replace(nodes, points=dataclasses.replace(nodes.points, axis=TURN))
 
 
-def make_scenes(path: Path = OUT, *, jobs: int = -1, progress: bool = True) -> Path:
+def make_scenes(
+    path: Path = OUT,
+    *,
+    sheet: Sequence[Load] = SHEET,
+    disk: Sequence[Load] = DISK,
+    jobs: int = -1,
+    progress: bool = True,
+) -> Path:
     """Write the sets, named `<shape>_<percent>`; finished samples stay beside the file."""
     cache = path.with_suffix(".cache")
     with locked(path), locked(cache):
         cache.mkdir(parents=True, exist_ok=True)
-        sheet, disk = base.graphene_bodies()
+        bodies = base.graphene_bodies()
         groups: dict[str, tuple[Piece, Sequence[Load]]] = {
-            "sheet": (sheet, SHEET),
-            "disk": (disk, DISK),
+            "sheet": (bodies[0], sheet),
+            "disk": (bodies[1], disk),
         }
         _solve_missing(groups.values(), STRAINS, cache, jobs, progress)
         sets: dict[str, Samples] = {}
@@ -90,21 +112,25 @@ def make_scenes(path: Path = OUT, *, jobs: int = -1, progress: bool = True) -> P
                 if not body.cells:
                     sets[f"turned_{percent}"] = turned(body, samples)
         given = {"source": "tools/make_scenes.py", "temperature": 0.0, "strains": list(STRAINS)}
-        save_dataset(path, Dataset(sets, base.THICKNESS, base.mass_density(sheet.bond), given))
+        save_dataset(path, Dataset(sets, base.THICKNESS, base.mass_density(bodies[0].bond), given))
     return path
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="FILE")
+    parser.add_argument("--out", type=Path, metavar="FILE", help=f"default {OUT}, or {POOL}")
+    parser.add_argument("--pool", action="store_true", help="loads that were scored before, in one")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one for each core")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     warnings.showwarning = base.short_warning
 
     def work() -> None:
-        print(make_scenes(given.out, jobs=given.jobs, progress=not given.quiet))
+        sheet, disk = pool() if given.pool else (SHEET, DISK)
+        out = given.out or (POOL if given.pool else OUT)
+        progress = not given.quiet
+        print(make_scenes(out, sheet=sheet, disk=disk, jobs=given.jobs, progress=progress))
 
     return exit_status(work, "finished samples are kept", name="make_scenes")
 

@@ -84,6 +84,11 @@ def test_a_screen_spares_the_correction(both, monkeypatch):
     def refused(*_):
         raise AssertionError("the rich member was asked")
 
+    first = placed.coarse.start(b, given.u, 1e-3)
+    nodes, chosen = placed.coarse.nodes.nodes, placed.coarse.nodes.chosen
+    there = wp.solve(told.coarse, wp.Dirichlet(nodes, b[chosen], given.u[chosen]))
+    missing = far(first[chosen], there.u, nodes)
+    assert placed.coarse.own(b, first) == pytest.approx(missing, rel=0.15)
     monkeypatch.setattr(placed, "rich", refused)
     monkeypatch.setattr(placed, "load", lambda b: b[points.interior])
     loose = wp.predict(placed, given, 0.2)
@@ -92,6 +97,8 @@ def test_a_screen_spares_the_correction(both, monkeypatch):
     assert far(loose.u, u, points) < loose.error < 0.2
     with pytest.raises(AssertionError, match="was asked"):
         wp.predict(placed, given, 0.01)
+    known = told.factors.left * missing, told.carried.error.min()
+    assert loose.parts["left"] >= 0.85 * np.hypot(*known)  # solves to 3 % come from below
 
 
 def test_waves_that_hide_between_coarse_nodes_are_seen():

@@ -25,7 +25,7 @@ from warp_peri.prediction import (
     strain,
     stress,
 )
-from warp_peri.prediction.placed import pulled
+from warp_peri.prediction.placed import BEYOND, pulled
 from warp_peri.prediction.spectrum import Record, Spectrum
 from warp_peri.proofs import certify, uniqueness
 
@@ -107,6 +107,27 @@ def test_a_part_is_as_large_as_what_was_planted(family):
     assert "1 % is not kept" in tight.why
     assert loose.kept
     assert "most of it data" in loose.why
+
+
+@pytest.mark.parametrize("steady", [True, False])
+def test_strain_counts_what_its_orders_go_on_to(family, steady):
+    """The nonlinear part times c|H|, or times what corrections shrink by if that is more."""
+    screen = 2.0 if steady else 0.02
+    family = replace(family, factors=replace(family.factors, screen=screen))
+    points, u, b = problem(family, 0.05)
+    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    best, placed = wp.predict(family, given, None), family.with_doubts(points)
+    inside, load, found = points.interior, placed.load(b), given.u.copy()
+    found[inside] = placed.inverse(load - placed.straight(given.u), 1e-6)
+    bent = far(found, u, points)
+    first = placed.correction(load, found)
+    found[inside] += first
+    slowed = np.linalg.norm(placed.correction(load, found)) / np.linalg.norm(first)
+    ratio = BEYOND * screen * placed.gradient(u)
+    assert (ratio > slowed) == steady
+    expected = family.factors.floor * max(ratio, slowed) * bent
+    assert best.corrections > 1
+    assert best.parts["strain"] == pytest.approx(expected, rel=0.15)
 
 
 def test_quantities_come_with_a_signed_correction(family):

@@ -213,9 +213,12 @@ def test_an_answer_on_every_second_node_is_that_of_one_process(name, jobs, folde
     on = ("from" if name == "from coarse" else "on") + " every second node, linear"
     assert one["why"].startswith(on)
     assert alone.why.startswith(on)
-    for part in ("waves", "strain") + ("data",) * (name == "from coarse"):
-        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)  # rough solves
-    assert one["error"] == pytest.approx(alone.error, rel=0.05)
+    asked = ("waves", "strain", "data") if name == "from coarse" else ("waves",)
+    for part in asked:  # rough solves by another way; left and strain of a screen hold their rests
+        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)
+    if name == "from coarse":
+        assert one["error"] == pytest.approx(alone.error, rel=0.05)
+    assert one["error"] < 1.05 * alone.error
     truth, answer = wp.solve(rich, problem).u, np.load(folder / f"{name}_2.npy")
     wrong = np.linalg.norm((answer[:, :2] - truth)[wide(x)]) / np.linalg.norm(truth[wide(x)])
     assert wrong < one["error"]

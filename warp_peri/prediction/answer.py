@@ -106,7 +106,7 @@ class Answer:
             left,
             change(fields.waves),
             change(fields.data),
-            fields.strain and (change(fields.strain[0]), change(fields.strain[1])),
+            None if fields.strain is None else change(fields.strain),
             change(fields.axis),
             fields.pull,
         )
@@ -175,7 +175,7 @@ def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) 
     found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}
     found["data"] = share * size(parts.data)
     if parts.strain is not None:
-        found["strain"] = factors.floor * np.hypot(*map(size, parts.strain))
+        found["strain"] = factors.floor * size(parts.strain)
     if parts.axis is not None:
         found["axis"] = size(parts.axis)
     return found

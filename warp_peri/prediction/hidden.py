@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
+import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import distance_transform_edt
 
@@ -29,7 +30,9 @@ class Hidden:
         number = np.full(grid.max(axis=0) + 1, -1)
         number[tuple(grid.T)] = np.where(self.inside, -1, np.arange(len(grid)))
         rows = [sliding_window_view(number, len(PASSED), axis=a) for a in (0, 1)]
-        self.lines = np.concatenate([one[(one >= 0).all(axis=-1)] for one in rows])
+        lines = np.concatenate([one[(one >= 0).all(axis=-1)] for one in rows])
+        ends, weights = np.arange(0, lines.size + 1, len(PASSED)), np.tile(PASSED, len(lines))
+        self.passed = sp.csr_array((weights, lines.ravel(), ends), (len(lines), len(grid)))
         own = grid[self.inside] - grid[self.inside].min(axis=0) + 1
         sides = own.max(axis=0) + 1
         self.shape = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)
@@ -56,15 +59,15 @@ class Hidden:
 
     def of_load(self, load: np.ndarray) -> float:
         """How far a load [I, 2] may be answered wrongly: a norm over the unknown nodes [length]."""
-        field = np.zeros((2, int(np.prod(self.shape))))
-        field[:, self.own] = (load * self.window).T
+        field, largest = np.zeros((2, int(np.prod(self.shape))), np.float32), np.abs(load).max()
+        field[:, self.own] = (load / max(float(largest), 1e-300) * self.window).T
         wave = scipy.fft.rfft2(field.reshape(2, *self.shape))
-        return float(np.sqrt(((wave.real**2 + wave.imag**2) * self.weight).sum()))
+        return float(largest * np.sqrt(((wave.real**2 + wave.imag**2) * self.weight).sum()))
 
     def of_collar(self, given: np.ndarray) -> float:
         """The same of what is given on the collar, [N, 2]: its short waves count as deep ones."""
-        if not len(self.lines):
+        if not self.passed.shape[0]:
             return 0.0
-        short = np.einsum("kjd,j->kd", given[self.lines], PASSED)
+        short = self.passed @ given
         axes = given.shape[1]  # whose lines are means of one square each
         return float(np.sqrt(axes * (short**2).sum() / len(short) * np.count_nonzero(self.inside)))

@@ -19,8 +19,6 @@ from warp_peri.prediction.predict import HIDDEN, MOST, SOLVED
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
 COVERED, NEARLY = 0.9, 0.95
-APARTS = "apart", "off"
-"""From the linear answer on all nodes, and from the best one."""
 """Shares of the samples that the factors are set to cover; that of what is left to correct, which
 varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
@@ -143,20 +141,16 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
     bends = bool(np.any(rows["gradient"] > 0))
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
-    carried, first = None, 1.0
+    carried = None
     plain = rows["hidden"] <= HIDDEN
     if family.coarse is not None and plain.any():
-        rest = {n: np.sqrt(np.maximum(rows[n] ** 2 - rows["hidden"] ** 2, 0)) for n in APARTS}
-        carried = recorded(samples.spacing * KNOTS, rows["seen"][plain], rest["apart"][plain])
-        told = np.array([carried.of(one) for one in rows["seen"]])
-        bent = np.hypot(screen * rows["slope"], told)
-        first = quantile(rest["off"][plain], bent[plain], NEARLY)
-    floor = np.sqrt(members**2 + rows["cubic"] ** 2 + (screen * rows["series"]) ** 2)
+        apart = np.sqrt(np.maximum(rows["apart"] ** 2 - rows["hidden"] ** 2, 0))
+        carried = recorded(samples.spacing * KNOTS, rows["seen"][plain], apart[plain])
+    floor = np.hypot(members, screen * rows["series"])
     factors = Factors(
         left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
         floor=quantile(rows["true"], floor),
         screen=screen,
-        first=max(first, 1.0),
     )
     return replace(family, factors=factors, record=record, carried=carried)
 
@@ -191,28 +185,27 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         def norm(field: np.ndarray, size: float = size) -> float:
             return float(np.linalg.norm(field)) / size
 
-        cubic, series = map(norm, fields.strain) if fields.strain else (0.0, 0.0)
         row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
-        row |= {"true": norm((u - truth)[inside]), "cubic": cubic, "series": series}
+        row["true"] = norm((u - truth)[inside])
+        row["series"] = 0.0 if fields.strain is None else norm(fields.strain)
         row["members"] = spread(placed.norm(fields.waves), placed.norm(fields.data)) / size
         row["gradient"] = placed.gradient(u)
-        row |= _on_every_second(placed, np.where(inside[:, None], 0.0, truth), b, first, u)
+        row |= _on_every_second(placed, np.where(inside[:, None], 0.0, truth), b, first)
         row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
         rows.append(row)
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 def _on_every_second(
-    placed: PlacedMembers, given: np.ndarray, b: np.ndarray, first: np.ndarray, u: np.ndarray
+    placed: PlacedMembers, given: np.ndarray, b: np.ndarray, first: np.ndarray
 ) -> dict[str, Any]:
-    """How far the linear answer there is from that on all nodes, `first`, and from the best, u."""
+    """How far the linear answer there is from that on all nodes, `first`."""
     coarse, inside = placed.coarse, placed.points.interior
     if coarse is None:
-        return dict.fromkeys(APARTS, 0.0) | {"hidden": np.inf, "slope": 0.0, "seen": np.zeros(1)}
-    answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(u[inside]))
-    row: dict[str, Any] = {"slope": coarse.gradient(answer)}
-    row["seen"] = coarse.spectrum.shares(answer[coarse.nodes.chosen])
-    row["hidden"] = coarse.hidden(placed.load(b), given) / size
-    for name, other in zip(APARTS, (first, u)):
-        row[name] = float(np.linalg.norm((answer - other)[inside])) / size
-    return row
+        return {"apart": 0.0, "hidden": np.inf, "seen": np.zeros(1)}
+    answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(first[inside]))
+    return {
+        "apart": float(np.linalg.norm((answer - first)[inside])) / size,
+        "hidden": coarse.hidden(placed.load(b), given) / size,
+        "seen": coarse.spectrum.shares(answer[coarse.nodes.chosen]),
+    }

@@ -38,13 +38,11 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
-        first: of what is so seen of the linear answer on every second node (Q16).
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
-    first: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():

@@ -16,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined
-from warp_peri.prediction.placed import BEYOND, GROWN, ROUGH, Parts, PlacedMembers
+from warp_peri.prediction.placed import GROWN, ROUGH, Parts, PlacedMembers
 from warp_peri.statics.lps import checked_fields
 
 SOLVED, SHARE = 0.03, 0.3
@@ -40,8 +40,8 @@ SHORTER, STRAINED = 0.01, 1.2
 linear, from which the error does not speak of an answer."""
 HIDDEN = 0.05
 """Of the displacement: where coarse nodes may miss more than this, a correction is asked for."""
-SURE = 2.0
-"""Times that the series is taken where the cubic part beside it was not computed."""
+HOPE = 2.0
+"""What is not linear is asked for where c|H|, which is often so much larger, leaves hope."""
 FAMILY = (
     "a family, as fit(samples, Family(…)).material is: one law alone knows nothing of its error"
 )
@@ -159,8 +159,8 @@ def _on_coarse(
     first = coarse.start(b, given, share)
     told, unseen, carried = coarse.recorded(first)
     if tolerance is not None and carried is not None:
-        hidden = coarse.hidden(load, given)
-        parts = _unasked(placed, first, hidden, told, carried) | {"noise": noise}
+        apart = carried, coarse.hidden(load, given)
+        parts = _unasked(placed, first, b, told, apart, tolerance) | {"noise": noise}
         if _size(parts) <= tolerance:
             return _Stage(first, parts, None, 0, unseen, "on every second node, ")
     u, before = first.copy(), np.inf
@@ -185,35 +185,49 @@ def _on_coarse(
 
 
 def _unasked(
-    placed: PlacedMembers, u: np.ndarray, hidden: float, told: float | None, carried: float
+    placed: PlacedMembers,
+    u: np.ndarray,
+    b: np.ndarray,
+    told: float | None,
+    apart: tuple[float, float],
+    tolerance: float,
 ) -> dict[str, float]:
     """Parts of the first answer on every second node, which no correction sees (Q16).
 
-    `hidden` is what those nodes may have taken for long waves, `carried` what the record says of
-    linear answers there.
+    `apart` is what the record says of linear answers there, over them, and what those nodes may
+    have taken for long waves [length].
     """
-    coarse, factors = placed.coarse, placed.family.factors
+    coarse, (carried, hidden) = placed.coarse, apart
     assert coarse is not None
     size = placed.norm(u[placed.points.interior]) or 1.0
+    unseen = float(np.hypot(carried, hidden / size)) if hidden <= HIDDEN * size else np.inf
     gradient = coarse.gradient(u)
-    bent = factors.screen * gradient
-    left = float(np.hypot(factors.first * np.hypot(bent, carried), hidden / size))
-    if hidden > HIDDEN * size:
-        left = np.inf
-    return _screened(placed, gradient, 0.0, bent, told) | {"left": left}
+    parts = _screened(placed, gradient, 0.0, 0.0, told)
+    hope = placed.family.factors.screen * gradient <= HOPE * tolerance
+    if not (hope and _size(parts | {"left": unseen}) <= tolerance):
+        return parts | {"left": np.inf}
+    own = coarse.own(b, u)
+    parts = _screened(placed, gradient, own, own, told)
+    return parts | {"left": float(np.hypot(parts["left"], unseen))}
 
 
 def _screened(
-    placed: PlacedMembers, gradient: float, moved: float, bent: float, told: float | None
+    placed: PlacedMembers,
+    gradient: float,
+    moved: float,
+    bent: float,
+    told: float | None,
+    slowed: float = 0.0,
 ) -> dict[str, float]:
     """Parts of an answer whose members are not asked, but for their record (Q5).
 
-    `gradient` is |H|, `moved` the size of the correction that is left, `bent` that of all so far.
+    `gradient` is |H|, `moved` the size of the correction that is left, `bent` that of all so far,
+    `slowed` the second over the first.
     """
     if told is None or placed.turned is not None:
         return {"left": np.inf, "waves": np.inf}
     factors = placed.family.factors
-    strain = SURE * BEYOND * factors.floor * factors.screen * gradient * max(bent, gradient)
+    strain = factors.floor * placed.series(gradient, slowed) * bent
     waves = factors.floor * told
     return {"left": factors.left * moved, "waves": waves, "data": 0.0, "strain": strain}
 
@@ -233,15 +247,17 @@ def _corrected(
     factors, first = placed.family.factors, u
     inside, (told, unseen) = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
-    before, since = np.inf, 0.0
+    before, since, slowed = np.inf, 0.0, 0.0
     for done in range(MOST + 1):
         size = placed.norm(u[inside]) or 1.0
         left = placed.correction(load, u)
         moved = placed.norm(left) / size
+        slowed = moved / before if done == 1 else slowed
         bent = known
         if bent is None:
             bent = placed.norm((first - u)[inside] - left) / size
-        screen = _screened(placed, placed.gradient(u), moved, bent, told) | {"noise": noise}
+        screen = _screened(placed, placed.gradient(u), moved, bent, told, slowed)
+        screen["noise"] = noise
         if tolerance is not None and _size(screen) <= tolerance:
             return _Stage(u, screen, None, done, unseen)
         last = done == MOST or moved > STALLED * before or not placed.nonlinear
@@ -249,7 +265,7 @@ def _corrected(
         goal = SETTLED * _rest(screen) if tolerance is None else tolerance
         if factors.left * moved <= goal or last:
             if fields is None or since > MOVED:
-                fields, since = placed.doubts(u, left, told), 0.0
+                fields, since = placed.doubts(u, left, told, slowed), 0.0
             fields = replace(fields, left=left)
             parts = _parts(fields, placed, size, noise)
             floor = _rest(parts)
