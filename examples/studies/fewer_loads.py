@@ -1,6 +1,6 @@
 """How many loads a law needs: designed ones, the next best of a pool, and waves at random.
 
-    python examples/studies/fewer_loads.py [--json] [--out runs/fewer_loads]
+    python examples/studies/fewer_loads.py [--seconds] [--json] [--out runs/fewer_loads]
 
 Errors are E_u on the main job's validation loads and disks, which no choice here looks at. Two
 laws: the default LPS, which finds its moduli, and tensors on 28 bonds with the potential's moduli
@@ -15,6 +15,7 @@ import json
 import sys
 import tempfile
 import time
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -162,10 +163,12 @@ def main_job() -> dict[str, dict[str, float]]:
                 file, jobs=1, cache=cache, training=making.LOADS.get(name), progress=False
             )
             data = time.perf_counter() - start
-            if train_main(["--data", str(file), "--out", str(out)]):
+            with redirect_stdout(sys.stderr):  # what it says is no part of the JSON
+                failed = train_main(["--data", str(file), "--out", str(out)])
+            if failed:
                 raise OSError(f"{name}: the main job failed")
             numbers = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
-        seconds = {"atoms": atoms, "data": data} | numbers["seconds"]
+        seconds = numbers["seconds"] | {"atoms": atoms, "data": data}
         seconds["all"] += data
         found[name] = seconds | {f"E_u {n}": e for n, e in numbers["E_u"].items()}
     return found
