@@ -72,6 +72,15 @@ def test_scripts_that_pages_type_are_there_with_their_options():
                     assert f'"{option}"' in source, f"{name}: {line}"
 
 
+def test_scripts_find_the_folders_beside_the_library():
+    """Python looks in a script's own folder, not in the one it is started from."""
+    for script in [path for top in ("examples", "tools") for path in (ROOT / top).rglob("*.py")]:
+        source = script.read_text(encoding="utf-8")
+        found = re.search(r"^(from|import) (examples|tools)", source, re.MULTILINE)
+        if "__main__" in source and found is not None:
+            assert "sys.path.insert(0, " in source[: found.start()], script
+
+
 def scripts():
     """Paths of the scripts of examples/ that pages type."""
     typed = [
