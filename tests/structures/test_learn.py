@@ -14,6 +14,7 @@ import warp_peri as wp
 from tools.crystals import LEWIS_CATLOW
 from warp_peri.cli.main import main
 from warp_peri.micromodulus.elastic import voigt
+from warp_peri.micromodulus.groups import group_of_structure
 from warp_peri.structures.lammps import LammpsError, lammps_calculator
 from warp_peri.structures.phonons import born_charges
 from warp_peri.structures.rest import at_rest
@@ -158,6 +159,37 @@ def test_an_unstable_structure_is_refused_with_its_worst_wave():
         wp.from_atoms(square, EMT(), supercell=(4, 4, 4))
 
 
+def test_a_flat_sheet_that_would_buckle_is_refused():
+    silicene = ase.build.graphene(a=3.8, vacuum=10)
+    silicene.numbers[:] = 14
+    with pytest.raises(wp.InputError, match="imaginary phonon"):
+        wp.from_atoms(silicene, lammps_calculator("sw", ["Si"], "Si.sw"))
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_an_atom_out_of_reach_of_a_sheet_is_named(first):
+    sheet = ase.build.graphene(vacuum=10)
+    one = ase.Atoms("C", [[0, 0, 16.0]], cell=sheet.cell, pbc=True)
+    both = one + sheet if first else sheet + one
+    with pytest.raises(wp.InputError, match="parts of it feel no force from the rest"):
+        wp.from_atoms(both, lammps_calculator("tersoff", ["C"], TERSOFF))
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_disorder_that_relaxes_away_leaves_the_crystal(flat):
+    one = ase.build.mx2("MoS2", vacuum=10) if flat else ase.build.bulk("Cu", cubic=True)
+    many = one.repeat((2, 1, 1))
+    many.rattle(0.02, seed=1)
+    made = lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod") if flat else EMT()
+    found = at_rest(many, made)
+    assert len(found.cell) == (3 if flat else 1)
+    fractions = found.cell.get_scaled_positions()
+    turns = group_of_structure(np.array(found.cell.cell), fractions, found.cell.numbers)
+    whole = np.rint(turns)
+    exact = np.abs(turns - whole).max(axis=(1, 2)) < 1e-12
+    assert exact.sum() == (4 if flat else 48) * (2 if flat else 1)
+
+
 def shared_site(occupancy):
     """A crystal as ASE reads it from a CIF file with a site of some elements."""
     atoms = ase.build.bulk("Cu")
@@ -173,6 +205,11 @@ def shared_site(occupancy):
         (shared_site({"Cu": 0.7, "Ni": 0.3}), "got one of Cu 0.7, Ni 0.3"),
         (shared_site({"Cu": 0.9}), "sites that one element fills"),
         (ase.Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], cell=[4, 4, 4], pbc=True), "is a site there"),
+        (ase.Atoms("Al", cell=[0.25] * 3, pbc=True), "lengths not in Å"),
+        (ase.Atoms("Al", [[np.nan, 0, 0]], cell=[4, 4, 4], pbc=True), "at finite places"),
+        (ase.Atoms(cell=[4, 4, 4], pbc=True), "one atom or more"),
+        (ase.Atoms("Al", cell=[[4, 0, 0], [8, 0, 0], [0, 0, 4]], pbc=True), "some in a plane"),
+        (ase.Atoms("Al", cell=[[4, 0, 0], [0, 0, 0], [0, 0, 4]], pbc=True), "some in a plane"),
     ],
 )
 def test_what_is_no_crystal_is_refused(atoms, what):
@@ -190,6 +227,11 @@ def test_what_a_calculator_lacks_and_how_far_a_cell_went_are_said(element, what)
             at_rest(far, EMT())
     else:
         assert at_rest(far, EMT()).said["relaxed"].endswith("strains of -20.1% to -20.1%")
+
+
+def test_a_thickness_that_is_no_length_is_refused():
+    with pytest.raises(wp.InputError, match="thickness: expected a length > 0"):
+        at_rest(ase.build.graphene(vacuum=10), EMT(), thickness=0.0)
 
 
 def test_a_sheet_across_a_face_is_put_together_and_a_wide_cell_made_small():
@@ -223,6 +265,8 @@ def test_a_file_of_one_element_is_read_by_the_style_eam():
 def test_a_potential_that_is_not_there_is_told_its_neighbours():
     with pytest.raises(wp.InputError, match=r"got 'Sii.sw'; LAMMPS came with Si.sw"):
         lammps_calculator("sw", ["Si"], "Sii.sw")
+    with pytest.raises(wp.InputError, match="got 'mine/Si.sw'"):  # not another file of this name
+        lammps_calculator("sw", ["Si"], "mine/Si.sw")
 
 
 def test_what_lammps_refuses_is_said_in_its_words():

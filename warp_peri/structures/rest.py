@@ -14,6 +14,7 @@ from ase.filters import FrechetCellFilter
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.stress import voigt_6_to_full_3x3_stress
+from scipy.linalg import sqrtm
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.groups import group_of_structure
@@ -38,6 +39,10 @@ VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 FULL, UPON = 0.999, 0.5
 """Occupancy of a site that an atom fills; distance [Å] that no two atoms are nearer than."""
+FLAT = 1e-3
+"""Smallest singular value of the directions of a cell's edges."""
+ALMOST = 1e-3
+"""Of a turn's matrix, off whole numbers that it is meant to have."""
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
 
@@ -88,6 +93,8 @@ def at_rest(
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
         raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
+    if thickness is not None and not 0 < thickness < np.inf:
+        raise InputError(f"thickness: expected a length > 0 [Å], got {thickness}")
     cell, flat = _oriented(atoms)
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
@@ -96,6 +103,12 @@ def at_rest(
     before = np.array(cell.cell)
     _check_forces(cell)
     _relax(cell, flat, held)
+    strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
+    if flat:
+        strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
+    if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
+        cell = _exact(_smallest(cell if flat else _turned(cell), flat))
+        cell.calc = calculator
     size, rule = thickness, "as given"
     if flat and size is None:
         size, rule = thickness_of(cell)
@@ -105,7 +118,6 @@ def at_rest(
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
         + f" Å, {len(cell)} atoms",
     }
-    strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if np.abs(strain).max() > MOVED:
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
@@ -124,12 +136,20 @@ def _check_sites(atoms: ase.Atoms) -> None:
                 f"structure: expected sites that one element fills, got one of {shared}; "
                 "give a cell with every atom on a site of its own"
             )
+    edges, x = np.array(atoms.cell), np.array(atoms.positions)
+    if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
+        raise InputError("structure: expected one atom or more, at finite places in a finite cell")
+    edges = edges[np.array(atoms.pbc)]
+    lengths = np.linalg.norm(edges, axis=1)
+    if not lengths.all() or np.linalg.svd(edges / lengths[:, None])[1].min(initial=1.0) < FLAT:
+        raise InputError("structure: expected edges of the cell that span one, got some in a plane")
     first, second, apart = neighbor_list("ijd", atoms, UPON)
     if len(apart):
         n = apart.argmin()
         raise InputError(
             f"structure: expected atoms {UPON:g} Å apart or more, got {apart[n]:.2g} Å between "
-            f"atoms {first[n]} and {second[n]} of {len(atoms)}; is a site there twice?"
+            f"atoms {first[n]} and {second[n]} of {len(atoms)}; is a site there twice, or are "
+            "lengths not in Å?"
         )
 
 
@@ -219,6 +239,29 @@ def _turned(atoms: ase.Atoms) -> ase.Atoms:
         atoms = atoms.copy()
         atoms.set_cell(np.array(atoms.cell) @ turn.T, scale_atoms=True)
     return atoms
+
+
+def _exact(atoms: ase.Atoms) -> ase.Atoms:
+    """The cell without the last digits that break its symmetry, and turns of nodes: 1e-4 Å."""
+    import spglib
+
+    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found: Any = spglib.get_symmetry(given, symprec=ON_SITES)
+    if found is None:
+        return atoms
+    W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
+    metric = (W.transpose(0, 2, 1) @ (edges.T @ edges) @ W).mean(axis=0)
+    back = np.linalg.inv(edges)
+    edges = np.real(sqrtm(back.T @ metric @ back)) @ edges
+    turns = edges @ W @ np.linalg.inv(edges)
+    whole = np.rint(turns)
+    near = np.abs(turns - whole).max(axis=(1, 2)) < ALMOST
+    U, _, V = np.linalg.svd((turns[near] @ whole[near].transpose(0, 2, 1)).mean(axis=0))
+    exact: ase.Atoms = atoms.copy()
+    exact.set_cell(((U @ V).T @ edges).T, scale_atoms=True)
+    return exact
 
 
 def _smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
