@@ -62,6 +62,8 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
         assert main([*line, str(tmp_path / "out")]) == 2
         assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    assert main(["learn", str(tmp_path), *line[2:], str(tmp_path / "out")]) == 2
+    assert "a folder of phonopy goes without a calculator" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main([*line, str(tmp_path / "file" / "out")]) == 2
     assert "cannot be written" in capsys.readouterr().err
