@@ -13,7 +13,7 @@ import numpy as np
 import warp_peri
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.sheets import NEAREST, square, waves
-from warp_peri.files.atomic import whole_file
+from warp_peri.files.atomic import locked, whole_file
 
 
 def data(folder):
@@ -71,11 +71,14 @@ def sheet(folder):
     )
     points = square(5)
     bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
-    for n in range(4):
-        edge = bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n)
-        u = warp_peri.solve(law, warp_peri.Dirichlet(points, None, edge)).u
-        with whole_file(folder / "frames" / f"frame{n}.csv") as path:
-            np.savetxt(path, np.hstack([points.x, u]), delimiter=",", header="x,y,u,v", comments="")
+    with locked(folder / "frames"):
+        for n in range(4):
+            edge = bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n)
+            u = warp_peri.solve(law, warp_peri.Dirichlet(points, None, edge)).u
+            with whole_file(folder / "frames" / f"frame{n}.csv") as path:
+                np.savetxt(
+                    path, np.hstack([points.x, u]), delimiter=",", header="x,y,u,v", comments=""
+                )
     line = ["dic", str(folder / "frames"), "--even", "--count", "4", "--json"]
     with redirect_stdout(io.StringIO()):
         assert main([*line, "--out", str(folder / "sheet")]) == 0
