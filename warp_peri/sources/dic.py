@@ -254,7 +254,7 @@ def frames_of_folder(
     if not folder.is_dir():
         raise InputError(f"folder: expected one with frames, got {folder}")
     frames, others = [], []
-    for path in sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt")):
+    for path in sorted(p for p in folder.glob("[!.]*") if p.suffix in (".csv", ".txt")):
         try:
             frames.append(read_frame(path, pixel=pixel))
         except InputError as error:
