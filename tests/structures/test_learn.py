@@ -256,6 +256,31 @@ def test_a_solid_is_turned_to_axes_that_nodes_share():
     np.testing.assert_allclose(conventional, np.rint(conventional), atol=1e-3)
 
 
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_strain_is_held_along_the_axes_that_it_was_said_in(flat):
+    """A turned crystal, stretched along x: turned to its own axes it would give the strain up."""
+    one = ase.build.graphene(a=2.5297, vacuum=10) if flat else ase.build.bulk("Si", a=5.431)
+    one.rotate(*(17, "z") if flat else (40, (1, 2, 3)), rotate_cell=True)
+    one.set_cell(np.array(one.cell) @ np.diag([1.02, 1.0, 1.0]), scale_atoms=True)
+    made = lammps_calculator("tersoff", ["C"], TERSOFF) if flat else None
+    found = at_rest(one, made or lammps_calculator("sw", ["Si"], "Si.sw"), hold=["xx"])
+    off = found.stress / found.stress[0, 0]
+    np.testing.assert_allclose(off - np.diag(np.eye(len(off))[0]), 0, atol=1e-3)
+    assert found.stress[0, 0] > (1e-2 if flat else 1e-3)
+    assert "axes" not in found.said
+
+
+def test_turned_axes_are_said_and_a_strain_of_a_sheet_across_x_is_refused():
+    across = ase.build.graphene(vacuum=10)
+    across.pbc = True
+    across.rotate(90, "y", rotate_cell=True)
+    made = lammps_calculator("tersoff", ["C"], TERSOFF)
+    assert at_rest(across, made).said["axes"] == "turned: x along an edge of the cell, z across"
+    with pytest.raises(wp.InputError, match="hold: expected a sheet across z"):
+        at_rest(across, made, hold=["xx"])
+    assert "axes" not in at_rest(ase.build.graphene(vacuum=10), made).said
+
+
 def test_a_file_of_one_element_is_read_by_the_style_eam():
     palladium = ase.build.bulk("Pd", cubic=True)
     palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")

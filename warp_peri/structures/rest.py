@@ -95,7 +95,10 @@ def at_rest(
         raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
     if thickness is not None and not 0 < thickness < np.inf:
         raise InputError(f"thickness: expected a length > 0 [Å], got {thickness}")
-    cell, flat = _oriented(atoms)
+    cell, flat = _oriented(atoms, turning=not held or held >= set(VOIGT))
+    turned = (
+        min(np.abs(np.array(cell.cell)[0] - edge).max() for edge in np.array(atoms.cell)) > FLAT
+    )
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
     cell = _smallest(cell, flat)
@@ -118,6 +121,12 @@ def at_rest(
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
         + f" Å, {len(cell)} atoms",
     }
+    if turned:
+        said["axes"] = (
+            "turned: x along an edge of the cell, z across"
+            if flat
+            else "turned to those of the conventional cell"
+        )
     if np.abs(strain).max() > MOVED:
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
@@ -153,8 +162,11 @@ def _check_sites(atoms: ase.Atoms) -> None:
         )
 
 
-def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
-    """The structure with a sheet across z, amid a high box, and whether it is one."""
+def _oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
+    """The structure with a sheet across z, amid a high box, and whether it is one.
+
+    Without turning, axes stay as they are; InputError for a sheet that is not across z then.
+    """
     _check_sites(atoms)
     periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
     if not periodic.any():
@@ -177,12 +189,17 @@ def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
                 stacklevel=4,
             )
         ready.pbc = True
-        return _turned(ready), False
+        return _turned(ready) if turning else ready, False
     first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
     normal = np.cross(cell[first], cell[second])
     along = cell[first] / np.linalg.norm(cell[first])
     up = normal / np.linalg.norm(normal)
     turn = np.array([along, np.cross(up, along), up])
+    if not turning:
+        if abs(up[2]) < 1 - FLAT**2:
+            raise InputError("hold: expected a sheet across z, whose strains have names in x and y")
+        first, second = (first, second) if up[2] > 0 else (second, first)
+        turn = np.eye(3)
     x = np.array(ready.positions) @ turn.T
     if periodic[empty[0]]:  # a sheet that the period cuts is put together at the gap
         x = _joined(atoms, empty[0], x, turn)
