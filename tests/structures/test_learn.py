@@ -51,6 +51,7 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     assert figures["statement"] == law.certificate.statement  # in the units of the file
     assert figures["holds_to"]["law"] < figures["holds_to"]["local"]
     assert "GPa" in (graphene / "report.txt").read_text()
+    assert law.symmetry == "2mm"
     assert (graphene / "law.png").stat().st_size > 10_000
 
 
