@@ -15,8 +15,9 @@ from tools.crystals import LEWIS_CATLOW
 from warp_peri.cli.main import main
 from warp_peri.micromodulus.elastic import voigt
 from warp_peri.micromodulus.groups import group_of_structure
+from warp_peri.structures.campaign import load_campaign
 from warp_peri.structures.lammps import LammpsError, lammps_calculator
-from warp_peri.structures.phonons import born_charges
+from warp_peri.structures.phonons import born_charges, force_constants
 from warp_peri.structures.rest import at_rest
 
 TERSOFF = "SiC_1989.tersoff"
@@ -154,6 +155,22 @@ def test_loads_give_the_law_that_phonons_give():
     calculator = lammps_calculator("tersoff", ["C"], TERSOFF)
     found = wp.from_atoms(ase.build.graphene(vacuum=10), calculator, source="loads", thickness=3.35)
     assert off(found) < 0.01
+
+
+@pytest.mark.slow
+def test_a_stretched_sheet_of_three_layers_is_called_anisotropic():
+    """Molybdenum disulphide, 10 % longer: an isotropic solid leaves a fifth of the loads."""
+    sheet = ase.build.mx2("MoS2", a=3.118, vacuum=10)
+    sheet.set_cell(np.array(sheet.cell) @ np.diag([1.1, 1.0, 1.0]), scale_atoms=True)
+    made = lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod")
+    held = at_rest(sheet, made, hold=["xx"])
+    reach = 3 * held.spacing
+    samples = load_campaign(held, force_constants(held, made)[0], made, held.spacing, reach)
+    law = wp.fit(samples, wp.LPS(reach, wp.Bernstein(4))).material
+    found = wp.diagnose(law, samples)
+    assert found.residual > 0.1
+    assert found.shares["anisotropy"] > 0.9
+    assert "Micromodulus" in found.advice
 
 
 def test_an_unstable_structure_is_refused_with_its_worst_wave():
