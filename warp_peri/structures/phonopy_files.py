@@ -12,7 +12,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
-from warp_peri.structures.rest import VACUUM, gap, thickness_of
+from warp_peri.structures.cells import VACUUM, gap
+from warp_peri.structures.rest import thickness_of
 
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 """Of a folder, the first that is there is read."""
