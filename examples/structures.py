@@ -1,4 +1,4 @@
-"""Structures to laws: thirteen crystals by LAMMPS and ASE's EMT, each through one call.
+"""Structures to laws: seventeen crystals by LAMMPS and ASE's EMT, each through one call.
 
 python examples/structures.py            a table
 python examples/structures.py --picture runs/atoms.png
@@ -41,8 +41,15 @@ CASES: dict[str, tuple[Any, str, str | None, dict[str, Any]]] = {
     "WSe2": (
         ase.build.mx2("WSe2", a=3.3, thickness=3.3, vacuum=10), "lammps:sw/mod", "tmd.sw.mod", {}
     ),
+    "Fe": (ase.build.bulk("Fe"), "lammps:eam/fs", "Fe_mm.eam.fs", {}),
+    "Zr": (ase.build.bulk("Zr"), "lammps:eam/fs", "Zr_mm.eam.fs", {}),
+    "MoTe2": (
+        ase.build.mx2("MoTe2", a=3.5, thickness=3.6, vacuum=10), "lammps:sw/mod", "tmd.sw.mod", {}
+    ),
+    "Pd": (ase.build.bulk("Pd"), EMT, None, {}),
 }  # fmt: skip
-"""Structure, calculator, potential, options; SiC, Au, GaN, WSe2 were chosen before being tried."""
+"""Structure, calculator, potential, options; from SiC on, but for Al, Cu and Ni by EMT, chosen
+before they were tried."""
 
 
 def learned(name: str) -> wp.atoms.LearnedCrystal:

@@ -45,6 +45,8 @@ def samples():
 def test_data_show_their_size():
     shown = repr(samples())
     assert "256, 16 of them interior, a lattice of 1 Å" in shown
+    assert "256, 16 of them interior, a lattice of 1 Å" in repr(samples().points)
+    assert samples().points._repr_html_().startswith("<table>")
     assert "TPa/Å" in shown
     assert "b" in repr(replace(samples(), b=None)).split("not known")[0]
     data = wp.Dataset({"train": samples(), "test": samples()}, 3.35, 2200.0)

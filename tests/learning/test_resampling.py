@@ -119,11 +119,14 @@ def test_bands_hold_the_truth_on_a_few_sets():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:symmetry")  # ten noisy loads may seem to contradict theirs
 @pytest.mark.parametrize(
     ("kind", "sets", "options"),
     [
         *((kind, 20, {"leave_one_out": True}) for kind in KINDS),
         ("crystal", 60, {"draws": 40}),
+        ("LPS", 20, {"draws": 40}),
+        ("dressed", 60, {"draws": 40}),
     ],
 )
 def test_bands_of_90_percent_hold_the_truth_of_so_many_sets(kind, sets, options):

@@ -14,7 +14,7 @@ from warp_peri.files.atomic import PART
 
 ROOT = Path(__file__).parent.parent.parent
 LATER = 10
-"""Kills of each job in the long run: 30 in all."""
+"""Kills of each job in the long run: 40 in all."""
 
 
 def start(name, folder):

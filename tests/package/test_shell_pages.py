@@ -28,7 +28,7 @@ NOT_HERE = {
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
-    "structures": "twelve crystals; tests/structures runs two of them by the same call",
+    "structures": "seventeen crystals; tests/structures runs two of them by the same call",
     "predict": "75 scenes; what it calls is tested in tests/prediction",
     "polymer_protocols": "tables of minutes; what it calls is tested in tests/flow",
     "polymer_tables": "tables of minutes; what it calls is tested in tests/flow",
@@ -70,6 +70,15 @@ def test_scripts_that_pages_type_are_there_with_their_options():
                 source = (ROOT / script[1]).read_text(encoding="utf-8")
                 for option in re.findall(r"--[a-z-]+", script[2]):
                     assert f'"{option}"' in source, f"{name}: {line}"
+
+
+def test_scripts_find_the_folders_beside_the_library():
+    """Python looks in a script's own folder, not in the one it is started from."""
+    for script in [path for top in ("examples", "tools") for path in (ROOT / top).rglob("*.py")]:
+        source = script.read_text(encoding="utf-8")
+        found = re.search(r"^(from|import) (examples|tools)", source, re.MULTILINE)
+        if "__main__" in source and found is not None:
+            assert "sys.path.insert(0, " in source[: found.start()], script
 
 
 def scripts():

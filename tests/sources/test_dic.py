@@ -1,5 +1,7 @@
 """Frames of digital image correlation: headers, missing points, lattices, noise."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -158,6 +160,15 @@ def folder_of(path, frames):
     for number, count in enumerate(frames):
         (path / f"frame{number}.csv").write_text(plain(X[:count], field(X[:count])))
     return path
+
+
+def test_frames_go_by_number_and_hidden_files_are_none(tmp_path):
+    for name in [*(f"frame{n}.csv" for n in range(11)), ".frame3.csv"]:
+        size = int(re.findall(r"\d+", name)[0])
+        (tmp_path / name).write_text(plain(X, size * field(X)))
+    taken = frames_of_folder(tmp_path, 11, radius=0.0)
+    sizes = np.abs(taken.u).max(axis=(1, 2)) / np.abs(field(X)).max()
+    np.testing.assert_allclose(sizes, np.arange(2.0, 11.0), rtol=1e-5)
 
 
 def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):

@@ -14,8 +14,10 @@ import warp_peri as wp
 from tools.crystals import LEWIS_CATLOW
 from warp_peri.cli.main import main
 from warp_peri.micromodulus.elastic import voigt
+from warp_peri.micromodulus.groups import group_of_structure
+from warp_peri.structures.campaign import load_campaign
 from warp_peri.structures.lammps import LammpsError, lammps_calculator
-from warp_peri.structures.phonons import born_charges
+from warp_peri.structures.phonons import born_charges, force_constants
 from warp_peri.structures.rest import at_rest
 
 TERSOFF = "SiC_1989.tersoff"
@@ -50,6 +52,7 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     assert figures["statement"] == law.certificate.statement  # in the units of the file
     assert figures["holds_to"]["law"] < figures["holds_to"]["local"]
     assert "GPa" in (graphene / "report.txt").read_text()
+    assert law.symmetry == "2mm"
     assert (graphene / "law.png").stat().st_size > 10_000
 
 
@@ -61,6 +64,8 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
         assert main([*line, str(tmp_path / "out")]) == 2
         assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    assert main(["learn", str(tmp_path), *line[2:], str(tmp_path / "out")]) == 2
+    assert "a folder of phonopy goes without a calculator" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main([*line, str(tmp_path / "file" / "out")]) == 2
     assert "cannot be written" in capsys.readouterr().err
@@ -152,10 +157,57 @@ def test_loads_give_the_law_that_phonons_give():
     assert off(found) < 0.01
 
 
+@pytest.mark.slow
+def test_a_stretched_sheet_of_three_layers_is_called_anisotropic():
+    """Molybdenum disulphide, 10 % longer: an isotropic solid leaves a fifth of the loads."""
+    sheet = ase.build.mx2("MoS2", a=3.118, vacuum=10)
+    sheet.set_cell(np.array(sheet.cell) @ np.diag([1.1, 1.0, 1.0]), scale_atoms=True)
+    made = lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod")
+    held = at_rest(sheet, made, hold=["xx"])
+    reach = 3 * held.spacing
+    samples = load_campaign(held, force_constants(held, made)[0], made, held.spacing, reach)
+    law = wp.fit(samples, wp.LPS(reach, wp.Bernstein(4))).material
+    found = wp.diagnose(law, samples)
+    assert found.residual > 0.1
+    assert found.shares["anisotropy"] > 0.9
+    assert "Micromodulus" in found.advice
+
+
 def test_an_unstable_structure_is_refused_with_its_worst_wave():
     square = ase.build.bulk("Cu", "sc", a=2.4)
     with pytest.raises(wp.InputError, match=r"imaginary phonon, the worst of .*i THz at k = \["):
         wp.from_atoms(square, EMT(), supercell=(4, 4, 4))
+
+
+def test_a_flat_sheet_that_would_buckle_is_refused():
+    silicene = ase.build.graphene(a=3.8, vacuum=10)
+    silicene.numbers[:] = 14
+    with pytest.raises(wp.InputError, match="imaginary phonon"):
+        wp.from_atoms(silicene, lammps_calculator("sw", ["Si"], "Si.sw"))
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_an_atom_out_of_reach_of_a_sheet_is_named(first):
+    sheet = ase.build.graphene(vacuum=10)
+    one = ase.Atoms("C", [[0, 0, 16.0]], cell=sheet.cell, pbc=True)
+    both = one + sheet if first else sheet + one
+    with pytest.raises(wp.InputError, match="parts of it feel no force from the rest"):
+        wp.from_atoms(both, lammps_calculator("tersoff", ["C"], TERSOFF))
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_disorder_that_relaxes_away_leaves_the_crystal(flat):
+    one = ase.build.mx2("MoS2", vacuum=10) if flat else ase.build.bulk("Cu", cubic=True)
+    many = one.repeat((2, 1, 1))
+    many.rattle(0.02, seed=1)
+    made = lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod") if flat else EMT()
+    found = at_rest(many, made)
+    assert len(found.cell) == (3 if flat else 1)
+    fractions = found.cell.get_scaled_positions()
+    turns = group_of_structure(np.array(found.cell.cell), fractions, found.cell.numbers)
+    whole = np.rint(turns)
+    exact = np.abs(turns - whole).max(axis=(1, 2)) < 1e-12
+    assert exact.sum() == (4 if flat else 48) * (2 if flat else 1)
 
 
 def shared_site(occupancy):
@@ -173,6 +225,11 @@ def shared_site(occupancy):
         (shared_site({"Cu": 0.7, "Ni": 0.3}), "got one of Cu 0.7, Ni 0.3"),
         (shared_site({"Cu": 0.9}), "sites that one element fills"),
         (ase.Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], cell=[4, 4, 4], pbc=True), "is a site there"),
+        (ase.Atoms("Al", cell=[0.25] * 3, pbc=True), "lengths not in Å"),
+        (ase.Atoms("Al", [[np.nan, 0, 0]], cell=[4, 4, 4], pbc=True), "at finite places"),
+        (ase.Atoms(cell=[4, 4, 4], pbc=True), "one atom or more"),
+        (ase.Atoms("Al", cell=[[4, 0, 0], [8, 0, 0], [0, 0, 4]], pbc=True), "some in a plane"),
+        (ase.Atoms("Al", cell=[[4, 0, 0], [0, 0, 0], [0, 0, 4]], pbc=True), "some in a plane"),
     ],
 )
 def test_what_is_no_crystal_is_refused(atoms, what):
@@ -190,6 +247,11 @@ def test_what_a_calculator_lacks_and_how_far_a_cell_went_are_said(element, what)
             at_rest(far, EMT())
     else:
         assert at_rest(far, EMT()).said["relaxed"].endswith("strains of -20.1% to -20.1%")
+
+
+def test_a_thickness_that_is_no_length_is_refused():
+    with pytest.raises(wp.InputError, match="thickness: expected a length > 0"):
+        at_rest(ase.build.graphene(vacuum=10), EMT(), thickness=0.0)
 
 
 def test_a_sheet_across_a_face_is_put_together_and_a_wide_cell_made_small():
@@ -212,6 +274,31 @@ def test_a_solid_is_turned_to_axes_that_nodes_share():
     np.testing.assert_allclose(conventional, np.rint(conventional), atol=1e-3)
 
 
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_strain_is_held_along_the_axes_that_it_was_said_in(flat):
+    """A turned crystal, stretched along x: turned to its own axes it would give the strain up."""
+    one = ase.build.graphene(a=2.5297, vacuum=10) if flat else ase.build.bulk("Si", a=5.431)
+    one.rotate(*(17, "z") if flat else (40, (1, 2, 3)), rotate_cell=True)
+    one.set_cell(np.array(one.cell) @ np.diag([1.02, 1.0, 1.0]), scale_atoms=True)
+    made = lammps_calculator("tersoff", ["C"], TERSOFF) if flat else None
+    found = at_rest(one, made or lammps_calculator("sw", ["Si"], "Si.sw"), hold=["xx"])
+    off = found.stress / found.stress[0, 0]
+    np.testing.assert_allclose(off - np.diag(np.eye(len(off))[0]), 0, atol=1e-3)
+    assert found.stress[0, 0] > (1e-2 if flat else 1e-3)
+    assert "axes" not in found.said
+
+
+def test_turned_axes_are_said_and_a_strain_of_a_sheet_across_x_is_refused():
+    across = ase.build.graphene(vacuum=10)
+    across.pbc = True
+    across.rotate(90, "y", rotate_cell=True)
+    made = lammps_calculator("tersoff", ["C"], TERSOFF)
+    assert at_rest(across, made).said["axes"] == "turned: x along an edge of the cell, z across"
+    with pytest.raises(wp.InputError, match="hold: expected a sheet across z"):
+        at_rest(across, made, hold=["xx"])
+    assert "axes" not in at_rest(ase.build.graphene(vacuum=10), made).said
+
+
 def test_a_file_of_one_element_is_read_by_the_style_eam():
     palladium = ase.build.bulk("Pd", cubic=True)
     palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")
@@ -223,6 +310,8 @@ def test_a_file_of_one_element_is_read_by_the_style_eam():
 def test_a_potential_that_is_not_there_is_told_its_neighbours():
     with pytest.raises(wp.InputError, match=r"got 'Sii.sw'; LAMMPS came with Si.sw"):
         lammps_calculator("sw", ["Si"], "Sii.sw")
+    with pytest.raises(wp.InputError, match="got 'mine/Si.sw'"):  # not another file of this name
+        lammps_calculator("sw", ["Si"], "mine/Si.sw")
 
 
 def test_what_lammps_refuses_is_said_in_its_words():

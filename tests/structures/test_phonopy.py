@@ -57,6 +57,13 @@ def test_born_charges_make_the_field_of_ions_part_of_every_wave():
     assert moduli(found) == pytest.approx(STRAINED, rel=5e-3)
 
 
+def test_several_elements_without_born_are_warned_of(tmp_path):
+    for name in ("phonopy_disp.yaml", "FORCE_SETS"):
+        shutil.copy(EXAMPLES / "magnesia" / name, tmp_path)
+    with pytest.warns(UserWarning, match="no BORN is there"):
+        assert wp.atoms.from_phonopy(tmp_path).polar is None
+
+
 def test_charges_of_a_sheet_are_refused_by_name():
     with pytest.raises(wp.InputError, match="BORN: expected a solid"):
         wp.atoms.from_phonopy(EXAMPLES / "magnesia", thickness=4.0)
@@ -65,6 +72,8 @@ def test_charges_of_a_sheet_are_refused_by_name():
 def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
     with pytest.raises(wp.InputError, match="expected a file of phonopy"):
         wp.atoms.from_phonopy(tmp_path)
+    with pytest.raises(wp.InputError, match="no such file or folder"):
+        wp.atoms.from_phonopy(tmp_path / "nowhere")
     (tmp_path / "phonopy.yaml").write_text("nothing: here\n")
     with pytest.raises(wp.InputError, match="phonopy does not read it"):
         wp.atoms.from_phonopy(tmp_path)

@@ -1,12 +1,19 @@
-"""Small jobs that write files, to be killed and run again: data, sweep, training.
+"""Small jobs that write files, to be killed and run again: data, sweep, training, frames.
 
 python -m tests.support.jobs NAME FOLDER
 """
 
+import io
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
+import numpy as np
+
+import warp_peri
 from tests.support.problems import kernel, lattice, manufactured
+from tests.support.sheets import NEAREST, square, waves
+from warp_peri.files.atomic import locked, whole_file
 
 
 def data(folder):
@@ -53,7 +60,34 @@ def training(folder):
     return ["model.json", "state.npz"]
 
 
-JOBS = {"data": data, "sweep": sweep, "training": training}
+def sheet(folder):
+    """Frames of a sheet to its material: every fit is kept as it ends."""
+    from warp_peri.cli.main import main
+    from warp_peri.tissue import Dictionary, HyperelasticSolid, Term
+
+    terms = (Term("plane_stress"), Term("mooney"))
+    law = HyperelasticSolid(
+        Dictionary(3.0, (), NEAREST, terms), np.array([0.1] * 4 + [0.35, 0.15]), 0.1
+    )
+    points = square(5)
+    bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
+    with locked(folder / "frames"):
+        for n in range(4):
+            edge = bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n)
+            u = warp_peri.solve(law, warp_peri.Dirichlet(points, None, edge)).u
+            with whole_file(folder / "frames" / f"frame{n}.csv") as path:
+                np.savetxt(
+                    path, np.hstack([points.x, u]), delimiter=",", header="x,y,u,v", comments=""
+                )
+    line = ["dic", str(folder / "frames"), "--even", "--count", "4", "--json"]
+    with redirect_stdout(io.StringIO()):
+        assert main([*line, "--out", str(folder / "sheet")]) == 0
+    names = ["dic.json", "curves.csv", "material.json", "material.feb"]
+    fits = sorted(f"fits/{path.name}" for path in (folder / "sheet" / "fits").iterdir())
+    return [f"sheet/{name}" for name in (*names, *fits)]
+
+
+JOBS = {"data": data, "sweep": sweep, "training": training, "sheet": sheet}
 
 
 def main(name, folder):

@@ -12,6 +12,7 @@ from tools import make_frames
 from warp_peri.cli.main import main
 from warp_peri.sources.dic import frames_of_folder
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, sheet_choice, uniaxial
+from warp_peri.tissue.kept_fits import KeptFits
 
 C1, C2 = 0.35, 0.15
 TERMS = (Term("plane_stress"), Term("mooney"))
@@ -73,6 +74,34 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
     assert low <= middle <= high
     table = np.loadtxt(tmp_path / "out" / "curves.csv", delimiter=",", skiprows=1)
     assert (table[:, 2] <= table[:, 1]).all()
+
+
+def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, monkeypatch, capsys):
+    fit, names = sheet_choice.fit_displacement, []
+
+    def counted(train, dictionary, **options):
+        names.append(options["progress"])
+        if len(names) == 3:
+            raise KeyboardInterrupt
+        return fit(train, dictionary, **options)
+
+    monkeypatch.setattr(sheet_choice, "fit_displacement", counted)
+    line = ["dic", str(folder), "--even", "--count", "4", "--out", str(tmp_path / "out")]
+    assert main(line) == 130
+    assert names[:2] == ["neo-Hookean", "Mooney-Rivlin"]  # bars have the candidates' names
+    capsys.readouterr()
+    assert main(line) == 0
+    assert "2 fits are there and are taken as they are" in capsys.readouterr().err
+    assert names[2:] == ["Mooney-Rivlin, band 1 of 2"] * 2 + ["Mooney-Rivlin, band 2 of 2"]
+    for broken in (tmp_path / "out" / "fits").glob("neo*.fit.json"):
+        broken.write_text("{")
+    assert main(line) == 0
+    assert names[5:] == ["neo-Hookean"]  # a record that cannot be read is made again
+    frames = frames_of_folder(folder, 4, radius=0.0)
+    for settings, count in ((sheet_choice.SETTINGS, (4, 0)), ("others", (0, 4))):
+        assert KeptFits(tmp_path / "out" / "fits", frames, settings).count() == count
+    other = wp.Samples(frames.points, frames.u + 1e-9)
+    assert KeptFits(tmp_path / "out" / "fits", other, sheet_choice.SETTINGS).count() == (0, 4)
 
 
 def test_fewer_frames_than_four_are_refused():

@@ -20,6 +20,8 @@ from warp_peri.sources.dic import frames_of_folder, noise_of
 
 NO_FORCE = "are scaled: C11 + C22 + C66 at rest is 1, no force is known (--stress gives one)"
 UNSAID = "as in the tables; no unit was said"
+FITS = "fits"
+"""Of the folder, where a second start goes on from."""
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
@@ -53,7 +55,12 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
 
     with locked(given.out):
         choice = choose_sheet(
-            frames, fibres=given.fibres, uneven=not given.even, done=done, progress=not given.json
+            frames,
+            fibres=given.fibres,
+            uneven=not given.even,
+            folder=given.out / FITS,
+            done=done,
+            progress=not given.json,
         )
         material, scale = choice.material, 1.0
         if given.stress is not None:

@@ -67,6 +67,8 @@ def read_structure(path: Path) -> Any:
     """
     import ase.io
 
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file; a folder of phonopy goes without a calculator")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     with path.open("rb") as file:

@@ -130,12 +130,13 @@ class ForceConstants:
         flat = self.dimension == 2 and np.ptp(self.positions[:, 2]) < FLAT
         return 2 if flat else 3
 
-    def dynamical(self, k: np.ndarray) -> np.ndarray:
+    def dynamical(self, k: np.ndarray, moving: int | None = None) -> np.ndarray:
         """D_at(k) [eV/Å²] with the phases of atoms' positions and no masses, [K, n m, n m].
 
-        m is `moving`; the mean height of a sheet's cell is held. k in 1/Å, shape [K, d].
+        m is `moving`, by default the property; the mean height of a sheet's cell is held.
+        k in 1/Å, shape [K, d].
         """
-        d, m, n = self.dimension, self.moving, len(self.positions)
+        d, m, n = self.dimension, moving or self.moving, len(self.positions)
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
         D = np.zeros((len(k), n, m, n, m), complex)
         for i, j in itertools.product(range(n), repeat=2):

@@ -9,13 +9,14 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_number
-from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
+from warp_peri.shown import as_table, in_rows
 
 ROTATION = 1e-6
 """That a rotation may be off."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Points:
     """Nodes of one body.
 
@@ -45,6 +46,25 @@ class Points:
     outside: np.ndarray | None = None
     units: Units = USUAL
     axis: Any = None
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length = symbols(self.units)[0]
+        kind = f"a lattice of {self.spacing:g} {length}" if self.spacing else "scattered"
+        inside = np.count_nonzero(self.interior)
+        rows = [("nodes", f"{len(self.x)}, {inside} of them interior, {kind}")]
+        if self.box is not None:
+            rows.append(("periods", " × ".join(f"{side:g}" for side in self.box) + f" {length}"))
+        if self.axis is not None:
+            shown = f"{self.axis:g}°" if self.dimension == 2 else "a rotation"
+            rows.append(("axis", shown))
+        return rows
+
+    def __repr__(self) -> str:
+        return in_rows("Points", self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
     def __post_init__(self) -> None:
         for name, kind in (("x", float), ("interior", bool)):

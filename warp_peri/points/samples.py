@@ -95,14 +95,7 @@ class Samples:
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         length, stress = symbols(self.points.units)
-        kind = f"a lattice of {self.spacing:g} {length}" if self.spacing else "scattered"
-        nodes = f"{len(self.x)}, {np.count_nonzero(self.interior)} of them interior, {kind}"
-        rows = [("samples", str(len(self))), ("nodes", nodes)]
-        if self.box is not None:
-            rows.append(("periods", " × ".join(f"{side:g}" for side in self.box) + f" {length}"))
-        if self.axis is not None:
-            shown = f"{self.axis:g}°" if self.points.dimension == 2 else "a rotation"
-            rows.append(("axis", shown))
+        rows = [("samples", str(len(self))), *self.points.rows()]
         rows.append(("u", f"up to {np.abs(self.u).max(initial=0.0):.3g} {length}"))
         known = "not known"
         if self.b is not None:

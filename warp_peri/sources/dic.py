@@ -234,7 +234,7 @@ def frames_on_lattice(
 def frames_of_folder(
     folder: Path, count: int, *, pixel: float | str = 1.0, radius: float
 ) -> Samples:
-    """So many frames of a folder, in the order of their names, on one lattice.
+    """So many frames of a folder, in the order of their names and numbers, on one lattice.
 
     They are spread from a quarter of the test to its end. Files that are no frames are passed over
     with a warning: tables of forces lie beside frames.
@@ -254,7 +254,8 @@ def frames_of_folder(
     if not folder.is_dir():
         raise InputError(f"folder: expected one with frames, got {folder}")
     frames, others = [], []
-    for path in sorted(p for p in folder.iterdir() if p.suffix in (".csv", ".txt")):
+    paths = [path for path in folder.glob("[!.]*") if path.suffix in (".csv", ".txt")]
+    for path in sorted(paths, key=by_number):
         try:
             frames.append(read_frame(path, pixel=pixel))
         except InputError as error:
@@ -267,6 +268,12 @@ def frames_of_folder(
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
     return frames_on_lattice([frames[n] for n in chosen], radius=radius)
+
+
+def by_number(path: Path) -> list[tuple[int, str]]:
+    """To sort names by, so that frame10 comes behind frame9."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(int(part), "") if n % 2 else (-1, part) for n, part in enumerate(parts)]
 
 
 def spacing_of(x: np.ndarray) -> float:

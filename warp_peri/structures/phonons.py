@@ -34,6 +34,10 @@ GRID = {2: 24, 3: 8}
 """Wave vectors along each reciprocal edge that are looked at for soft modes."""
 SOFT = 1e-5
 """Of the largest eigenvalue: a negative one beyond it is no rounding."""
+LOOSE = (
+    "structure: parts of it feel no force from the rest; expected one crystal, without loose atoms "
+    "or layers"
+)
 STRAIN = 1e-3
 """Of the finite strains that moduli are checked with."""
 BORN, DIELECTRIC = "born_effective_charges", "dielectric_tensor"
@@ -144,6 +148,8 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             moved = x.copy()
             moved[0, axis] += STEP
             change = np.abs(at_rest(moved) - still).max(axis=1)
+            if not change.max() > 0:
+                raise InputError(LOOSE)
             outside = far > 0.45 * (counts * heights)[:d].min()
             rim = max(rim, float(change[outside].max(initial=0.0) / change.max()))
         if rim <= REACHED:
@@ -160,19 +166,23 @@ def check_phonons(atoms: ForceConstants) -> None:
     """Raise InputError for imaginary phonons, with the worst wave vector.
 
     A grid of waves is looked at, and the edges of the zone with it; a sheet's mean height is held,
-    so that its bending is not.
+    so that its bending is not. Raises it too for parts that feel no force from the rest.
     """
-    d, m = atoms.dimension, atoms.moving
+    d = atoms.dimension
     back = 2 * np.pi * np.linalg.inv(atoms.cell[:d, :d]).T
     line = np.arange(GRID[d]) / GRID[d]
     parts = np.array(list(itertools.product(line, repeat=d)))
     parts = np.where(parts > 0.5, parts - 1, parts)
     parts = parts[parts @ [1.0, 1e-3, 1e-6][:d] >= 0]
-    weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], m))
-    D = atoms.dynamical(parts @ back) * weight * weight[:, None]
+    weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
+    D = atoms.dynamical(parts @ back, moving=3) * weight * weight[:, None]
     least = np.linalg.eigvalsh(D)
     worst = int(least[:, 0].argmin())
-    if least[worst, 0] >= -SOFT * least.max():
+    top = least[:, -2 if d == 2 else -1].max()  # above it is what a mean height is held with
+    if least[worst, 0] >= -SOFT * top:
+        stiffest = np.linalg.eigvalsh(atoms.dynamical(parts @ back))[:, 0].max()
+        if stiffest <= SOFT * np.abs(atoms.values).max():
+            raise InputError(LOOSE)
         return
     k, imaginary = parts[worst] @ back, THZ * np.sqrt(-least[worst, 0])
     raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
-from warp_peri.structures.rest import VACUUM, gap, thickness_of
+from warp_peri.structures.cells import VACUUM, gap
+from warp_peri.structures.rest import thickness_of
 
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 """Of a folder, the first that is there is read."""
@@ -22,7 +24,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
 
     Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN, which
     are read as phonopy itself reads them. With Born charges the field of the ions is part of every
-    wave (theory.md, T18).
+    wave (theory.md, T18); a solid of several elements without BORN is warned of.
 
     Args:
         path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
@@ -71,6 +73,12 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     if found.nac_params is not None:
         born, dielectric = (np.asarray(found.nac_params[n]) for n in ("born", "dielectric"))
         polar = Polar(born, dielectric)
+    elif thickness is None and len(set(cell.numbers)) > 1:
+        warnings.warn(
+            f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "
+            "waves",
+            stacklevel=2,
+        )
     across = float(np.abs(cell.cell[:2, 2]).max()) < 1e-6
     if thickness is not None and polar is None and not across:
         raise InputError(f"{path}: expected a sheet across z")
@@ -82,6 +90,8 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
 def _yaml(path: Path) -> Path:
     if path.is_file():
         return path
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
     for name in YAML:
         if (path / name).is_file():
             return path / name

@@ -1,4 +1,4 @@
-"""A structure made ready: sheet or solid, its axes, its smallest cell, at rest."""
+"""A structure brought to rest in its smallest cell: what is left, and what its nodes may be."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import ase
 import numpy as np
 from ase.data import vdw_radii
 from ase.filters import FrechetCellFilter
-from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.stress import voigt_6_to_full_3x3_stress
 
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.groups import group_of_structure
 from warp_peri.points.unit_names import STRESSES
+from warp_peri.structures.cells import (
+    FLAT,
+    ON_SITES,
+    exact_cell,
+    oriented,
+    smallest,
+    to_shared_axes,
+)
 from warp_peri.structures.lammps import LammpsError
 
-VACUUM = 8.0
-"""A gap between atoms [Å] that counts as vacuum."""
-WIDE = 5.0
-"""A gap [Å] that is no vacuum yet, and wide for a solid."""
-HEIGHT = 40.0
-"""Of the box around a sheet, beside the sheet itself [Å]."""
 USUAL_RADIUS = 2.0
 """Van der Waals radius [Å] of elements that have none in ASE's table."""
 QUIET, STEPS = 1e-5, 1000
@@ -36,10 +36,6 @@ MOVED = 0.01
 """Strain by which the cell may relax without a word."""
 VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-FULL, UPON = 0.999, 0.5
-"""Occupancy of a site that an atom fills; distance [Å] that no two atoms are nearer than."""
-ON_SITES = 1e-4
-"""Distance [Å] within which atoms are on their sites."""
 
 
 @dataclass(frozen=True)
@@ -88,14 +84,25 @@ def at_rest(
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
         raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
-    cell, flat = _oriented(atoms)
+    if thickness is not None and not 0 < thickness < np.inf:
+        raise InputError(f"thickness: expected a length > 0 [Å], got {thickness}")
+    cell, flat = oriented(atoms, turning=not held or held >= set(VOIGT))
+    turned = (
+        min(np.abs(np.array(cell.cell)[0] - edge).max() for edge in np.array(atoms.cell)) > FLAT
+    )
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
-    cell = _smallest(cell, flat)
+    cell = smallest(cell, flat)
     cell.calc = calculator
     before = np.array(cell.cell)
     _check_forces(cell)
     _relax(cell, flat, held)
+    strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
+    if flat:
+        strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
+    if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
+        cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat))
+        cell.calc = calculator
     size, rule = thickness, "as given"
     if flat and size is None:
         size, rule = thickness_of(cell)
@@ -105,7 +112,12 @@ def at_rest(
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
         + f" Å, {len(cell)} atoms",
     }
-    strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
+    if turned:
+        said["axes"] = (
+            "turned: x along an edge of the cell, z across"
+            if flat
+            else "turned to those of the conventional cell"
+        )
     if np.abs(strain).max() > MOVED:
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
@@ -113,135 +125,6 @@ def at_rest(
         said["bending"] = "not in the law: it moves a sheet in its plane only"
     cell.calc = None
     return Reference(cell, size, stress, usual_spacing(cell, flat), said)
-
-
-def _check_sites(atoms: ase.Atoms) -> None:
-    """Raise InputError for atoms upon each other, and shared sites, of which ASE keeps one atom."""
-    for site in (atoms.info.get("occupancy") or {}).values():
-        if len(site) > 1 or min(site.values()) < FULL:
-            shared = ", ".join(f"{kind} {part:g}" for kind, part in site.items())
-            raise InputError(
-                f"structure: expected sites that one element fills, got one of {shared}; "
-                "give a cell with every atom on a site of its own"
-            )
-    first, second, apart = neighbor_list("ijd", atoms, UPON)
-    if len(apart):
-        n = apart.argmin()
-        raise InputError(
-            f"structure: expected atoms {UPON:g} Å apart or more, got {apart[n]:.2g} Å between "
-            f"atoms {first[n]} and {second[n]} of {len(atoms)}; is a site there twice?"
-        )
-
-
-def _oriented(atoms: ase.Atoms) -> tuple[ase.Atoms, bool]:
-    """The structure with a sheet across z, amid a high box, and whether it is one."""
-    _check_sites(atoms)
-    periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
-    if not periodic.any():
-        raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
-    empty = [a for a in range(3) if not periodic[a] or gap(atoms, a) >= VACUUM]
-    if len(empty) > 1:
-        raise InputError(
-            f"structure: expected a sheet or a solid; along {len(empty)} edges of the cell there "
-            "is vacuum or no period"
-        )
-    ready: ase.Atoms = atoms.copy()
-    ready.set_constraint()
-    ready.calc = None
-    if not empty:
-        widest = max(gap(atoms, a) for a in range(3))
-        if widest >= WIDE:
-            warnings.warn(
-                f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
-                f"sheet has {VACUUM:g} Å of vacuum or more",
-                stacklevel=4,
-            )
-        ready.pbc = True
-        return _turned(ready), False
-    first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
-    normal = np.cross(cell[first], cell[second])
-    along = cell[first] / np.linalg.norm(cell[first])
-    up = normal / np.linalg.norm(normal)
-    turn = np.array([along, np.cross(up, along), up])
-    x = np.array(ready.positions) @ turn.T
-    if periodic[empty[0]]:  # a sheet that the period cuts is put together at the gap
-        x = _joined(atoms, empty[0], x, turn)
-    edges = np.array([turn @ cell[first], turn @ cell[second], [0, 0, HEIGHT + np.ptp(x[:, 2])]])
-    x[:, 2] += edges[2, 2] / 2 - (x[:, 2].min() + x[:, 2].max()) / 2
-    ready.set_cell(edges)
-    ready.positions[:] = x
-    ready.pbc = True
-    return ready, True
-
-
-def _heights(atoms: ase.Atoms, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Parts of an edge at which atoms are, rising, their order, and how far its faces are apart."""
-    part = np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis] % 1.0
-    order = np.argsort(part)
-    apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
-    return part[order], order, float(apart)
-
-
-def gap(atoms: ase.Atoms, axis: int) -> float:
-    """Largest distance between neighbours along an edge [Å]."""
-    part, _, apart = _heights(atoms, axis)
-    return float(np.diff(np.append(part, part[0] + 1)).max() * apart)
-
-
-def _joined(atoms: ase.Atoms, axis: int, x: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    part, order, _ = _heights(atoms, axis)
-    last = int(np.diff(np.append(part, part[0] + 1)).argmax())
-    edge = turn @ np.array(atoms.cell)[axis]
-    whole = np.floor(np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis])
-    x = x - np.outer(whole, edge)
-    if last < len(part) - 1:
-        x[order[: last + 1]] += edge
-    return x
-
-
-def _turned(atoms: ase.Atoms) -> ase.Atoms:
-    """A solid turned to spglib's standard axes, where these share more turns with nodes."""
-    import spglib
-
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        found: Any = spglib.get_symmetry_dataset(given, symprec=ON_SITES)
-    if found is None:
-        return atoms
-    group = group_of_structure(*given)
-    turn = np.array(found.std_rotation_matrix)
-
-    def shared(turns: np.ndarray) -> int:
-        return int((np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum())
-
-    if shared(turn @ group @ turn.T) > shared(group):
-        atoms = atoms.copy()
-        atoms.set_cell(np.array(atoms.cell) @ turn.T, scale_atoms=True)
-    return atoms
-
-
-def _smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
-    """The primitive cell in the same axes; a sheet's third edge stays."""
-    import spglib
-
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        small: Any = spglib.standardize_cell(
-            given, to_primitive=True, no_idealize=True, symprec=ON_SITES
-        )
-    if small is None or len(small[2]) >= len(atoms):
-        return atoms
-    edges = np.array(small[0])
-    x = small[1] @ edges
-    if flat:
-        (up,) = np.flatnonzero(np.abs(edges[:, :2]).max(axis=1) < 1e-6)
-        edges = edges[[(up + 1) % 3, (up + 2) % 3, up]]
-        if np.linalg.det(edges) < 0:
-            edges[2] *= -1
-        x[:, 2] %= abs(edges[2, 2])
-    return ase.Atoms(small[2], positions=x, cell=edges, pbc=True)
 
 
 def _check_forces(cell: ase.Atoms) -> None:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import stdtrit
+from tqdm import tqdm
 
 from warp_peri.errors import InputError
+from warp_peri.files.atomic import locked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.displacement_search import DisplacementFit
 from warp_peri.tissue.fibres import rose
 from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import fit_displacement
+from warp_peri.tissue.kept_fits import KeptFits
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 from warp_peri.tissue.stress import piola_stress
@@ -31,6 +37,10 @@ STEPS, TOLERANCE, AGAIN = 10, 1e-3, 3
 UNEVEN = 2
 """Degree of the polynomial that is the logarithm of a thickness."""
 LEAST_FRAMES = 4
+SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, AGAIN, UNEVEN)
+
+Candidates = dict[str, tuple[tuple[Term, ...], int]]
+"""Terms and degree of the thickness by name."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +106,7 @@ def choose_sheet(
     *,
     fibres: int = 0,
     uneven: bool = True,
+    folder: str | os.PathLike[str] | None = None,
     done: Callable[[Candidate], None] = lambda _: None,
     progress: bool = False,
 ) -> SheetChoice:
@@ -105,23 +116,54 @@ def choose_sheet(
         frames: without loads, in the order of the test.
         fibres: directions of fibres that are tried too; 0 for none.
         uneven: whether each is tried with a thickness that varies, too.
+        folder: keeps each fit as it ends; those of the same frames and settings that are there are
+            taken as they are.
         done: called with each candidate as it ends.
-        progress: show a bar for each fit, with the candidate's name.
+        progress: show a bar for each fit, with the candidate's name, and what the folder held.
 
-    A candidate that fails is passed over and says why. Raises InputError for fewer than four
-    frames, or where every candidate fails.
+    A candidate that fails is passed over and says why; from a folder it is tried again. Raises
+    InputError for fewer than four frames, where every candidate fails, or for a folder that another
+    job writes to.
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
     if fibres < 0:
         raise InputError(f"fibres: expected a number of directions, or 0, got {fibres}")
+    tried = _candidates(fibres, uneven)
+    if folder is None:
+        return _chosen(frames, tried, None, done, progress)
+    with locked(folder):
+        kept = KeptFits(Path(folder), frames, SETTINGS)
+        if progress:
+            _tell(kept)
+        return _chosen(frames, tried, kept, done, progress)
+
+
+def _tell(kept: KeptFits) -> None:
+    """A line on stderr of what a folder held before."""
+    own, others = kept.count()
+    if own:
+        tqdm.write(
+            f"{kept.folder}: {own} fits are there and are taken as they are", file=sys.stderr
+        )
+    if others:
+        told = f"{kept.folder}: {others} fits of other frames or settings are left aside"
+        tqdm.write(told, file=sys.stderr)
+
+
+def _chosen(
+    frames: Samples,
+    candidates: Candidates,
+    kept: KeptFits | None,
+    done: Callable[[Candidate], None],
+    progress: bool,
+) -> SheetChoice:
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = (Samples(frames.points, frames.u[part]) for part in (pick, ~pick))
     tried = []
-    for name, (terms, degree) in _candidates(fibres, uneven).items():
-        tried.append(
-            _tried(name, train, test, Dictionary(REACH, (), NEAREST, terms), degree, progress)
-        )
+    for name, (terms, degree) in candidates.items():
+        dictionary = Dictionary(REACH, (), NEAREST, terms)
+        tried.append(_tried(name, train, test, dictionary, degree, kept, progress))
         done(tried[-1])
     tried.sort(key=lambda candidate: candidate.held_out)
     best = tried[0].fit
@@ -131,15 +173,18 @@ def choose_sheet(
     for left in range(len(train)):
         rest = Samples(train.points, np.delete(train.u, left, axis=0))
         degree = 0 if best.thickness is None else UNEVEN
+        name = f"{tried[0].name}, band {left + 1} of {len(train)}"
         try:
-            name = f"{tried[0].name}, band {left + 1} of {len(train)}"
-            others.append(_fit(rest, best.material.dictionary, degree, best, progress and name))
+            fit = _fit(name, rest, best.material.dictionary, degree, best, kept, progress)
+        except OSError:
+            raise
         except Exception:  # a frame without which nothing is found gives no band
             continue
+        others.append(fit)
     return SheetChoice(tried, others)
 
 
-def _candidates(fibres: int, uneven: bool) -> dict[str, tuple[tuple[Term, ...], int]]:
+def _candidates(fibres: int, uneven: bool) -> Candidates:
     matrix = Term("plane_stress")
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, Term("mooney"))}
     if fibres:
@@ -151,12 +196,20 @@ def _candidates(fibres: int, uneven: bool) -> dict[str, tuple[tuple[Term, ...], 
 
 
 def _tried(
-    name: str, train: Samples, test: Samples, dictionary: Dictionary, degree: int, progress: bool
+    name: str,
+    train: Samples,
+    test: Samples,
+    dictionary: Dictionary,
+    degree: int,
+    kept: KeptFits | None,
+    progress: bool,
 ) -> Candidate:
     try:
-        fit = _fit(train, dictionary, degree, None, progress and name)
+        fit = _fit(name, train, dictionary, degree, None, kept, progress)
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
         errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness)
+    except OSError:  # a full disk is no fault of the candidate
+        raise
     except Exception as error:  # solvers below run into anything; the others go on
         return Candidate(name, None, np.inf, f"{name}: {error}")
     if errors["not_solved"]:
@@ -165,22 +218,27 @@ def _tried(
 
 
 def _fit(
+    name: str,
     train: Samples,
     dictionary: Dictionary,
     degree: int,
     near: DisplacementFit | None,
-    progress: bool | str,
+    kept: KeptFits | None,
+    progress: bool,
 ) -> DisplacementFit:
-    return fit_displacement(
-        train,
-        dictionary,
-        stiffness=DEVIATIONS,
-        start=None if near is None else near.material.coefficients,
-        thickness=degree,
-        most_steps=STEPS if near is None else AGAIN,
-        tolerance=TOLERANCE,
-        progress=progress,
-    )
+    def compute() -> DisplacementFit:
+        return fit_displacement(
+            train,
+            dictionary,
+            stiffness=DEVIATIONS,
+            start=None if near is None else near.material.coefficients,
+            thickness=degree,
+            most_steps=STEPS if near is None else AGAIN,
+            tolerance=TOLERANCE,
+            progress=progress and name,
+        )
+
+    return compute() if kept is None else kept.fit(name, compute)
 
 
 def uniaxial(solid: HyperelasticSolid, stretches: ArrayLike, angle: float = 0.0) -> np.ndarray:
