@@ -213,11 +213,12 @@ def test_an_answer_on_every_second_node_is_that_of_one_process(name, jobs, folde
     on = ("from" if name == "from coarse" else "on") + " every second node, linear"
     assert one["why"].startswith(on)
     assert alone.why.startswith(on)
-    asked = ("waves", "strain", "data") if name == "from coarse" else ("waves",)
-    for part in asked:  # rough solves by another way; left and strain of a screen hold their rests
-        assert one["parts"][part] == pytest.approx(alone.parts[part], rel=0.05)
+    assert one["parts"]["waves"] == pytest.approx(alone.parts["waves"], rel=0.05)
     if name == "from coarse":
+        assert one["parts"]["data"] == pytest.approx(alone.parts["data"], rel=0.05)
         assert one["error"] == pytest.approx(alone.error, rel=0.05)
+    # these hold what a first, rough solve leaves, which is less where a block is solved on its own
+    assert one["parts"]["strain"] < 1.05 * alone.parts["strain"] + 1e-12
     assert one["error"] < 1.05 * alone.error
     truth, answer = wp.solve(rich, problem).u, np.load(folder / f"{name}_2.npy")
     wrong = np.linalg.norm((answer[:, :2] - truth)[wide(x)]) / np.linalg.norm(truth[wide(x)])
