@@ -46,6 +46,8 @@ FIRST = 0.01
 """Relative residual of the oracle's linear solves."""
 LOOSE = 0.5
 """A tolerance that needs no more than every second node where costs are measured."""
+HELD = (20, 41, 80)
+"""Nodes a side of squares that are held at their collar."""
 LARGE = 200
 """Nodes a side where costs are measured."""
 
@@ -246,6 +248,30 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     }
 
 
+def clamped(material: Members) -> dict[str, Any]:
+    """Squares that are held or bent at their collar, against the rich member solved: no data have
+    such edges. Errors that are told over true ones, of answers at four tolerances."""
+    ratios = []
+    for side in HELD:
+        x = 5.0 * np.argwhere(np.ones((side + 20,) * 2)).astype(float)
+        middle, span = x.mean(axis=0), 5.0 * side
+        inside = (np.abs(x - middle) < span / 2).all(axis=1)
+        points, s = wp.Points(x, inside, 5.0, axis=0.0), (x - middle) / span
+        push, none = material.linear.mu * 0.05 / span, np.zeros_like(x)
+        wave, bump = np.cos(2 * np.pi * s), np.exp(-(s**2).sum(axis=1, keepdims=True) / 0.04)
+        turned = 0.01 / 6 * span * np.sin(2 * np.pi * s[:, ::-1])
+        loads = (push * np.eye(2)[[0] * len(x)], push * wave, push * bump * [0, 1], none)
+        for b, given in zip(loads, (none, none, none, turned)):
+            problem = wp.Dirichlet(points, b, given)
+            truth = wp.solve(material.rich, problem).u
+            for tolerance in TOLERANCES[1:]:
+                answer: Any = wp.predict(material, problem, tolerance)
+                ratios.append(answer.error / relative(answer.u, truth, inside))
+    return {"answers": len(ratios), "coverage": float(np.mean(np.array(ratios) >= 1))} | spread(
+        ratios
+    )
+
+
 def price(steps: dict[str, int], prices: dict[str, float]) -> float:
     """Seconds of so many steps of each kind."""
     return sum(number * prices[name] for name, number in steps.items())
@@ -342,7 +368,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     assert isinstance(shown, Answer)
     draw(given.out / "predict.png", rows, shown)
     factors = {"factors": vars(material.factors)}
-    return summary(rows, cost["prices"]) | {"cost": cost} | factors | {"rows": rows}
+    held = {"clamped": clamped(material)}
+    return summary(rows, cost["prices"]) | held | {"cost": cost} | factors | {"rows": rows}
 
 
 def main(arguments: list[str] | None = None) -> int:

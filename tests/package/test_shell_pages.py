@@ -25,11 +25,13 @@ NOT_HERE = {
     r"(make|pip|source|python3 -m venv|\.venv/bin/pip) ": "sets up an environment",
     r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
+    r"mpiexec ": "tests/ranks starts it",
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
+    "grains": "grains of copper by LAMMPS, minutes; what it calls is tested in tests/dressed",
     "structures": "seventeen crystals; tests/structures runs two of them by the same call",
-    "predict": "75 scenes; what it calls is tested in tests/prediction",
+    "predict": "150 scenes; what it calls is tested in tests/prediction",
     "polymer_protocols": "tables of minutes; what it calls is tested in tests/flow",
     "polymer_tables": "tables of minutes; what it calls is tested in tests/flow",
     "speed_accuracy": "times of an hour; tests/learning/test_choice reads what it shipped",

@@ -10,6 +10,7 @@ from tests.prediction.test_predict import family, far  # noqa: F401 (a fixture)
 from tests.support.problems import lattice, smooth
 from warp_peri.points.every_second import EverySecond
 from warp_peri.prediction.hidden import Hidden
+from warp_peri.prediction.learning import moved_where_held
 from warp_peri.prediction.spectrum import Record
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
@@ -114,3 +115,24 @@ def test_waves_that_hide_between_coarse_nodes_are_seen():
         assert (collar > 0.3) == shown
         assert max(load, collar) < 0.05 or shown
     assert found.of_load(np.zeros((points.interior.sum(), 2))) == found.of_collar(0 * u) == 0
+
+
+def test_clamped_bodies_bend_at_their_edge(both):
+    """Data go on smoothly into the collar; a clamped field does not, and moves where it is held."""
+    told = replace(both, carried=Record(np.array([2.0, 4.0, 8.0]), np.array([0.05, 0.02, 0.01])))
+    bare = replace(told, factors=replace(told.factors, edge=1.0))
+    edge = moved_where_held(bare, lattice(9, WIDE))
+    told = replace(told, factors=replace(told.factors, edge=edge))
+    points, smoothly, _ = problem(told, 0.05, 0.12, interior=30)
+    b = np.zeros_like(points.x)
+    b[points.interior, 0] = 1e-3
+    clamped = wp.Dirichlet(points, b, 0 * b)
+    truth = wp.solve(told.rich, clamped).u
+    coarse = told.with_doubts(points).coarse
+    assert coarse.bent(smoothly) < 0.01
+    first = coarse.start(b, 0 * b, 1e-3)
+    off = far(first, truth, points)
+    assert 0.05 < off < coarse.bent(first) < 2 * off
+    for tolerance in (0.02, 0.05, 0.1):
+        answer = wp.predict(told, clamped, tolerance)
+        assert far(answer.u, truth, points) < answer.error < tolerance

@@ -1,4 +1,4 @@
-"""Short waves that every second node takes for long ones, seen before any solve (Q17)."""
+"""What every second node does not see: short waves, and bends at an edge (Q17)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,53 @@ from warp_peri.points.points import Points
 
 PASSED = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0]) / 64
 """Third power of the second difference: 1 of the shortest wave, an eighth of that of four nodes."""
+EVEN = 1.2
+"""By how much a mean square is larger at an edge by chance."""
+
+
+def lines_of(number: np.ndarray) -> np.ndarray:
+    """Numbers of nodes in lines of seven along both axes, shape [L, 7]; -1 is no node."""
+    rows = [sliding_window_view(number, len(PASSED), axis=a) for a in (0, 1)]
+    return np.concatenate([one[(one >= 0).all(axis=-1)] for one in rows])
+
+
+def passed_by(lines: np.ndarray, count: int) -> sp.csr_array:
+    """The sixth difference on lines [L, 7] of `count` nodes, as a matrix."""
+    ends, weights = np.arange(0, lines.size + 1, len(PASSED)), np.tile(PASSED, len(lines))
+    return sp.csr_array((weights, lines.ravel(), ends), (len(lines), count))
+
+
+class Bends:
+    """Where a displacement bends at the edge of what is given: clamped ones do, data's do not.
+
+    Nodes twice as far apart are held a little elsewhere, and the bend moves all that is inside.
+
+    Args:
+        points: every second node of a lattice.
+    """
+
+    def __init__(self, points: Points) -> None:
+        self.inside, grid = points.interior, lattice_steps(points)[0]
+        grid = grid - grid.min(axis=0)
+        number = np.full(grid.max(axis=0) + 1, -1)
+        number[tuple(grid.T)] = np.arange(len(grid))
+        lines = lines_of(number)
+        inner = self.inside[lines].sum(axis=1)
+        across = (inner > 0) & (inner < len(PASSED))
+        others = lines[~across]
+        some = others[:: max(len(others) // max(int(across.sum()), 1), 1)]
+        self.across, self.others = (passed_by(one, len(grid)) for one in (lines[across], some))
+
+    def of(self, u: np.ndarray) -> float:
+        """The sixth difference of u [C, 2] at edges beyond that elsewhere, over u inside."""
+        if not self.across.shape[0]:
+            return np.inf
+        there, even = (
+            ((one @ u) ** 2).sum() / max(one.shape[0], 1) for one in (self.across, self.others)
+        )
+        bent = u.shape[1] * max(there - EVEN * even, 0.0)  # each bend is along one axis
+        size = np.sqrt((u[self.inside] ** 2).sum(axis=1).mean()) or 1.0
+        return float(np.sqrt(bent) / size)
 
 
 class Hidden:
@@ -29,10 +76,7 @@ class Hidden:
         grid = grid - grid.min(axis=0)
         number = np.full(grid.max(axis=0) + 1, -1)
         number[tuple(grid.T)] = np.where(self.inside, -1, np.arange(len(grid)))
-        rows = [sliding_window_view(number, len(PASSED), axis=a) for a in (0, 1)]
-        lines = np.concatenate([one[(one >= 0).all(axis=-1)] for one in rows])
-        ends, weights = np.arange(0, lines.size + 1, len(PASSED)), np.tile(PASSED, len(lines))
-        self.passed = sp.csr_array((weights, lines.ravel(), ends), (len(lines), len(grid)))
+        self.passed = passed_by(lines_of(number), len(grid))
         own = grid[self.inside] - grid[self.inside].min(axis=0) + 1
         sides = own.max(axis=0) + 1
         self.shape = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)

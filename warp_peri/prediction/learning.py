@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
-from warp_peri.points.every_second import EverySecond
+from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
@@ -18,6 +18,8 @@ from warp_peri.prediction.placed import PlacedMembers, pulled, spread
 from warp_peri.prediction.predict import HIDDEN, MOST, SOLVED
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
+CLAMPED, ROUNDED, SAFELY = 20, 1e-3, 1.1
+"""Nodes a side of a clamped square, residual of its solves, and what other loads may do beyond."""
 COVERED, NEARLY = 0.9, 0.95
 """Shares of the samples that the factors are set to cover; that of what is left to correct, which
 varies little, is set higher."""
@@ -151,8 +153,31 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
         left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
         floor=quantile(rows["true"], floor),
         screen=screen,
+        edge=1.0 if carried is None else moved_where_held(bare, samples.points),
     )
     return replace(family, factors=factors, record=record, carried=carried)
+
+
+def moved_where_held(family: Members, points: Points) -> float:
+    """How far every second node is off in a clamped square, over how u bends at its edge (Q17).
+
+    Twice the horizon holds a body elsewhere, by what the influence function is: no data tell, since
+    they go on smoothly into their collar.
+    """
+    assert family.coarse is not None
+    h, collar = points.spacing, np.ceil(2 * family.coarse.horizon / points.spacing) + APART
+    x = h * np.argwhere(np.ones((CLAMPED + 2 * int(collar),) * 2)).astype(float)
+    inside = (np.abs(x - x.mean(axis=0)) < h * CLAMPED / 2).all(axis=1)
+    placed = family.with_doubts(Points(x, inside, h, axis=0.0, units=points.units))
+    coarse, b = placed.coarse, np.zeros_like(x)
+    assert coarse is not None
+    b[:, 0] = family.linear.mu / h
+    first = coarse.start(b, np.zeros_like(x), ROUNDED)[inside]
+    full = placed.inverse(placed.load(b), ROUNDED)
+    start = np.zeros_like(x)
+    start[inside] = first
+    off = float(np.linalg.norm(first - full) / np.linalg.norm(full))
+    return SAFELY * off / coarse.bent(start)
 
 
 def carried(rich: Any, points: Points) -> Any:

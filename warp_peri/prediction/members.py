@@ -38,11 +38,13 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
+        edge: of how an answer on every second node bends where it is held (Q17).
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
+    edge: float = 4.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():

@@ -15,7 +15,7 @@ from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.hidden import Hidden
+from warp_peri.prediction.hidden import Bends, Hidden
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
 if TYPE_CHECKING:
@@ -280,6 +280,17 @@ class OnCoarse:
         field = np.zeros_like(given)
         field[points.interior] = load
         return float(by_first(points, lambda b, u: known.of(b[known.inside], u), field, given))
+
+    def bent(self, u: np.ndarray) -> float:
+        """How far u [N, 2] of these nodes may be off where it bends at an edge, over u (Q17)."""
+        known = self._bends
+        found = by_first(self.nodes.nodes, lambda u: known.of(u), u[self.nodes.chosen])
+        return self.family.factors.edge * float(found)
+
+    @cached_property
+    def _bends(self) -> Any:
+        points = whole_of(self.nodes.nodes)
+        return points and Bends(points)
 
     @cached_property
     def _hidden(self) -> Any:

@@ -159,7 +159,10 @@ def _on_coarse(
     first = coarse.start(b, given, share)
     told, unseen, carried = coarse.recorded(first)
     if tolerance is not None and carried is not None:
-        apart = carried, coarse.hidden(load, given)
+        edge = coarse.bent(first)
+        if edge > tolerance:  # which corrections there would mend slowly
+            return None
+        apart = float(np.hypot(carried, edge)), coarse.hidden(load, given)
         parts = _unasked(placed, first, b, told, apart, tolerance) | {"noise": noise}
         if _size(parts) <= tolerance:
             return _Stage(first, parts, None, 0, unseen, "on every second node, ")
