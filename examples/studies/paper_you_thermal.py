@@ -297,5 +297,5 @@ def draw_kernels(path: Path, cold: warp_peri.Model, kernels: Mapping[str, Any]) 
     for ax, title in ((both, "at 0 and 300 K"), (noises, "at 300 K, by the size of the loads")):
         ax.axhline(0, color="grey", linewidth=0.8)
         ax.set(xlabel="r [Å]", ylabel="K / m [Å⁻⁴]", title=title, ylim=(-most, most))
-        ax.legend(frameon=False, loc="lower right")
+        ax.legend(framealpha=1, edgecolor="none", loc="lower right")
     save_figure(figure, path)
