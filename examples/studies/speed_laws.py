@@ -125,8 +125,7 @@ def two_loads(cache: Path) -> Samples:
 
 def strained_disks(file: Path, spacing: float) -> list[tuple[float, Samples]]:
     """Disks of growing strain on nodes so far apart [Å]: mean |H|, and samples."""
-    if not file.exists():
-        make_scenes(file)
+    make_scenes(file)  # what is there is read
     _, disk = making.graphene_bodies()
     found = []
     for strain in STRAINS:

@@ -1,4 +1,4 @@
-"""What every second node does not see: short waves, and bends at an edge (Q17)."""
+"""What every second node does not see: short waves, and bends at an edge (Q17, Q18)."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
 
 def moved_where_held(family: Members, points: Points) -> float:
-    """How far every second node is off in a clamped square, over how u bends at its edge (Q17).
+    """How far every second node is off in a clamped square, over how u bends at its edge (Q18).
 
     Twice the horizon holds a body elsewhere, by what the influence function is: no data tell, since
     they go on smoothly into their collar.

@@ -38,7 +38,7 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
-        edge: of how an answer on every second node bends where it is held (Q17).
+        edge: of how an answer on every second node bends where it is held (Q18).
     """
 
     left: float = 1.2

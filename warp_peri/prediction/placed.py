@@ -282,7 +282,7 @@ class OnCoarse:
         return float(by_first(points, lambda b, u: known.of(b[known.inside], u), field, given))
 
     def bent(self, u: np.ndarray) -> float:
-        """How far u [N, 2] of these nodes may be off where it bends at an edge, over u (Q17)."""
+        """How far u [N, 2] of these nodes may be off where it bends at an edge, over u (Q18)."""
         known = self._bends
         found = by_first(self.nodes.nodes, lambda u: known.of(u), u[self.nodes.chosen])
         return self.family.factors.edge * float(found)
