@@ -153,13 +153,13 @@ def curve(model: warp_peri.Model) -> dict[str, list[float]]:
     }
 
 
-def ratios(cache: Path) -> dict[str, Any]:
+def ratios(cache: Path, runs: Sequence[tuple[float, int]] = RUNS) -> dict[str, Any]:
     """√(Σ|B|²/Σ|B + F|²) by damping and length, with the forces F smoothed in time by ι."""
     plan = next(plan for plan in short_plans() if plan.body.cells)
     loads = [plan.groups["train"][number] for number in WATCHED]
     samples = solve_all({plan.body: loads}, cache, 1, False)[plan.body]
     found = {}
-    for damping, times in RUNS:
+    for damping, times in runs:
         average = times * (BATH.steps - BATH.transient)
         squares = np.zeros(len(SMOOTHINGS))
         for sample in samples:

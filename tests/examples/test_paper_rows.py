@@ -16,6 +16,7 @@ from examples.studies import (
     manufactured,
     paper_polymer_walls,
     paper_slides,
+    paper_you_2021,
     paper_you_thermal,
 )
 from examples.studies import paper_slides_incompressible as stiff
@@ -291,6 +292,30 @@ def test_tables_3_and_4_at_300_K_are_in_the_unit_of_the_source():
     warm = row("you_2021", "300 K: Tables 3 and 4", "| here, δ = 25 Å |")
     assert cold[-2] == pytest.approx(0.203, rel=0.05)
     assert 1 < warm[-4] < 10
+
+
+@pytest.mark.slow
+def test_signal_over_noise_by_smoothing():
+    found = paper_you_thermal.ratios(PAGES.parents[1] / paper_you_2021.CACHE, [(0.1, 1)])
+    held(found["0.1, 700"], row("you_2021", "The signal-to-noise", "| 0.1, 700 |"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(UNCERTIFIED)
+def test_tables_5_and_6_at_300_K():
+    """Runs of LAMMPS that the page has made are read; without them it takes some ten minutes."""
+    data = paper_you_thermal.data_at_300(PAGES.parents[1] / paper_you_2021.CACHE)
+    grid = paper_you_thermal.one_grid(data, "shared", 1.0)["row"]
+    both = {"shared": paper_you_thermal.two_grids(data, "shared")}
+    tables = {
+        "300 K: Table 5": [paper_you_thermal.row_of_table_5(grid)],
+        "Table 6": paper_you_thermal.rows_of_table_6(both),
+    }
+    for section, found in tables.items():
+        for cells in found:
+            start = "| " + " | ".join(cells[:2]) + " |"
+            measured = [float(n) for n in NUMBER.findall(" ".join(cells[2:]))]
+            held(measured, row("you_2021", section, start))
 
 
 @pytest.mark.slow
