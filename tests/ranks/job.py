@@ -90,7 +90,7 @@ def proven():
 
 LOOSE = {
     "coarse": (nonlinear, 0.3),
-    "from coarse": (nonlinear, 0.03),
+    "from coarse": (nonlinear, None),
     "bound": (proven, 0.3),
 }
 """The same on every second node, or from there."""
