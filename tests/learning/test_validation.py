@@ -8,7 +8,7 @@ import pytest
 from tests.support import reference
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.solving import solve
-from warp_peri import InputError, evaluate
+from warp_peri import InputError, Model, Points, Samples, evaluate
 
 HORIZON = 3.0
 MODEL = kernel("sign-changing", HORIZON)
@@ -109,3 +109,15 @@ def test_uncertified_spacings_are_refused_or_warned_about(points):
 def test_scattered_points_are_refused(points):
     with pytest.raises(InputError, match="not on scattered points|expected a lattice"):
         evaluate(MODEL, with_nodes(points, spacing=0.0), transfer=False)
+
+
+def test_where_a_periodic_body_lies_is_no_error():
+    x = np.argwhere(np.ones((12, 12))).astype(float)
+    points = Points(x, np.ones(len(x), bool), 1.0, box=(12.0, 12.0))
+    solid = Model(0.3, 0.3, 1.0, np.ones(1), horizon=2.5, certified_on=(1.0,))
+    u = 0.1 * np.cos(x @ [[np.pi / 6, 0], [np.pi / 6, np.pi / 3]])
+    b = solid.on(points)(u)
+    for moved in (0.0, 0.3):
+        errors = evaluate(solid, Samples(points, u[None] + moved, b[None]))
+        assert errors["E_u"] < 1e-9
+        assert errors["E_shape"] < 1e-9
