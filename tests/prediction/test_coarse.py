@@ -122,6 +122,7 @@ def test_clamped_bodies_bend_at_their_edge(both):
     told = replace(both, carried=Record(np.array([2.0, 4.0, 8.0]), np.array([0.05, 0.02, 0.01])))
     bare = replace(told, factors=replace(told.factors, edge=1.0))
     edge = moved_where_held(bare, lattice(9, WIDE))
+    assert moved_where_held(told, lattice(9, WIDE)) == pytest.approx(edge)  # whatever it was before
     told = replace(told, factors=replace(told.factors, edge=edge))
     points, smoothly, _ = problem(told, 0.05, 0.12, interior=30)
     b = np.zeros_like(points.x)

@@ -172,12 +172,12 @@ def moved_where_held(family: Members, points: Points) -> float:
     coarse, b = placed.coarse, np.zeros_like(x)
     assert coarse is not None
     b[:, 0] = family.linear.mu / h
-    first = coarse.start(b, np.zeros_like(x), ROUNDED)[inside]
-    full = placed.inverse(placed.load(b), ROUNDED)
-    start = np.zeros_like(x)
-    start[inside] = first
-    off = float(np.linalg.norm(first - full) / np.linalg.norm(full))
-    return SAFELY * off / coarse.bent(start)
+    first, full = (
+        coarse.start(b, np.zeros_like(x), ROUNDED),
+        placed.inverse(placed.load(b), ROUNDED),
+    )
+    off = float(np.linalg.norm(first[inside] - full) / np.linalg.norm(full))
+    return SAFELY * off * family.factors.edge / coarse.bent(first)  # bent has that factor in it
 
 
 def carried(rich: Any, points: Points) -> Any:
