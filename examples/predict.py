@@ -146,8 +146,8 @@ def counted(placed: PlacedMembers) -> Iterator[dict[str, int]]:
     count(placed.spectrum, "shares", "record")
     if coarse is not None:
         count(coarse, "start", "coarse")
-        count(coarse, "own", "own")
-        count(coarse, "correction", "coarse correction")
+        count(coarse, "correction", "coarse residual")
+        count(coarse, "spread", "spread")
     try:
         yield taken
     finally:
@@ -168,8 +168,9 @@ def ways(placed: PlacedMembers, problem: wp.Dirichlet, truth: np.ndarray) -> lis
     assert coarse is not None
     u = coarse.start(problem.b, problem.u, FIRST)
     for number in range(4):
-        found.append([{"coarse": 1, "coarse correction": number}, relative(u, truth, inside)])
-        u[inside] += coarse.correction(load - placed.rich(u))[0]
+        steps = {"coarse": 1, "coarse residual": number, "spread": number}
+        found.append([steps, relative(u, truth, inside)])
+        u[inside] += coarse.spread(coarse.correction(load - placed.rich(u))[0])
     return found
 
 
@@ -216,13 +217,14 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     linear[inside] = placed.inverse(right, FIRST)
     by_elements = elements(wp.Samples(points, given[None], b[None]), truth)
 
-    def corrected() -> Any:
+    def residual() -> Any:
         return coarse.correction(load - placed.rich(linear)), coarse.gradient(linear)
 
+    few = coarse.correction(right)[0]
     prices = {
         "coarse": fastest(lambda: coarse.start(b, start, FIRST)),
-        "coarse correction": fastest(corrected),
-        "own": fastest(lambda: coarse.own(b, linear)),
+        "coarse residual": fastest(residual),
+        "spread": fastest(lambda: coarse.spread(few)),
         "linear": fastest(lambda: placed.inverse(right, FIRST)),
         "correction": fastest(lambda: (placed.correction(load, linear), placed.gradient(linear))),
         "record": fastest(lambda: placed.recorded(u)),
@@ -232,7 +234,7 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     loose: Any = wp.predict(placed, problem, LOOSE)
     own = fastest(lambda: wp.predict(placed, problem, LOOSE))
     assert loose.why.startswith("on every second node, linear;"), loose.why
-    prices["else"] = max(own - prices["coarse"] - prices["own"], 0.0)  # the record and |H|, too
+    prices["else"] = max(own - prices["coarse"] - prices["coarse residual"], 0.0)
     with warnings.catch_warnings(action="ignore"):
         solved = fastest(lambda: wp.solve(material.linear.on(points), problem), 2)
         whole = fastest(lambda: wp.solve(nonlinear, problem), 3)

@@ -14,12 +14,13 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.members import Factors, Members
-from warp_peri.prediction.placed import PlacedMembers, pulled, spread
-from warp_peri.prediction.predict import HIDDEN, MOST, SOLVED
+from warp_peri.prediction.placed import GROWN, PlacedMembers, pulled, spread
+from warp_peri.prediction.predict import MOST
 from warp_peri.prediction.spectrum import KNOTS, recorded
 
-CLAMPED, ROUNDED, SAFELY = 20, 1e-3, 1.1
-"""Nodes a side of a clamped square, residual of its solves, and what other loads may do beyond."""
+CLAMPED, ROUNDED, SAFELY = 21, 1e-3, 1.2
+"""Nodes a side of a clamped square, an odd number, which is worst; residual of its solves; and what
+others may do beyond."""
 COVERED, NEARLY = 0.9, 0.95
 """Shares of the samples that the factors are set to cover; that of what is left to correct, which
 varies little, is set higher."""
@@ -128,7 +129,7 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
     The factors are quantiles of what was true over what was computed.
     """
-    bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None, carried=None)
+    bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None)
     sets = [samples] if validation is None else [samples, validation]
     found = [_measured(bare, one) for one in sets]
     rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
@@ -143,41 +144,38 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
     bends = bool(np.any(rows["gradient"] > 0))
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
-    carried = None
-    plain = rows["hidden"] <= HIDDEN
-    if family.coarse is not None and plain.any():
-        apart = np.sqrt(np.maximum(rows["apart"] ** 2 - rows["hidden"] ** 2, 0))
-        carried = recorded(samples.spacing * KNOTS, rows["seen"][plain], apart[plain])
     floor = np.hypot(members, screen * rows["series"])
+    left = max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0
     factors = Factors(
-        left=max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0,
+        left=left,
         floor=quantile(rows["true"], floor),
         screen=screen,
-        edge=1.0 if carried is None else moved_where_held(bare, samples.points),
+        short=1.0 if family.coarse is None else short_where_held(bare, left, samples.points),
     )
-    return replace(family, factors=factors, record=record, carried=carried)
+    return replace(family, factors=factors, record=record)
 
 
-def moved_where_held(family: Members, points: Points) -> float:
-    """How far every second node is off in a clamped square, over how u bends at its edge (Q18).
+def short_where_held(family: Members, left: float, points: Points) -> float:
+    """By how much what every second node does not see is more in a clamped square (Q15).
 
-    Twice the horizon holds a body elsewhere, by what the influence function is: no data tell, since
-    they go on smoothly into their collar.
+    No data tell: they go on smoothly into their collar. Twice the horizon holds a body elsewhere.
     """
     assert family.coarse is not None
     h, collar = points.spacing, np.ceil(2 * family.coarse.horizon / points.spacing) + APART
     x = h * np.argwhere(np.ones((CLAMPED + 2 * int(collar),) * 2)).astype(float)
-    inside = (np.abs(x - x.mean(axis=0)) < h * CLAMPED / 2).all(axis=1)
+    away = (x - x.mean(axis=0)) / (h * CLAMPED)
+    inside = (np.abs(away) < 0.5).all(axis=1)
     placed = family.with_doubts(Points(x, inside, h, axis=0.0, units=points.units))
-    coarse, b = placed.coarse, np.zeros_like(x)
+    coarse, factor = placed.coarse, 1.0
     assert coarse is not None
-    b[:, 0] = family.linear.mu / h
-    first, full = (
-        coarse.start(b, np.zeros_like(x), ROUNDED),
-        placed.inverse(placed.load(b), ROUNDED),
-    )
-    off = float(np.linalg.norm(first[inside] - full) / np.linalg.norm(full))
-    return SAFELY * off * family.factors.edge / coarse.bent(first)  # bent has that factor in it
+    for wave in (0.0, 2 * np.pi):
+        b = np.cos(wave * away) * family.linear.mu / h
+        load = placed.load(b)
+        u, full = coarse.start(b, np.zeros_like(x), ROUNDED), placed.inverse(load, ROUNDED)
+        e, missed = coarse.correction(load - placed.straight(u))
+        rest = placed.norm(u[inside] - full) ** 2 - (GROWN * left * coarse.norm(e)) ** 2
+        factor = max(factor, SAFELY * float(np.sqrt(max(rest, 0.0))) / missed)
+    return factor
 
 
 def carried(rich: Any, points: Points) -> Any:
@@ -215,22 +213,6 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         row["series"] = 0.0 if fields.strain is None else norm(fields.strain)
         row["members"] = spread(placed.norm(fields.waves), placed.norm(fields.data)) / size
         row["gradient"] = placed.gradient(u)
-        row |= _on_every_second(placed, np.where(inside[:, None], 0.0, truth), b, first)
         row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
         rows.append(row)
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-
-def _on_every_second(
-    placed: PlacedMembers, given: np.ndarray, b: np.ndarray, first: np.ndarray
-) -> dict[str, Any]:
-    """How far the linear answer there is from that on all nodes, `first`."""
-    coarse, inside = placed.coarse, placed.points.interior
-    if coarse is None:
-        return {"apart": 0.0, "hidden": np.inf, "seen": np.zeros(1)}
-    answer, size = coarse.start(b, given, SOLVED), float(np.linalg.norm(first[inside]))
-    return {
-        "apart": float(np.linalg.norm((answer - first)[inside])) / size,
-        "hidden": coarse.hidden(placed.load(b), given) / size,
-        "seen": coarse.spectrum.shares(answer[coarse.nodes.chosen]),
-    }

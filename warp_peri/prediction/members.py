@@ -21,7 +21,7 @@ from warp_peri.shown import as_table, in_rows
 if TYPE_CHECKING:
     from warp_peri.points.samples import PointsLike
 
-FORMAT, VERSION = "warp_peri.family", 1
+FORMAT, VERSION = "warp_peri.family", 2
 READERS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "warp_peri.third_order_crystal": ThirdOrderCrystal.of_content,
     "warp_peri.micromodulus": Crystal.of_content,
@@ -38,13 +38,13 @@ class Factors:
         left: of the correction that is left.
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
-        edge: of how an answer on every second node bends where it is held (Q18).
+        short: of what every second node does not see of a residual (Q15).
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
-    edge: float = 4.0
+    short: float = 1.3
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -67,8 +67,6 @@ class Members:
         strain: largest strain between neighbouring nodes in the samples.
         temperature: [K] of the samples, where they state it.
         coarse: the rich member on nodes twice as far apart, where it can be transferred there.
-        carried: by wavelength, how far its linear answers are from those on all nodes; None where
-            no sample told.
         provenance: of the fit.
     """
 
@@ -80,7 +78,6 @@ class Members:
     strain: float = 0.0
     temperature: float | None = None
     coarse: Any = None
-    carried: Record | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -114,20 +111,20 @@ class Members:
     def in_units(self, units: Units) -> Members:
         """The same in other units."""
         length, _ = factors(self.units, units)
-        records = {n: (r := getattr(self, n)) and r.longer(length) for n in ("record", "carried")}
+        record = self.record and self.record.longer(length)
         coarse = self.coarse and self.coarse.in_units(units)
         rich, second, *halves = (
             one.in_units(units) for one in (self.rich, self.second, *self.halves)
         )
         pair = (halves[0], halves[1])
-        return replace(self, rich=rich, second=second, halves=pair, coarse=coarse, **records)
+        return replace(self, rich=rich, second=second, halves=pair, coarse=coarse, record=record)
 
     def content(self) -> dict[str, Any]:
         """What the file holds: its members whole, each with its own records."""
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
         content |= {name: getattr(self, name).content() for name in ("rich", "second")}
         content["halves"] = [one.content() for one in self.halves]
-        content |= {n: (r := getattr(self, n)) and r.content() for n in ("record", "carried")}
+        content["record"] = self.record and self.record.content()
         content["coarse"] = self.coarse and self.coarse.content()
         content["factors"] = asdict(self.factors)
         content |= {n: getattr(self, n) for n in ("strain", "temperature", "provenance")}
@@ -158,9 +155,7 @@ def load_members(path: Any) -> Members:
             raise InputError(
                 "sha256: the contents are not what was written; remove this key to accept them"
             )
-        record, told = (
-            content.get(n) and Record.of_content(content[n]) for n in ("record", "carried")
-        )
+        record = content["record"] and Record.of_content(content["record"])
         coarse = _member(content["coarse"]) if content.get("coarse") else None
         rich, second, *halves = (
             _member(one) for one in (content["rich"], content["second"], *content["halves"])
@@ -168,7 +163,7 @@ def load_members(path: Any) -> Members:
         own = {name: content[name] for name in ("strain", "temperature", "provenance")}
         factors = Factors(**content["factors"])
         pair = (halves[0], halves[1])
-        return Members(rich, second, pair, record, factors, coarse=coarse, carried=told, **own)
+        return Members(rich, second, pair, record, factors, coarse=coarse, **own)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -15,7 +15,6 @@ from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.hidden import Bends, Hidden
 from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
 
 if TYPE_CHECKING:
@@ -145,14 +144,7 @@ class PlacedMembers:
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
         square that is shorter than all that the data held."""
-        record = self.family.record
-        if record is None or self.points.spacing == 0:
-            return None, 0.0
-        spectrum = self.spectrum
-        told: tuple[float, float] = by_first(
-            self.points, lambda u: record.told(spectrum.shares(u)), u
-        )
-        return told
+        return _told(self.points, self.family.record, self, u)
 
     @cached_property
     def coarse(self) -> OnCoarse | None:
@@ -248,54 +240,9 @@ class OnCoarse:
         """Root mean square of |H| of u [N, 2] near the unknowns."""
         return _gradient(self.operator, u[self.nodes.chosen])
 
-    def own(self, b: np.ndarray, u: np.ndarray) -> float:
-        """‖e‖/‖u‖ of u [N, 2] by the residual on these nodes alone, which the linear answer leaves
-        of what is not linear (Q16)."""
-        chosen, inside = self.nodes.chosen, self.nodes.nodes.interior
-        residual = self.operator.load(b[chosen]) - self.operator(u[chosen])
-        nodes = self.nodes.nodes
-        size = size_of(nodes, u[chosen][inside]) or 1.0
-        return size_of(nodes, self.inverse(residual, COARSE)) / size
-
-    def recorded(self, u: np.ndarray) -> tuple[float | None, float, float | None]:
-        """As PlacedMembers.recorded, of the waves that these nodes hold; and how far from linear
-        answers on all nodes those here were, None where no sample told."""
-        record, carried = self.family.record, self.family.carried
-        if record is None:
-            return None, 0.0, None
-        spectrum = self.spectrum
-
-        def told(u: np.ndarray) -> tuple[float, float, float | None]:
-            shares = spectrum.shares(u)
-            return *record.told(shares), None if carried is None else carried.of(shares)
-
-        found: tuple[float, float, float | None] = by_first(
-            self.nodes.nodes, told, u[self.nodes.chosen]
-        )
-        return found
-
-    def hidden(self, load: np.ndarray, given: np.ndarray) -> float:
-        """What these nodes do not tell from long waves: ‖e_hidden‖ of Hidden.of."""
-        known, points = self._hidden, self.nodes.points
-        field = np.zeros_like(given)
-        field[points.interior] = load
-        return float(by_first(points, lambda b, u: known.of(b[known.inside], u), field, given))
-
-    def bent(self, u: np.ndarray) -> float:
-        """How far u [N, 2] of these nodes may be off where it bends at an edge, over u (Q18)."""
-        known = self._bends
-        found = by_first(self.nodes.nodes, lambda u: known.of(u), u[self.nodes.chosen])
-        return self.family.factors.edge * float(found)
-
-    @cached_property
-    def _bends(self) -> Any:
-        points = whole_of(self.nodes.nodes)
-        return points and Bends(points)
-
-    @cached_property
-    def _hidden(self) -> Any:
-        points = whole_of(self.nodes.points)
-        return points and Hidden(points, float(self.family.linear.mu))
+    def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
+        """As PlacedMembers.recorded, of u [N, 2] and the waves that these nodes hold."""
+        return _told(self.nodes.nodes, self.family.record, self, u[self.nodes.chosen])
 
     @cached_property
     def spectrum(self) -> Any:
@@ -304,13 +251,22 @@ class OnCoarse:
         return points and _spectrum(points, self.family.record, self.nodes.points.spacing)
 
     def correction(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
-        """e [I, 2] of a residual on all unknown nodes, and what coarse nodes do not see of it: the
-        size that it has if it is as short as their shortest wave [length] (Q15)."""
-        e, seen = np.zeros(self.nodes.nodes.x.shape), self.nodes.gathered(residual)
-        e[self.nodes.nodes.interior] = self.inverse(seen, COARSE)
-        sizes = size_of(self.nodes.points, residual), size_of(self.nodes.nodes, seen)
-        short = sizes[0] ** 2 - (APART * sizes[1]) ** 2
-        return self.nodes.spread(e), self.unseen * float(np.sqrt(max(short, 0.0)))
+        """e [J, 2] on the unknown coarse nodes, of a residual on all unknown nodes; and what these
+        do not see of it: its size if it is as short as their shortest wave [length] (Q15)."""
+        seen = self.nodes.gathered(residual)
+        short = size_of(self.nodes.points, residual) ** 2 - self.norm(seen) ** 2
+        return self.inverse(seen, COARSE), self.unseen * float(np.sqrt(max(short, 0.0)))
+
+    def spread(self, e: np.ndarray) -> np.ndarray:
+        """e [J, 2] on the unknown coarse nodes by splines on all, [I, 2]."""
+        field = np.zeros(self.nodes.nodes.x.shape)
+        field[self.nodes.nodes.interior] = e
+        found: np.ndarray = self.nodes.spread(field)
+        return found
+
+    def norm(self, e: np.ndarray) -> float:
+        """What ‖e‖₂ of e [J, 2] on the unknown coarse nodes is on all."""
+        return APART * size_of(self.nodes.nodes, e)
 
 
 def size_of(points: Any, field: np.ndarray) -> float:
@@ -346,6 +302,17 @@ def _by_rows(points: Any, material: Any) -> tuple[Any, Any]:
 def _spectrum(points: Points, record: Record | None, spacing: float) -> Spectrum:
     """What part of a field on these points has which wavelength, by a record where there is one."""
     return Spectrum(points, spacing * KNOTS if record is None else record.wavelength)
+
+
+def _told(
+    points: Any, record: Record | None, known: PlacedMembers | OnCoarse, u: np.ndarray
+) -> tuple[float | None, float]:
+    """The error that a record gives u on these points, and the share that it has not seen."""
+    if record is None or points.spacing == 0:
+        return None, 0.0
+    spectrum = known.spectrum
+    found: tuple[float, float] = by_first(points, lambda u: record.told(spectrum.shares(u)), u)
+    return found
 
 
 def _gradient(operator: Any, u: np.ndarray) -> float:

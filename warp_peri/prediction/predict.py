@@ -38,10 +38,6 @@ MOVED = 0.02
 SHORTER, STRAINED = 0.01, 1.2
 """Share of waves shorter than the data's, and strain over the data's where the rich member is
 linear, from which the error does not speak of an answer."""
-HIDDEN = 0.05
-"""Of the displacement: where coarse nodes may miss more than this, a correction is asked for."""
-HOPE = 2.0
-"""What is not linear is asked for where c|H|, which is often so much larger, leaves hope."""
 FAMILY = (
     "a family, as fit(samples, Family(…)).material is: one law alone knows nothing of its error"
 )
@@ -156,62 +152,26 @@ def _on_coarse(
     coarse, inside = placed.coarse, placed.points.interior
     if coarse is None:
         return None
-    first = coarse.start(b, given, share)
-    told, unseen, carried = coarse.recorded(first)
-    if tolerance is not None and carried is not None:
-        edge = coarse.bent(first)
-        if edge > tolerance:  # which corrections there would mend slowly
-            return None
-        apart = float(np.hypot(carried, edge)), coarse.hidden(load, given)
-        parts = _unasked(placed, first, b, told, apart, tolerance) | {"noise": noise}
-        if _size(parts) <= tolerance:
-            return _Stage(first, parts, None, 0, unseen, "on every second node, ")
-    u, before = first.copy(), np.inf
-    taken = 0
+    u = coarse.start(b, given, share)
+    told, unseen = coarse.recorded(u)
+    before, taken, gone = np.inf, 0, np.zeros(1)
     while True:
         size = placed.norm(u[inside]) or 1.0
         left, missed = coarse.correction(load - placed.rich(u))
-        moved = GROWN * placed.norm(left) / size
-        moves = (first - u)[inside] - left if taken else left
-        bent = placed.norm(moves) / size
+        moved, bent = (GROWN * coarse.norm(e) / size for e in (left, gone + left))
         parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
-        parts["waves"] = float(np.hypot(parts["waves"], missed / size))
+        short = placed.family.factors.short * missed / size
+        parts["waves"] = float(np.hypot(parts["waves"], short))
         answers = tolerance is not None and _size(parts) <= tolerance
         if answers:
             break
-        u[inside] += left
+        u = u.copy()
+        u[inside] += coarse.spread(left)
         taken += 1
         if tolerance is None or _rest(parts) > tolerance or moved > HALVED * before:
             break
-        before = moved
+        before, gone = moved, gone + left
     return _Stage(u, parts, None, taken, unseen, "on every second node, ", answers, bent)
-
-
-def _unasked(
-    placed: PlacedMembers,
-    u: np.ndarray,
-    b: np.ndarray,
-    told: float | None,
-    apart: tuple[float, float],
-    tolerance: float,
-) -> dict[str, float]:
-    """Parts of the first answer on every second node, which no correction sees (Q16).
-
-    `apart` is what the record says of linear answers there, over them, and what those nodes may
-    have taken for long waves [length].
-    """
-    coarse, (carried, hidden) = placed.coarse, apart
-    assert coarse is not None
-    size = placed.norm(u[placed.points.interior]) or 1.0
-    unseen = float(np.hypot(carried, hidden / size)) if hidden <= HIDDEN * size else np.inf
-    gradient = coarse.gradient(u)
-    parts = _screened(placed, gradient, 0.0, 0.0, told)
-    hope = placed.family.factors.screen * gradient <= HOPE * tolerance
-    if not (hope and _size(parts | {"left": unseen}) <= tolerance):
-        return parts | {"left": np.inf}
-    own = coarse.own(b, u)
-    parts = _screened(placed, gradient, own, own, told)
-    return parts | {"left": float(np.hypot(parts["left"], unseen))}
 
 
 def _screened(
