@@ -215,11 +215,14 @@ class OnCoarse:
         nodes: every second one, EverySecond; on ranks RowsEverySecond.
         operator: the rich member there.
         family: which it is of.
+
+    Attributes:
+        unknown: numbers of the unknown ones among all, shape [J].
     """
 
     def __init__(self, nodes: Any, operator: Any, family: Members) -> None:
         self.nodes, self.operator, self.inverse = nodes, operator, operator.inverse(1)
-        self.family = family
+        self.family, self.unknown = family, nodes.chosen[nodes.nodes.interior]
         linear = operator.straight if hasattr(operator, "straight") else operator
         self.straight: Callable[[np.ndarray], np.ndarray] = linear
         self.unseen = (nodes.nodes.spacing / np.pi) ** 2 / float(family.linear.mu)
@@ -322,7 +325,7 @@ def _gradient(operator: Any, u: np.ndarray) -> float:
     if not hasattr(operator, "straight"):
         return 0.0
     H, _ = operator.gradients(u)
-    return float(np.sqrt((H**2).sum(axis=(-2, -1)).mean()))
+    return float(np.sqrt(np.vdot(H, H) / (H.size / H.shape[-1] ** 2)))
 
 
 def spread(waves: float, data: float) -> float:

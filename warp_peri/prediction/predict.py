@@ -117,9 +117,8 @@ def _predict(
 ) -> Answer:
     """The answer for one load: on every second node if that will do, else on all of them."""
     inside, load = placed.points.interior, placed.load(b)
-    start = np.where(inside[:, None], 0.0, given)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
-    coarse = _on_coarse(placed, load, b, start, share, tolerance, noise)
+    coarse = _on_coarse(placed, load, b, given, share, tolerance, noise)
     if coarse is not None and coarse.answers:
         stage = coarse
     elif coarse is not None and coarse.error <= min(share / ROUGH, ASTRAY):
@@ -127,6 +126,7 @@ def _predict(
         stage.corrections += coarse.corrections
         stage.on = "from every second node, "
     else:
+        start = np.where(inside[:, None], 0.0, given)
         start[inside] = placed.inverse(load - placed.straight(start), share)
         stage = _corrected(placed, load, start, tolerance, noise)
     kept = tolerance is None or stage.error <= tolerance
@@ -149,14 +149,14 @@ def _on_coarse(
     noise: float,
 ) -> _Stage | None:
     """An answer on every second node, or what one on all may start from; None without (Q14)."""
-    coarse, inside = placed.coarse, placed.points.interior
+    coarse = placed.coarse
     if coarse is None:
         return None
     u = coarse.start(b, given, share)
     told, unseen = coarse.recorded(u)
     before, taken, gone = np.inf, 0, np.zeros(1)
     while True:
-        size = placed.norm(u[inside]) or 1.0
+        size = coarse.norm(u[coarse.unknown]) or 1.0
         left, missed = coarse.correction(load - placed.rich(u))
         moved, bent = (GROWN * coarse.norm(e) / size for e in (left, gone + left))
         parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
@@ -166,7 +166,7 @@ def _on_coarse(
         if answers:
             break
         u = u.copy()
-        u[inside] += coarse.spread(left)
+        u[placed.points.interior] += coarse.spread(left)
         taken += 1
         if tolerance is None or _rest(parts) > tolerance or moved > HALVED * before:
             break

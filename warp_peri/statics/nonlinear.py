@@ -121,7 +121,7 @@ class PlacedThirdOrder(NonlinearOperator):
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on the interior nodes, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+        return np.compress(self.points.interior, np.asarray(b, dtype=float), axis=-2)
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative at u along v, shape [..., I, 2]."""
