@@ -215,14 +215,11 @@ class OnCoarse:
         nodes: every second one, EverySecond; on ranks RowsEverySecond.
         operator: the rich member there.
         family: which it is of.
-
-    Attributes:
-        unknown: numbers of the unknown ones among all, shape [J].
     """
 
     def __init__(self, nodes: Any, operator: Any, family: Members) -> None:
         self.nodes, self.operator, self.inverse = nodes, operator, operator.inverse(1)
-        self.family, self.unknown = family, nodes.chosen[nodes.nodes.interior]
+        self.family = family
         linear = operator.straight if hasattr(operator, "straight") else operator
         self.straight: Callable[[np.ndarray], np.ndarray] = linear
         self.unseen = (nodes.nodes.spacing / np.pi) ** 2 / float(family.linear.mu)

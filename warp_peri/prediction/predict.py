@@ -149,24 +149,26 @@ def _on_coarse(
     noise: float,
 ) -> _Stage | None:
     """An answer on every second node, or what one on all may start from; None without (Q14)."""
-    coarse = placed.coarse
+    coarse, inside = placed.coarse, placed.points.interior
     if coarse is None:
         return None
     u = coarse.start(b, given, share)
     told, unseen = coarse.recorded(u)
     before, taken, gone = np.inf, 0, np.zeros(1)
     while True:
-        size = coarse.norm(u[coarse.unknown]) or 1.0
+        size = placed.norm(np.compress(inside, u, axis=0)) or 1.0
         left, missed = coarse.correction(load - placed.rich(u))
         moved, bent = (GROWN * coarse.norm(e) / size for e in (left, gone + left))
+        rest = 1 / max(1 - moved / before, HALVED)  # what later corrections add up to
         parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
+        parts["left"] = max(parts["left"], rest * moved)
         short = placed.family.factors.short * missed / size
         parts["waves"] = float(np.hypot(parts["waves"], short))
         answers = tolerance is not None and _size(parts) <= tolerance
         if answers:
             break
         u = u.copy()
-        u[placed.points.interior] += coarse.spread(left)
+        u[inside] += coarse.spread(left)
         taken += 1
         if tolerance is None or _rest(parts) > tolerance or moved > HALVED * before:
             break
