@@ -75,18 +75,17 @@ def test_bodies_between_the_coarse_nodes_are_answered(both):
     assert far(answer.u, u, thin) < 0.1
 
 
-@pytest.mark.parametrize(("wave", "sees"), [(0.12, True), (1.2, True), (2.2, False), (3.0, False)])
-def test_a_first_answer_tells_how_far_it_is(both, wave, sees):
-    """By one evaluation on all nodes; what is too short for a correction is counted as unseen."""
+@pytest.mark.parametrize(("wave", "most"), [(0.12, 1.2), (0.6, 1.5), (2.2, 1.5), (3.0, 3.0)])
+def test_a_first_answer_tells_how_far_it_is(both, wave, most):
+    """By one evaluation on all nodes, short waves that pose as long ones between them included."""
     points, u, b = problem(both, 0.03, wave)
     placed, given = both.with_doubts(points), np.where(points.interior[:, None], 0, u)
     coarse = placed.coarse
     first = coarse.start(b, given, 1e-3)
     left, missed = coarse.correction(placed.load(b) - placed.rich(first))
     off = np.linalg.norm((first - u)[points.interior])
-    assert coarse.norm(left) == pytest.approx(np.linalg.norm(coarse.spread(left)), rel=0.15)
-    assert 0.8 * off < np.hypot(coarse.norm(left), missed) < 2.5 * off
-    assert (coarse.norm(left) > missed) == sees
+    assert coarse.norm(left) == pytest.approx(np.linalg.norm(coarse.spread(left)), rel=0.1)
+    assert off < coarse.norm(left) < np.hypot(coarse.norm(left), missed) < most * off
 
 
 def test_clamped_bodies_are_held_elsewhere_on_every_second_node(both):
