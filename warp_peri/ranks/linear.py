@@ -37,16 +37,17 @@ class RowOperator:
     Args:
         law: certified tensors of the lattice's spacing.
         piece: the nodes of this rank, in rows.
+        petsc: whether its coarse problem is PETSc's.
 
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
-    def __init__(self, law: Crystal, piece: Piece) -> None:
+    def __init__(self, law: Crystal, piece: Piece, petsc: bool = False) -> None:
         if piece.rows is None:
             raise InputError("points: expected a lattice in rows for a body at rest on ranks")
         comm, rows, d = piece.comm, piece.rows, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
-        self._rows = rows
+        self._rows, self._petsc = rows, petsc
         first, last = rows.starts[comm.rank : comm.rank + 2]
         box = (int(last - first), *rows.shape[1:])
         self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
@@ -72,7 +73,7 @@ class RowOperator:
         short = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, rows.starts)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse)
+        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse, self._petsc)
 
     def _check(self) -> None:
         piece, law = self.points, self.model
