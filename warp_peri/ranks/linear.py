@@ -18,6 +18,7 @@ from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
+from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
@@ -73,7 +74,8 @@ class RowOperator:
         short = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, rows.starts)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse, self._petsc)
+        made = PetscCycle if self._petsc else cycle
+        return short, between, made(comm, *near, coarser(self.mask), between.coarse)
 
     def _check(self) -> None:
         piece, law = self.points, self.model

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from warp_peri.micromodulus.coarse import VCycle, coarser, prolong, restrict
@@ -43,19 +41,9 @@ class Between:
 
 
 def cycle(
-    comm: Comm,
-    steps: np.ndarray,
-    tensors: np.ndarray,
-    mask: np.ndarray,
-    starts: np.ndarray,
-    petsc: bool = False,
-) -> Any:
-    """A V-cycle on the rows of this rank of a mask [rows, ...], whole where there are few nodes;
-    or PETSc's."""
-    if petsc:
-        from warp_peri.ranks.petsc import PetscCycle
-
-        return PetscCycle(comm, steps, tensors, mask, starts)
+    comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, starts: np.ndarray
+) -> _InRows | _Gathered:
+    """A V-cycle on the rows of this rank of a mask [rows, ...], whole where there are few nodes."""
     nodes = starts[-1] * np.prod(mask.shape[1:])
     if nodes <= WHOLE or (starts[1:-1] % 2).any():
         return _Gathered(comm, steps, tensors, mask, starts)

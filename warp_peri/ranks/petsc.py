@@ -8,6 +8,8 @@ place of sweeps, and a coarsest level of few nodes, whose factors every rank has
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,27 +19,32 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus.coarse import COARSEST, DEGREE, SMOOTHED
 from warp_peri.ranks.halo import RowHalo
 from warp_peri.ranks.multigrid import largest
-from warp_peri.ranks.processes import Comm
+from warp_peri.ranks.processes import Comm, world
 
 PREFIX = "warp_peri_coarse_"
 """Of these solves in PETSc's options database, by which PETSC_OPTIONS changes them."""
 
 
 def petsc() -> Any:
-    """PETSc on the MPI library that is loaded.
+    """PETSc, on the MPI library of the ranks.
 
     Raises InputError without petsc4py, and for one that was built without MPI.
     """
+    comm = world()
     try:
         import petsc4py
 
-        petsc4py.init()
+        petsc4py.init(["", "-no_signal_handler"])  # whoever ends a rank has had his say
         from petsc4py import PETSc
     except ImportError as error:
         raise InputError(
-            f"coarse: petsc needs petsc4py, the extra petsc; docs/ranks.md says how it is built "
-            f"({error})"
+            f"preconditioner: petsc needs petsc4py, which is built as docs/ranks.md says ({error})"
         ) from None
+    if comm.size != PETSc.COMM_WORLD.size:
+        raise InputError(
+            f"preconditioner: petsc sees {PETSc.COMM_WORLD.size} of {comm.size} ranks; petsc4py "
+            "was built without MPI, or with another (docs/ranks.md)"
+        )
     return PETSc
 
 
@@ -62,6 +69,7 @@ class PetscCycle:
         starts: np.ndarray,
     ) -> None:
         PETSc, d = petsc(), mask.ndim
+        PETSc.garbage_cleanup(comm)  # of earlier ones, which ranks forget at times of their own
         self.mask, self._place = mask, np.flatnonzero(mask)
         level = _Level(comm, mask, starts)
         matrices, between = [level.matrix(PETSc, steps, tensors)], []
@@ -69,42 +77,50 @@ class PetscCycle:
             between.append(level.prolongation(PETSc, few))
             tensors, level = tensors * 2.0 ** (d - 2), few
             matrices.append(level.matrix(PETSc, steps, tensors))
-        high = largest(steps, tensors)
-        chosen = {
-            "mg_levels_ksp_type": "chebyshev",
-            "mg_levels_ksp_chebyshev_eigenvalues": f"{high / SMOOTHED},{high}",
-            "mg_levels_ksp_max_it": DEGREE,
-            "mg_levels_pc_type": "jacobi",
-            "mg_coarse_pc_type": "redundant",
-        }
+        self._r, self._z = matrices[0].createVecs()
         self._cycle = pc = PETSc.PC().create(comm)
         pc.setOptionsPrefix(PREFIX)
         pc.setOperators(matrices[0])
-        pc.setType("mg")
-        pc.setMGLevels(len(matrices))
-        for n, (A, P) in enumerate(zip(reversed(matrices), [None, *reversed(between)])):
-            if P is not None:
-                pc.setMGInterpolation(n, P)
-            pc.getMGSmoother(n).setOperators(A)
-        options = PETSc.Options()
-        chosen = {PREFIX + name: value for name, value in chosen.items()}
-        chosen = {name: value for name, value in chosen.items() if name not in options}
-        for name, value in chosen.items():
-            options[name] = value
-        pc.setFromOptions()
-        pc.setUp()
-        for name in chosen:  # the database is the user's
-            del options[name]
-        self._r, self._z = matrices[0].createVecs()
+        pc.setType("mg" if between else "redundant")
+        if between:
+            pc.setMGLevels(len(matrices))
+            for n, (A, P) in enumerate(zip(reversed(matrices), [None, *reversed(between)])):
+                if P is not None:
+                    pc.setMGInterpolation(n, P)
+                pc.getMGSmoother(n).setOperators(A)
+        high = largest(steps, tensors)
+        with _defaults(PETSc.Options(PREFIX), high / SMOOTHED, high):
+            pc.setFromOptions()
+            pc.setUp()
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """Of planes [d, rows, ...], zero outside the mask."""
         d = len(r)
-        np.take(r.reshape(d, -1), self._place, axis=1, out=self._r.array.reshape(-1, d).T)
+        self._r.array = r.reshape(d, -1)[:, self._place].T.ravel()
         self._cycle.apply(self._r, self._z)
         z = np.zeros(r.shape)
         z.reshape(d, -1)[:, self._place] = self._z.array_r.reshape(-1, d).T
         return z
+
+
+@contextmanager
+def _defaults(options: Any, low: float, high: float) -> Iterator[None]:
+    """What a user has not chosen otherwise, in a database that stays the user's."""
+    chosen = {
+        "mg_levels_ksp_type": "chebyshev",
+        "mg_levels_ksp_chebyshev_eigenvalues": f"{low},{high}",
+        "mg_levels_ksp_max_it": DEGREE,
+        "mg_levels_pc_type": "jacobi",
+        "mg_coarse_pc_type": "redundant",
+    }
+    chosen = {name: value for name, value in chosen.items() if name not in options}
+    for name, value in chosen.items():
+        options[name] = value
+    try:
+        yield
+    finally:
+        for name in chosen:
+            del options[name]
 
 
 class _Level:
@@ -148,7 +164,8 @@ class _Level:
         first, column, which = _rows(self._beside(self.number, around))
         csr = first.astype(PETSc.IntType), column.astype(PETSc.IntType), blocks[which].ravel()
         size = (self.own * d, self.count * d)
-        return PETSc.Mat().createBAIJ((size, size), d, csr=csr, comm=self.comm)
+        A = PETSc.Mat().createBAIJ((size, size), d, csr=csr, comm=self.comm)
+        return A.convert("aij")  # which every preconditioner knows
 
     def prolongation(self, PETSc: Any, few: _Level) -> Any:
         """P: linear interpolation along each axis from the unknown nodes of the coarser level."""

@@ -20,6 +20,7 @@ from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo, RowHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
+from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
@@ -151,7 +152,8 @@ class _Coarse:
         self.mask = (free > INSIDE * whole)[0] & (whole > 0)[0]
         elastic = tensors_of(model, spacing).tensor()
         near = q1_tensors(elastic * spacing**-2)
-        self._cycle = cycle(comm, *near, self.mask, rows.starts, petsc)
+        made = PetscCycle if petsc else cycle
+        self._cycle = made(comm, *near, self.mask, rows.starts)
 
     def _summed(self, share: np.ndarray, cell: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Nᵗ of values [n, c] at nodes, planes [c, rows, ...]."""

@@ -59,7 +59,10 @@ class Krylov:
     def __post_init__(self) -> None:
         if self.preconditioner not in (None, *PRECONDITIONERS, PETSC):
             known = ", ".join(PRECONDITIONERS)
-            raise InputError(f"preconditioner: expected {known}, or {PETSC} on ranks, got {self.preconditioner!r}")
+            raise InputError(
+                f"preconditioner: expected {known}, or {PETSC} on ranks, got "
+                f"{self.preconditioner!r}"
+            )
         check_tolerance(self.tolerance)
 
 
