@@ -18,6 +18,7 @@ from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
+from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
@@ -37,16 +38,17 @@ class RowOperator:
     Args:
         law: certified tensors of the lattice's spacing.
         piece: the nodes of this rank, in rows.
+        petsc: whether its coarse problem is PETSc's.
 
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
-    def __init__(self, law: Crystal, piece: Piece) -> None:
+    def __init__(self, law: Crystal, piece: Piece, petsc: bool = False) -> None:
         if piece.rows is None:
             raise InputError("points: expected a lattice in rows for a body at rest on ranks")
         comm, rows, d = piece.comm, piece.rows, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
-        self._rows = rows
+        self._rows, self._petsc = rows, petsc
         first, last = rows.starts[comm.rank : comm.rank + 2]
         box = (int(last - first), *rows.shape[1:])
         self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
@@ -72,7 +74,8 @@ class RowOperator:
         short = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, rows.starts)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse)
+        made = PetscCycle if self._petsc else cycle
+        return short, between, made(comm, *near, coarser(self.mask), between.coarse)
 
     def _check(self) -> None:
         piece, law = self.points, self.model

@@ -20,6 +20,7 @@ from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo, RowHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
+from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
@@ -47,11 +48,12 @@ class ScatteredOperator:
     Args:
         model: a linear solid, certified on some lattice.
         piece: the nodes of this rank, of scattered points.
+        petsc: whether its coarse problem is PETSc's.
 
     Raises InputError as ThroughLattice does.
     """
 
-    def __init__(self, model: Model, piece: Piece) -> None:
+    def __init__(self, model: Model, piece: Piece, petsc: bool = False) -> None:
         comm, carrier = piece.comm, piece.carrier
         self.points = piece
         felt = FINER * carrier * TOUCH
@@ -71,7 +73,7 @@ class ScatteredOperator:
         if self.through is not None:
             A = self.through.problem.stiffness
             self._diagonal = A.diagonal().reshape(-1, 2)
-        self._long = _Coarse(piece, carrier, self.model)
+        self._long = _Coarse(piece, carrier, self.model, petsc)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u at this rank's interior nodes, shape [i, 2], of u [n, 2]."""
@@ -135,7 +137,7 @@ class _Coarse:
     Sums go by rows of its cells: those of one row are all on one rank.
     """
 
-    def __init__(self, piece: Piece, spacing: float, model: Model) -> None:
+    def __init__(self, piece: Piece, spacing: float, model: Model, petsc: bool) -> None:
         assert piece.rows is not None
         assert piece.at is not None
         comm, rows, inside = piece.comm, piece.rows, piece.interior
@@ -149,7 +151,9 @@ class _Coarse:
         free = self._summed(share, cell, inside[:, None].astype(float))
         self.mask = (free > INSIDE * whole)[0] & (whole > 0)[0]
         elastic = tensors_of(model, spacing).tensor()
-        self._cycle = cycle(comm, *q1_tensors(elastic * spacing**-2), self.mask, rows.starts)
+        near = q1_tensors(elastic * spacing**-2)
+        made = PetscCycle if petsc else cycle
+        self._cycle = made(comm, *near, self.mask, rows.starts)
 
     def _summed(self, share: np.ndarray, cell: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Nᵗ of values [n, c] at nodes, planes [c, rows, ...]."""

@@ -11,7 +11,7 @@ from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.processes import agreed
-from warp_peri.statics.settings import TOLERANCE, Krylov, Newton, Solver, refuse_solver
+from warp_peri.statics.settings import PETSC, TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             )
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
-    operator = operator_on(material, piece)
+        petsc = _by_petsc(getattr(solver, "preconditioner", None))
+    operator = operator_on(material, piece, petsc)
     flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
     kept = None
     if (path := _asked(**asked)) is not None:
@@ -64,7 +65,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         piece,
         operator,
         np.reshape([operator.load(load) for load in flat[0]], (*b.shape[:-2], -1, b.shape[-1])),
-        records[0].method if bends else "multigrid",
+        records[0].method if bends else "multigrid, PETSc" if petsc else "multigrid",
         tuple(record.solves if bends else record.iterations for record in records),
         operator.proven,
         details=records,
@@ -77,9 +78,23 @@ def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
     return checkpoint
 
 
-def operator_on(material: Any, piece: Piece) -> Any:
+def _by_petsc(preconditioner: str | None) -> bool:
+    """Whether PETSc is asked for, and there."""
+    if preconditioner not in (None, "multigrid", PETSC):
+        raise InputError(
+            f"preconditioner: expected multigrid or {PETSC} on ranks, got {preconditioner!r}"
+        )
+    if preconditioner == PETSC:
+        from warp_peri.ranks.petsc import petsc
+
+        petsc()
+    return preconditioner == PETSC
+
+
+def operator_on(material: Any, piece: Piece, petsc: bool = False) -> Any:
     """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants; or
-    a linear one on scattered points, ScatteredOperator.
+    a linear one on scattered points, ScatteredOperator. With `petsc` the coarse problem of a
+    linear solid is PETSc's.
 
     Raises InputError for other laws, and as these do.
     """
@@ -96,11 +111,11 @@ def operator_on(material: Any, piece: Piece) -> Any:
             raise InputError("material: expected a linear solid on scattered points on ranks")
         law = None if bends or piece.carrier else tensors_at(linear, piece)
     if law is not None:
-        return RowOperator(law, piece)
+        return RowOperator(law, piece, petsc)
     if piece.carrier:
         from warp_peri.ranks.scattered import ScatteredOperator
 
-        return ScatteredOperator(linear, piece)
+        return ScatteredOperator(linear, piece, petsc)
     from warp_peri.ranks.nonlinear import RowNonlinear
 
     return RowNonlinear(material, piece)

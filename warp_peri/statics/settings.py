@@ -16,6 +16,8 @@ TOLERANCE = 1e-8
 """Of iterative solves: true residual over right-hand side."""
 PRECONDITIONERS = ("multigrid", "sine", "strip", "fft", "cg")
 """Of conjugate gradients on lattices, by name."""
+PETSC = "petsc"
+"""On ranks alone: multigrid whose coarse problem PETSc solves."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class Krylov:
 
     Attributes:
         preconditioner: "sine" for rectangles, "multigrid" for any nodes, "strip" where λ ≫ μ;
-            "fft", the inverse symbol, and "cg", none, are there to compare. None chooses.
+            "fft", the inverse symbol, and "cg", none, are there to compare. None chooses. On ranks
+            "multigrid", or "petsc" for a coarse problem by PETSc (docs/ranks.md).
         tolerance: true residual over right-hand side.
         device: where they run, as Warp names it.
 
@@ -54,9 +57,12 @@ class Krylov:
     device: str = DEVICE
 
     def __post_init__(self) -> None:
-        if self.preconditioner is not None and self.preconditioner not in PRECONDITIONERS:
+        if self.preconditioner not in (None, *PRECONDITIONERS, PETSC):
             known = ", ".join(PRECONDITIONERS)
-            raise InputError(f"preconditioner: expected {known}, got {self.preconditioner!r}")
+            raise InputError(
+                f"preconditioner: expected {known}, or {PETSC} on ranks, got "
+                f"{self.preconditioner!r}"
+            )
         check_tolerance(self.tolerance)
 
 
