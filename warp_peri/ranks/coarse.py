@@ -34,8 +34,10 @@ class TilesEverySecond:
 
     def __init__(self, piece: Piece) -> None:
         self.points, tiles, comm = piece, piece.tiles, piece.comm
-        if tiles is None or piece.count != np.prod(tiles.shape) or min(tiles.block) < 2 * APART:
+        if tiles is None or piece.count != np.prod(tiles.shape):
             raise InputError("points: expected all nodes of a box")
+        if any(n % (2 * APART) for n in tiles.block):
+            raise InputError(f"block: expected multiples of {2 * APART}, got {tiles.block}")
         tiles = tiles.everywhere()
         self.shift = (piece.span[0] - 1) % APART
         place = piece.grid - self.shift

@@ -20,8 +20,9 @@ from warp_peri.ranks.tiles import Tiles, cut
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Slabs of rows that a box is cut to at least, where they have between so many rows each."""
-WIDEST = {2: 256, 3: 32}
-"""Most nodes of a tile along an axis."""
+TILES, WIDEST, EVEN = 3, {2: 256, 3: 48}, 4
+"""Parts that an axis is cut to at least, and most nodes of each, in the plane and in space, where
+the filter reaches 32 and 12 nodes beyond a tile; and about how few they may be halved to."""
 WIDE = 4
 """Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
 to the ranks."""
@@ -155,7 +156,7 @@ def lattice(
         interior: which nodes are unknown, of positions [n, d] as bool [n]; or an HDF5 file whose
             `interior` says it of all nodes, [N], of which a rank reads its own.
         origin: position of the first node.
-        block: nodes of a tile along the first axes, which stay together, powers of two; a number
+        block: nodes of a tile along the first axes, which stay together, even numbers; a number
             alone is of whole rows.
         units, axis: as of Points.
 
@@ -163,7 +164,7 @@ def lattice(
     """
     comm = world()
     if block is None:
-        block = tuple(_side(n, SLABS, WIDEST[len(shape)]) for n in shape[:2])
+        block = tuple(_side(n, WIDEST[len(shape)]) for n in shape[:2])
     tiles = cut(comm, shape, block if isinstance(block, tuple) else (block,))
     grid = np.indices(tiles.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T
     grid = np.ascontiguousarray(grid + tiles.corner(comm.rank))
@@ -266,7 +267,8 @@ def whole(points: Any, values: np.ndarray) -> np.ndarray:
 
 def _slabs(comm: Comm, shape: np.ndarray) -> Tiles:
     """A box of this shape in slabs of rows."""
-    return cut(comm, tuple(shape.tolist()), (_side(int(shape[0]), SLABS, LARGEST),))
+    wanted = 2 ** int(np.log2(max(shape[0] / SLABS, 1)))
+    return cut(comm, tuple(shape.tolist()), (int(np.clip(wanted, SMALLEST, LARGEST)),))
 
 
 def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
@@ -275,10 +277,12 @@ def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
     return np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
 
 
-def _side(count: int, parts: int, largest: int) -> int:
-    """Nodes of a tile along an axis, a power of two: so many parts at least, where they have
-    between SMALLEST and so many nodes."""
-    return int(np.clip(2 ** int(np.log2(max(count / parts, 1))), SMALLEST, largest))
+def _side(count: int, most: int) -> int:
+    """Nodes of a tile along an axis of so many, which can be halved to about EVEN of them;
+    from there on every rank has all of a level."""
+    side = -(-count // max(-(-count // most), TILES))
+    unit = max(1 << int(np.log2(side / EVEN)), 4)  # predict halves the box once more
+    return unit * -(-side // unit)
 
 
 def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:

@@ -21,7 +21,7 @@ class Tiles:
 
     Attributes:
         shape: nodes of the box along the axes.
-        block: nodes of a tile along the axes that are cut, powers of two; slabs of rows along one.
+        block: nodes of a tile along the axes that are cut; of slabs of rows that is one.
         starts: along each of these the first node of each rank of the grid, and the number of
             nodes, shape [p + 1].
     """
@@ -89,14 +89,13 @@ def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
     Args:
         comm: the ranks.
         shape: nodes along each axis.
-        block: nodes of a tile along the first axes.
+        block: nodes of a tile along the first axes, even numbers.
 
-    Raises InputError for tiles that are no powers of two, more of their sides than axes, and ranks
-    that are more than tiles or do not form a grid of them.
+    Raises InputError for other tiles, and ranks that are more than tiles or form no grid of them.
     """
-    if not 0 < len(block) <= len(shape) or any(n < 2 or n & (n - 1) for n in block):
+    if not 0 < len(block) <= len(shape) or any(n < 2 or n % 2 for n in block):
         said = block[0] if len(block) == 1 else block
-        raise InputError(f"block: expected powers of two from 2, up to {len(shape)}, got {said}")
+        raise InputError(f"block: expected even numbers, at most {len(shape)}, got {said}")
     while len(block) > 1 and block[-1] >= shape[len(block) - 1]:
         block = block[:-1]  # as wide as the box: not cut there
     counts = tuple(-(-n // size) for n, size in zip(shape, block))
@@ -123,7 +122,7 @@ def _grid(
     ranks: int, shape: tuple[int, ...], block: tuple[int, ...], counts: tuple[int, ...]
 ) -> tuple[int, ...] | None:
     """The best grid of so many ranks; None where no grid has a tile for each."""
-    factors = [n for n in range(1, ranks + 1) if ranks % n == 0]
+    factors = [n for n in range(ranks, 0, -1) if ranks % n == 0]  # along the first axis at best
     grids = [
         grid
         for grid in itertools.product(*[[n for n in factors if n <= count] for count in counts])
