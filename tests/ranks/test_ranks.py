@@ -105,8 +105,10 @@ def test_a_box_is_cut_into_tiles_whose_ranks_form_a_grid():
         assert owners[*tiles.corner(rank)] == 10**rank
     assert {10**rank for rank in range(6)} == set(owners.ravel())
     assert cut(SimpleNamespace(size=2), (25, 30), (8, 30)).block == (8,)  # slabs of rows
-    for size, said in ((13, "at most 12 for 25 × 30 × 9 nodes in tiles of 8 × 10"),
-                       (7, "a product of numbers up to 4 and 3, .* got 7; 6 would do")):  # fmt: skip
+    for size, said in (
+        (13, "at most 12 for 25 × 30 × 9 nodes in tiles of 8 × 10"),
+        (7, "a product of numbers up to 4 and 3, .* got 7; 6 would do"),
+    ):
         with pytest.raises(wp.InputError, match=f"ranks: expected {said}"):
             cut(SimpleNamespace(size=size), (25, 30, 9), (8, 10))
     with pytest.raises(wp.InputError, match="block: expected even numbers"):

@@ -20,12 +20,17 @@ from warp_peri.ranks.tiles import Tiles, cut
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Slabs of rows that a box is cut to at least, where they have between so many rows each."""
-TILES, WIDEST, EVEN = 3, {2: 256, 3: 48}, 4
-"""Parts that an axis is cut to at least, and most nodes of each, in the plane and in space, where
-the filter reaches 32 and 12 nodes beyond a tile; and about how few they may be halved to."""
+TILES, LONGEST, TILED = 4, {2: 256, 3: 48}, {2: 768, 3: 64}
+"""In the plane and in space: tiles along an axis at least, most nodes of each, and nodes of a box
+from which there are tiles, not slabs: the filter reaches 32 and 12 nodes beyond a tile."""
+EVEN = 8
+"""About how few nodes a side of a tile is halved to; from there on every rank has all of a level of
+multigrid."""
 WIDE = 4
 """Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
 to the ranks."""
+READ = 100_000
+"""Nodes that are read from a file at a time: between those of a tile lie those of others."""
 _OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
 
 
@@ -164,7 +169,7 @@ def lattice(
     """
     comm = world()
     if block is None:
-        block = tuple(_side(n, WIDEST[len(shape)]) for n in shape[:2])
+        block = _usual(shape)
     tiles = cut(comm, shape, block if isinstance(block, tuple) else (block,))
     grid = np.indices(tiles.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T
     grid = np.ascontiguousarray(grid + tiles.corner(comm.rank))
@@ -185,8 +190,8 @@ def lattice(
 def read_rows(
     path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
 ) -> np.ndarray:
-    """Rows of rising numbers of an array of `count` in an HDF5 file; no others are read but those
-    that lie between.
+    """Rows of rising numbers of an array of `count` in an HDF5 file; some READ at a time, with
+    those that lie between.
 
     Raises InputError for a file without the array, and one of another length.
     """
@@ -197,7 +202,9 @@ def read_rows(
             array = file[name]
             length = len(array)
             if length == count:
-                return np.asarray(array[number[0] : number[-1] + 1][number - number[0]])
+                parts = np.array_split(number, len(number) // READ + 1)
+                found = [array[n[0] : n[-1] + 1][n - n[0]] for n in parts if len(n)]
+                return np.concatenate(found)
     except (OSError, KeyError, TypeError) as error:
         raise InputError(f"{path}: expected an HDF5 file with {name!r} ({error})") from None
     raise InputError(f"{path}: expected {count} rows of {name!r}, got {length}")
@@ -267,8 +274,13 @@ def whole(points: Any, values: np.ndarray) -> np.ndarray:
 
 def _slabs(comm: Comm, shape: np.ndarray) -> Tiles:
     """A box of this shape in slabs of rows."""
-    wanted = 2 ** int(np.log2(max(shape[0] / SLABS, 1)))
-    return cut(comm, tuple(shape.tolist()), (int(np.clip(wanted, SMALLEST, LARGEST)),))
+    return cut(comm, tuple(shape.tolist()), _slab(int(shape[0])))
+
+
+def _slab(rows: int) -> tuple[int]:
+    """Rows of a slab of a box with so many, a power of two."""
+    wanted = 1 << int(np.log2(max(rows / SLABS, 1)))
+    return (min(max(wanted, SMALLEST), LARGEST),)
 
 
 def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
@@ -277,12 +289,16 @@ def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
     return np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
 
 
-def _side(count: int, most: int) -> int:
-    """Nodes of a tile along an axis of so many, which can be halved to about EVEN of them;
-    from there on every rank has all of a level."""
-    side = -(-count // max(-(-count // most), TILES))
-    unit = max(1 << int(np.log2(side / EVEN)), 4)  # predict halves the box once more
-    return unit * -(-side // unit)
+def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Nodes of a tile along the axes that are cut, of a box of this shape."""
+    d, block = len(shape), []
+    if min(shape[:2]) < TILED[d]:
+        return _slab(shape[0])
+    for count in shape[:2]:
+        side = -(-count // max(-(-count // LONGEST[d]), TILES))
+        unit = max(1 << int(np.log2(side / EVEN)), 4)  # predict halves the box once more
+        block.append(unit * -(-side // unit))
+    return tuple(block)
 
 
 def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:
