@@ -23,9 +23,8 @@ SLABS, SMALLEST, LARGEST = 8, 8, 128
 TILES, LONGEST, TILED = 4, {2: 256, 3: 48}, {2: 768, 3: 64}
 """In the plane and in space: tiles along an axis at least, most nodes of each, and nodes of a box
 from which there are tiles, not slabs: the filter reaches 32 and 12 nodes beyond a tile."""
-EVEN = 8
-"""About how few nodes a side of a tile is halved to; from there on every rank has all of a level of
-multigrid."""
+FEW = 50_000
+"""Nodes of a level of multigrid that every rank can have, to which tiles are halved if they can."""
 WIDE = 4
 """Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
 to the ranks."""
@@ -291,14 +290,13 @@ def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
 
 def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
     """Nodes of a tile along the axes that are cut, of a box of this shape."""
-    d, block = len(shape), []
+    d, unit = len(shape), 4  # which predict halves once more
     if min(shape[:2]) < TILED[d]:
         return _slab(shape[0])
-    for count in shape[:2]:
-        side = -(-count // max(-(-count // LONGEST[d]), TILES))
-        unit = max(1 << int(np.log2(side / EVEN)), 4)  # predict halves the box once more
-        block.append(unit * -(-side // unit))
-    return tuple(block)
+    while np.prod(shape) > FEW * unit**d and unit < LONGEST[d] // 3:
+        unit *= 2
+    sides = (n / max(-(-n // LONGEST[d]), TILES) for n in shape[:2])
+    return tuple(unit * int(np.ceil(side / unit)) for side in sides)
 
 
 def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:

@@ -78,7 +78,7 @@ def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
 
 
 def operator_on(material: Any, piece: Piece) -> Any:
-    """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants; or
+    """A solid on a lattice in tiles: RowOperator, or RowNonlinear with third-order constants; or
     a linear one on scattered points, ScatteredOperator.
 
     Raises InputError for other laws, and as these do.
