@@ -33,7 +33,7 @@ RIM, SHIFT = 14, 0.35
 """Of a cloud: nodes of the collar, and the most that a node lies off the lattice [spacings]."""
 
 
-def plate(shape: str, n: int, law):
+def plate(shape: str, n: int, law, block):
     """n nodes along each side, with the collar that the law asks for."""
     if shape == "cloud":
         return cloud(n)
@@ -48,7 +48,7 @@ def plate(shape: str, n: int, law):
             inside &= ~(at > 0).all(axis=1) & (np.linalg.norm(at + n / 4, axis=1) >= n / 10)
         return inside
 
-    return lattice((n + 2 * collar,) * law.dimension, h, interior)
+    return lattice((n + 2 * collar,) * law.dimension, h, interior, block=block)
 
 
 def cloud(n: int):
@@ -84,6 +84,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sides", type=int, nargs="+", default=[128, 250], help="nodes")
     parser.add_argument("--shape", choices=SHAPES, default="L")
+    parser.add_argument("--block", type=int, nargs="+", help="nodes of a tile along the first axes")
     parser.add_argument("--tolerance", type=float, default=1e-10, help="of the residual")
     parser.add_argument("--ratio", type=float, help="λ/μ, instead of the learned one")
     parser.add_argument("--preconditioner", choices=("multigrid", "petsc"), default="multigrid")
@@ -104,7 +105,7 @@ def main(argv: list[str] | None = None) -> int:
     solver = wp.Krylov(args.preconditioner, tolerance=args.tolerance)
     alone = wp.Krylov(tolerance=args.tolerance)
     for n in args.sides:
-        points = plate(args.shape, n, law)
+        points = plate(args.shape, n, law, args.block and tuple(args.block))
         b, u = given(points.x, n * law.spacing)
         begin, busy = time.perf_counter(), time.process_time()
         solid = model if args.shape == "cloud" else law

@@ -108,6 +108,8 @@ def inside(x):
     return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
 
 
+TILE = {2: (32, 16), 3: (24, 8)}
+"""Of these two ranks cut a box along the first axis, three along the second."""
 CENTRE = {2: np.array([12.5, 12.5]), 3: np.array([6.0, 6.0, 6.0])}
 
 
@@ -224,7 +226,7 @@ def rest(folder):
     found["shared"] = comm.allgather(seen)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
     for shape in ((52, 52), (25, 25, 25)):
-        points = lattice(shape, H, inside)
+        points = lattice(shape, H, inside, block=TILE[len(shape)])
         b, u = fields(points.x)
         tolerance = 1e-10 if len(shape) == 2 else 1e-8
         solver = wp.Krylov(tolerance=tolerance)
@@ -245,7 +247,7 @@ def rest(folder):
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"nonlinear_{comm.size}.npy", answer)
-    plate = lattice((62, 62), H, wide, axis=0.0)
+    plate = lattice((62, 62), H, wide, block=TILE[2], axis=0.0)
     loose = {name: (law(), tolerance) for name, (law, tolerance) in LOOSE.items()}
     for name, (rich, tolerance) in (ASKED | loose).items():
         on, known = (sheet, family) if name in ASKED else (plate, halved)
@@ -272,6 +274,7 @@ def rest(folder):
     found["newton"] = by_newton(sheet, folder)
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
+    found["grid"] = points.tiles.grid
     found["refused"] = []
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ from tests.ranks.job import (
     uneven,
     wide,
 )
+from warp_peri.ranks.tiles import cut
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -94,9 +96,29 @@ def test_sums_do_not_depend_on_who_has_what(jobs):
     assert (values.sum(axis=0) != values[::-1].sum(axis=0)).any()  # floats alone would
 
 
+def test_a_box_is_cut_into_tiles_whose_ranks_form_a_grid():
+    tiles = cut(SimpleNamespace(size=6), (25, 30, 9), (8, 10))
+    assert tiles.grid == (2, 3)
+    owners = np.zeros(tiles.shape, int)
+    for rank in range(6):
+        owners[tiles.own(rank)] += 10**rank
+        assert owners[*tiles.corner(rank)] == 10**rank
+    assert {10**rank for rank in range(6)} == set(owners.ravel())
+    assert cut(SimpleNamespace(size=2), (25, 30), (8, 30)).block == (8,)  # slabs of rows
+    for size, said in (
+        (13, "at most 12 for 25 × 30 × 9 nodes in tiles of 8 × 10"),
+        (7, "a product of numbers up to 4 and 3, .* got 7; 6 would do"),
+    ):
+        with pytest.raises(wp.InputError, match=f"ranks: expected {said}"):
+            cut(SimpleNamespace(size=size), (25, 30, 9), (8, 10))
+    with pytest.raises(wp.InputError, match="block: expected even numbers"):
+        cut(SimpleNamespace(size=1), (25, 30, 9), (8, 5))
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimension, jobs, folder):
     found = [jobs[count][f"{dimension}-D"] for count in (1, 2, 3)]
+    assert [jobs[count]["grid"] for count in (1, 2, 3)] == [[1, 1], [2, 1], [1, 3]]
     assert len({one["u"] for one in found}) == len({one["iterations"] for one in found}) == 1
     assert found[0]["iterations"] <= (32 if dimension == 2 else 30)
     tolerance = 1e-10 if dimension == 2 else 1e-8

@@ -147,16 +147,23 @@ def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> 
 
 def times(symbol: np.ndarray, wave: np.ndarray) -> np.ndarray:
     """Symmetric matrices [d (d + 1)/2, …] times vectors [d, …]."""
-    d = len(wave)
-    place = {pair: n for n, pair in enumerate(itertools.combinations_with_replacement(range(d), 2))}
     out = np.empty_like(wave)
     part = np.empty_like(wave[0])
-    for i in range(d):
-        np.multiply(symbol[place[0, i]], wave[0], out=out[i])
-        for j in range(1, d):
-            np.multiply(symbol[place[min(i, j), max(i, j)]], wave[j], out=part)
-            out[i] += part
+    for i, one in enumerate(out):
+        component(symbol, wave, i, one, part)
     return out
+
+
+def component(
+    symbol: np.ndarray, wave: np.ndarray, i: int, out: np.ndarray, part: np.ndarray
+) -> None:
+    """One component of that product, to `out`; `part` is room for as much."""
+    d = len(wave)
+    place = {pair: n for n, pair in enumerate(itertools.combinations_with_replacement(range(d), 2))}
+    np.multiply(symbol[place[0, i]], wave[0], out=out)
+    for j in range(1, d):
+        np.multiply(symbol[place[min(i, j), max(i, j)]], wave[j], out=part)
+        out += part
 
 
 def inverse(symbol: np.ndarray) -> np.ndarray:

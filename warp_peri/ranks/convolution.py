@@ -1,24 +1,21 @@
-"""Stencils on blocks of rows: rows of others, then one local transform a block (theory.md, R1).
+"""Stencils on tiles: nodes of others around them, then one local transform a tile (theory.md, R1).
 
-No transform crosses ranks, and a block's has the same bits on any number of ranks.
+No transform crosses ranks, and a tile's has the same bits on any number of ranks.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
 
+from warp_peri.launch import threads
 from warp_peri.micromodulus.coarse import SHIFT, seen_by_coarser, shear, shifted_inverse
-from warp_peri.micromodulus.sweeps import convolved
-from warp_peri.ranks.halo import RowHalo
+from warp_peri.micromodulus.sweeps import component
 from warp_peri.ranks.processes import Comm
-
-if TYPE_CHECKING:
-    from warp_peri.ranks.pieces import Rows
+from warp_peri.ranks.tiles import Halo, Tiles
 
 WIDTH = {2: 32, 3: 12}
 """Half the width of the inverse filter [nodes]."""
@@ -30,10 +27,10 @@ TORUS = 8
 
 
 class Convolution:
-    """A symmetric stencil's product with fields in blocks of rows, zero beyond the box.
+    """A symmetric stencil's product with fields in tiles, zero beyond the box.
 
     Args:
-        comm, rows: the box and who owns what.
+        comm, tiles: the box and who owns what.
         reach: of the stencil [nodes].
         symbol: its transform on a torus of a given shape, [d (d + 1)/2, *torus] halved.
         dtype: of the transforms, float64 or float32.
@@ -42,42 +39,55 @@ class Convolution:
     def __init__(
         self,
         comm: Comm,
-        rows: Rows,
+        tiles: Tiles,
         reach: int,
         symbol: Callable[[tuple[int, ...]], np.ndarray],
         dtype: type = np.float64,
     ) -> None:
-        self.reach, self.block, self.dtype = reach, rows.block, dtype
-        self.halo = RowHalo(comm, rows.starts, reach)
-        across = (max(n, reach + 1) + reach for n in rows.shape[1:])  # the stencil fits too
-        sizes = (rows.block + 2 * reach, *across)
+        self.reach, self.dtype = reach, dtype
+        self.box, self.parts = tiles.box(comm.rank), tiles.parts(tiles.box(comm.rank))
+        self.halo, cuts = Halo(comm, tiles, reach), len(tiles.block)
+        across = (max(n, reach + 1) + reach for n in tiles.shape[cuts:])  # the stencil fits too
+        sizes = (*(n + 2 * reach for n in tiles.block), *across)
         self.torus = tuple(scipy.fft.next_fast_len(n, real=True) for n in sizes)
         self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
 
     def start(self, field: np.ndarray) -> None:
-        """Send for the rows of others; `finish` gives the product."""
+        """Send for the nodes of others; `finish` gives the product."""
         self._wide = self.halo.start(field.astype(self.dtype, copy=False))
 
     def finish(self) -> np.ndarray:
-        """The product with the field that was sent for, [d, rows, ...]; inner blocks first."""
-        wide, reach, block = self._wide, self.reach, self.block
-        count = wide.shape[1] - 2 * reach
-        out = np.empty((wide.shape[0], count, *wide.shape[2:]), self.dtype)
-        inside = tuple(slice(0, n) for n in wide.shape[2:])
-        parts = [slice(first, min(first + block, count)) for first in range(0, count, block)]
-        inner = [p for p in parts if p.start >= reach and p.stop + reach <= count]
-
-        def fill(these: list[slice]) -> None:
-            for part in these:
-                there = wide[:, part.start : part.stop + 2 * reach]
-                found = convolved(self.symbol, there, self.torus)
-                out[:, part] = found[:, reach : reach + part.stop - part.start][:, :, *inside]
-
-        fill(inner)
+        """The product with the field that was sent for, [d, *box]; inner tiles first."""
+        out: np.ndarray = np.empty((len(self._wide), *self.box), self.dtype)
+        inner = [part for part in self.parts if self._is_inner(part)]
+        for part in inner:
+            self._fill(out, part)
         self.halo.finish()
-        fill([part for part in parts if part not in inner])
+        for part in self.parts:
+            if part not in inner:
+                self._fill(out, part)
         del self._wide
         return out
+
+    def _is_inner(self, part: tuple[slice, ...]) -> bool:
+        """Whether a tile feels no node of others."""
+        far = self.reach
+        return all(p.start >= far and p.stop + far <= n for p, n in zip(part, self.box))
+
+    def _fill(self, out: np.ndarray, part: tuple[slice, ...]) -> None:
+        """One tile of the product: a component at a time, for in space a transform is large."""
+        d, far, torus = len(self._wide), self.reach, self.torus
+        here = self._wide[:, *(slice(p.start, p.stop + 2 * far) for p in part)]
+        kept = [slice(far, far + p.stop - p.start) for p in part]
+        kept += [slice(0, n) for n in self.box[len(part) :]]
+        wave = np.empty((d, *torus[:-1], torus[-1] // 2 + 1), np.result_type(self.dtype, 1j))
+        for one, there in zip(wave, here):
+            one[...] = scipy.fft.rfftn(there, s=torus, workers=threads())
+        mixed, room = np.empty_like(wave[:2])
+        for i in range(d):
+            component(self.symbol, wave, i, mixed, room)
+            found = scipy.fft.irfftn(mixed, s=torus, workers=threads(), overwrite_x=True)
+            out[i][part] = found[*kept]
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
         self.start(field)

@@ -1,16 +1,14 @@
-"""What a rank feels of other ranks' nodes: lists of nodes, and whole rows of a box."""
+"""What a rank feels of other ranks' nodes: lists of nodes (of boxes: ranks.tiles)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warp_peri.points.points import Points
 from warp_peri.points.strain import largest_strain
-from warp_peri.ranks.processes import Comm
 
 if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece
@@ -118,59 +116,3 @@ def strain_on_ranks(piece: Piece, u: np.ndarray) -> float:
     halo.exchange(field)
     here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
     return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))
-
-
-class RowHalo:
-    """Rows of other ranks before and after those of this one.
-
-    Args:
-        comm: the ranks.
-        starts: first row of each rank, and the number of rows.
-        width: rows on each side; beyond the box they are zero.
-    """
-
-    def __init__(self, comm: Comm, starts: np.ndarray, width: int) -> None:
-        self.comm, self.width = comm, width
-        first, last = self.first, self.last = starts[comm.rank : comm.rank + 2]
-        self._give, self._take = [], []
-        for r, (start, end) in enumerate(pairwise(starts)):
-            if r == comm.rank:
-                continue
-            low, high = max(first, start - width), min(last, end + width)
-            if low < high:
-                self._give.append((r, slice(low - first, high - first)))
-            low, high = max(start, first - width), min(end, last + width)
-            if low < high:
-                self._take.append((r, slice(low - first + width, high - first + width)))
-        self._wide = np.zeros(0)
-        self._requests: list[Any] = []
-        self._buffers: list[np.ndarray] = []
-
-    def start(self, field: np.ndarray) -> np.ndarray:
-        """A field [d, rows, ...] among rows of zeros, which `finish` fills. One at a time."""
-        w, shape = self.width, field.shape
-        self._wide = wide = np.zeros((shape[0], shape[1] + 2 * w, *shape[2:]), field.dtype)
-        wide[:, w : w + shape[1]] = field
-        self._buffers = [np.empty_like(wide[:, rows]) for _, rows in self._take]
-        out = [np.ascontiguousarray(field[:, rows]) for _, rows in self._give]
-        self._requests = [
-            *(self.comm.Irecv(b, source=r, tag=w) for (r, _), b in zip(self._take, self._buffers)),
-            *(self.comm.Isend(b, dest=r, tag=w) for (r, _), b in zip(self._give, out)),
-        ]
-        self._out = out
-        return wide
-
-    def finish(self) -> None:
-        """Wait for the rows of others."""
-        from mpi4py import MPI
-
-        MPI.Request.Waitall(self._requests)
-        for (_, rows), buffer in zip(self._take, self._buffers):
-            self._wide[:, rows] = buffer
-        self._requests, self._buffers, self._out = [], [], []
-
-    def __call__(self, field: np.ndarray) -> np.ndarray:
-        """The field with the rows of others around it."""
-        wide = self.start(field)
-        self.finish()
-        return wide

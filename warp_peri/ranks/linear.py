@@ -33,27 +33,27 @@ STAGE = 1e-3
 
 
 class RowOperator:
-    """L of a lattice in rows, and what inverts it nearly.
+    """L of a lattice in tiles, and what inverts it nearly.
 
     Args:
         law: certified tensors of the lattice's spacing.
-        piece: the nodes of this rank, in rows.
+        piece: the nodes of this rank, in tiles.
         petsc: whether its coarse problem is PETSc's.
 
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
     def __init__(self, law: Crystal, piece: Piece, petsc: bool = False) -> None:
-        if piece.rows is None:
-            raise InputError("points: expected a lattice in rows for a body at rest on ranks")
-        comm, rows, d = piece.comm, piece.rows, piece.dimension
+        if piece.tiles is None:
+            raise InputError("points: expected a lattice in tiles for a body at rest on ranks")
+        comm, tiles, d = piece.comm, piece.tiles, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
-        self._rows, self._petsc = rows, petsc
-        first, last = rows.starts[comm.rank : comm.rank + 2]
-        box = (int(last - first), *rows.shape[1:])
-        self._place = np.ravel_multi_index(tuple((piece.grid - [first, *[0] * (d - 1)]).T), box)
-        self._box, self.reach = box, int(np.abs(law.steps).max())
-        self.mask = np.zeros(box, bool)
+        self._tiles, self._box, self._petsc = tiles, tiles.box(comm.rank), petsc
+        self._place = np.ravel_multi_index(
+            tuple((piece.grid - tiles.corner(comm.rank)).T), self._box
+        )
+        self.reach = int(np.abs(law.steps).max())
+        self.mask = np.zeros(self._box, bool)
         self.mask.flat[self._place[piece.interior]] = True
         with agreed(comm):
             self._check()
@@ -61,25 +61,24 @@ class RowOperator:
         tensors = law.tensors * law.spacing**2
         scale = law.spacing**-2
         self._L = Convolution(
-            comm, rows, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
+            comm, tiles, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
         )
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
         """What nearly inverts L, which waves do not need: a filter for short waves, and multigrid
         on every second node."""
-        law, comm, rows, d = self.model, self.points.comm, self._rows, self.dimension
+        law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = law.spacing**-2
         width, symbol = inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
-        short = Convolution(comm, rows, width, lambda torus: symbol(torus) / scale, np.float32)
-        between = Between(comm, rows.starts)
+        short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
+        between = Between(comm, tiles)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
         made = PetscCycle if self._petsc else cycle
         return short, between, made(comm, *near, coarser(self.mask), between.coarse)
 
     def _check(self) -> None:
         piece, law = self.points, self.model
-        assert piece.rows is not None
         check_same(law.units, piece.units)
         if self.proven is None:
             raise InputError("material: expected one that is proven stable on the lattice")
@@ -88,11 +87,11 @@ class RowOperator:
                 f"spacing: the law is for {law.spacing:g}, the points have {piece.spacing:g}"
             )
         inside = piece.grid[piece.interior]
-        most = np.array(piece.rows.shape) - 1
+        most = np.array(self._tiles.shape) - 1
         if len(inside) and min(inside.min(), (most - inside).min()) < self.reach:
             raise InputError(
                 f"points: expected {self.reach} nodes around the interior, whose displacement is "
-                f"given, in a box of {piece.rows.shape}"
+                f"given, in a box of {self._tiles.shape}"
             )
 
     @property
@@ -104,7 +103,7 @@ class RowOperator:
         return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
 
     def lay_out(self, values: np.ndarray) -> np.ndarray:
-        """Vectors of the nodes [n, d] in planes [d, rows, ...]."""
+        """Vectors of the nodes [n, d] in planes [d, *box]."""
         field = np.zeros((self.dimension, int(np.prod(self._box))))
         field[:, self._place] = values.T
         return field.reshape(self.dimension, *self._box)
@@ -125,7 +124,7 @@ class RowOperator:
         return pulled
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
-        """z ≈ L⁻¹ r: multigrid while the rows for the filter are on their way, then the filter."""
+        """z ≈ L⁻¹ r: multigrid while the nodes for the filter are on their way, then the filter."""
         short, between, coarse = self._near
         short.start(r)
         long = coarse(between.restrict(r) * coarse.mask)
@@ -136,11 +135,17 @@ class RowOperator:
         return z
 
     def inner(self) -> Inner:
-        """Scalar products and largest values over all ranks; sums of rows, then of all rows."""
+        """Scalar products and largest values over all ranks; sums of the rows of each tile, then
+        of all of them."""
+        parts = self._tiles.parts(self._box)
+        columns = [(slice(None), *p[1:]) for p in parts if p[0].start == 0]
 
         def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-            rows = (f.reshape(*f.shape[:2], -1) for f in (a, b))
-            return np.asarray(np.einsum("arn,arn->ar", *rows)).ravel()
+            sums = []
+            for part in columns:
+                rows = (f[:, *part].reshape(*f.shape[:2], -1) for f in (a, b))
+                sums.append(np.einsum("arn,arn->ar", *rows).ravel())
+            return np.concatenate(sums)
 
         return inner(self.points.comm, along)
 

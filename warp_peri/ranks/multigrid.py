@@ -1,4 +1,4 @@
-"""The V-cycle of micromodulus.coarse in rows of many ranks; where it is small, each has it all."""
+"""The V-cycle of micromodulus.coarse in tiles of many ranks; where it is small, each has it all."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from warp_peri.micromodulus.coarse import VCycle, coarser, prolong, restrict
 from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.micromodulus.sweeps import ByRows, torus_symbol
 from warp_peri.ranks.convolution import smallest
-from warp_peri.ranks.halo import RowHalo
 from warp_peri.ranks.processes import Comm
+from warp_peri.ranks.tiles import Halo, Tiles
 
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""
@@ -18,48 +18,48 @@ WAVES = 16
 
 
 class Between:
-    """Restriction from rows of ranks to every second row, and prolongation back.
+    """Restriction from nodes of ranks to every second one, and prolongation back.
 
     Args:
         comm: the ranks.
-        starts: first fine row of each rank, and their number; all but the last are even.
+        tiles: who owns which fine nodes; they can be halved.
     """
 
-    def __init__(self, comm: Comm, starts: np.ndarray) -> None:
-        self.coarse = starts // 2
-        self._fine, self._few = RowHalo(comm, starts, 1), RowHalo(comm, self.coarse, 1)
-        self._follows = comm.rank + 1 < comm.size
+    def __init__(self, comm: Comm, tiles: Tiles) -> None:
+        self.coarse = tiles.coarser()
+        self._fine, self._few = Halo(comm, tiles, 1), Halo(comm, self.coarse, 1)
+        follows = (at + 1 < count for at, count in zip(tiles.at(comm.rank), tiles.grid))
+        self._with_next = tuple(slice(1, None if more else -1) for more in follows)
+        self._cuts = len(tiles.block)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
-        """Pᵗ of the rows of this rank, one row of the next rank's included."""
-        return restrict(self._fine(field)[:, 1 : None if self._follows else -1])
+        """Pᵗ of the nodes of this rank, one of the next rank's along each cut included."""
+        return restrict(self._fine(field)[:, *self._with_next])
 
     def prolong(self, field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """P to rows of this rank of a given shape [rows, ...]."""
-        before = self._few(field)[:, :-1]
-        return prolong(before, (shape[0] + 2, *shape[1:]))[:, 2:]
+        """P to nodes of this rank, of a given shape."""
+        before = self._few(field)[:, *(slice(None, -1),) * self._cuts]
+        wide = (n + 2 * (axis < self._cuts) for axis, n in enumerate(shape))
+        return prolong(before, tuple(wide))[:, *(slice(2, None),) * self._cuts]
 
 
 def cycle(
-    comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, starts: np.ndarray
-) -> _InRows | _Gathered:
-    """A V-cycle on the rows of this rank of a mask [rows, ...], whole where there are few nodes."""
-    nodes = starts[-1] * np.prod(mask.shape[1:])
-    if nodes <= WHOLE or (starts[1:-1] % 2).any():
-        return _Gathered(comm, steps, tensors, mask, starts)
-    return _InRows(comm, steps, tensors, mask, starts)
+    comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
+) -> _InTiles | _Gathered:
+    """A V-cycle on this rank's nodes of a mask, whole where nodes are few or tiles too small.
+
+    Which levels are whole does not depend on the ranks.
+    """
+    if np.prod(tiles.shape) <= WHOLE or not tiles.halves:
+        return _Gathered(comm, steps, tensors, mask, tiles)
+    return _InTiles(comm, steps, tensors, mask, tiles)
 
 
-class _InRows(VCycle):
-    """As VCycle, of rows: a level reads one row of its neighbours."""
+class _InTiles(VCycle):
+    """As VCycle, of this rank's nodes: a level reads one more around them."""
 
     def __init__(
-        self,
-        comm: Comm,
-        steps: np.ndarray,
-        tensors: np.ndarray,
-        mask: np.ndarray,
-        starts: np.ndarray,
+        self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
         d = mask.ndim
         self.mask, self.shape, self.dense = mask, mask.shape, None
@@ -70,15 +70,15 @@ class _InRows(VCycle):
         diagonal = 2 * np.diag(tensors.sum(axis=0))
         self.diagonal = diagonal.reshape(d, *([1] * d))
         self.largest = largest(steps, tensors)
-        self._halo, self._between = RowHalo(comm, starts, 1), Between(comm, starts)
+        self._halo, self._between = Halo(comm, tiles, 1), Between(comm, tiles)
+        self._pad = [(0, 0)] * (1 + len(tiles.block)) + [(1, 1)] * (d - len(tiles.block))
         few = coarser(mask)
         self._next = cycle(comm, steps, tensors * 2.0 ** (d - 2), few, self._between.coarse)
 
     def product(self, field: np.ndarray) -> np.ndarray:
-        """The level's operator on planes [d, rows, ...]."""
-        d = self.mask.ndim
-        wide = np.pad(self._halo(field), [(0, 0)] * 2 + [(1, 1)] * (d - 1))
-        return np.asarray(self.rows(wide[None])[(0, slice(None)) + (slice(1, -1),) * d])
+        """The level's operator on planes [d, *box]."""
+        wide = np.pad(self._halo(field), self._pad)
+        return np.asarray(self.rows(wide[None])[(0, slice(None)) + (slice(1, -1),) * len(field)])
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         z = self._smoothed(r, None)
@@ -91,28 +91,28 @@ class _Gathered:
     """A level that every rank has the whole of: the same work on each, and one exchange."""
 
     def __init__(
-        self,
-        comm: Comm,
-        steps: np.ndarray,
-        tensors: np.ndarray,
-        mask: np.ndarray,
-        starts: np.ndarray,
+        self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
-        self.comm, self.mask, self._counts = comm, mask, np.diff(starts)
-        self._own = slice(*starts[comm.rank : comm.rank + 2])
+        self.comm, self.mask, self._shape = comm, mask, tiles.shape
+        self._boxes = [(tiles.own(r), tiles.box(r)) for r in range(comm.size)]
         full = self._whole(mask[None].astype(float))[0] > 0.5
         self._cycle = VCycle(steps, tensors, full) if full.any() else None
 
     def _whole(self, field: np.ndarray) -> np.ndarray:
-        rows = np.ascontiguousarray(np.moveaxis(field, 1, 0))
-        whole = np.empty((self._counts.sum(), *rows.shape[1:]))
-        sizes = self._counts * int(np.prod(rows.shape[1:]))
-        self.comm.Allgatherv(rows, [whole, sizes])
-        return np.ascontiguousarray(np.moveaxis(whole, 0, 1))
+        count = len(field)
+        sizes = np.array([count * int(np.prod(box)) for _, box in self._boxes])
+        flat = np.empty(sizes.sum())
+        self.comm.Allgatherv(np.ascontiguousarray(field), [flat, sizes])
+        whole = np.empty((count, *self._shape))
+        for (own, box), values in zip(self._boxes, np.split(flat, np.cumsum(sizes)[:-1])):
+            whole[:, *own] = values.reshape(count, *box)
+        return whole
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         whole = self._whole(r)
-        return np.zeros_like(r) if self._cycle is None else self._cycle(whole)[:, self._own]
+        if self._cycle is None:
+            return np.zeros_like(r)
+        return self._cycle(whole)[:, *self._boxes[self.comm.rank][0]]
 
 
 def largest(steps: np.ndarray, tensors: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""Nonlinear solids at rest on many ranks: the fixed point of statics.nonlinear, in rows.
+"""Nonlinear solids at rest on many ranks: the fixed point of statics.nonlinear, by tiles.
 
 u ← u + L_lin⁻¹ (b − L u): a rank computes L u at its own nodes, from all that they feel, and the
 linear solve is that of ranks.linear.
@@ -40,11 +40,11 @@ NEWTON_SHARE = 1e-2
 
 
 class RowNonlinear:
-    """L of a nonlinear solid on a lattice in rows, and where it balances a load.
+    """L of a nonlinear solid on a lattice in tiles, and where it balances a load.
 
     Args:
         material: certified on the lattice, or on another.
-        piece: the nodes of this rank, in rows.
+        piece: the nodes of this rank, in tiles.
 
     Raises InputError as `material.on` and RowOperator do, and for a rank without interior nodes.
     """
@@ -71,7 +71,7 @@ class RowNonlinear:
 
     @cached_property
     def linear(self) -> RowOperator:
-        """Its linear part in rows, which is what is inverted."""
+        """Its linear part in tiles, which is what is inverted."""
         return RowOperator(self._law, self.points)
 
     def around(self, u: np.ndarray) -> np.ndarray:

@@ -17,9 +17,9 @@ from scipy.sparse import csr_array, kron
 
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.coarse import COARSEST, DEGREE, SMOOTHED
-from warp_peri.ranks.halo import RowHalo
 from warp_peri.ranks.multigrid import largest
 from warp_peri.ranks.processes import Comm, world
+from warp_peri.ranks.tiles import Halo, Tiles
 
 PREFIX = "warp_peri_coarse_"
 """Of these solves in PETSc's options database, by which PETSC_OPTIONS changes them."""
@@ -49,13 +49,13 @@ def petsc() -> Any:
 
 
 class PetscCycle:
-    """z ≈ A⁻¹ r for a stencil of nearest cells on the rows of this rank of a mask [rows, ...].
+    """z ≈ A⁻¹ r for a stencil of nearest cells on this rank's nodes of a mask.
 
     Args:
         comm: the ranks.
         steps, tensors: of one half of the stencil, [H, d] and [H, d, d].
-        mask: unknown nodes, rows of this rank.
-        starts: first row of each rank, and their number.
+        mask: which of this rank's box are unknown.
+        tiles: who owns what.
 
     Raises InputError as `petsc` does.
     """
@@ -66,12 +66,12 @@ class PetscCycle:
         steps: np.ndarray,
         tensors: np.ndarray,
         mask: np.ndarray,
-        starts: np.ndarray,
+        tiles: Tiles,
     ) -> None:
         PETSc, d = petsc(), mask.ndim
         PETSc.garbage_cleanup(comm)  # of earlier ones, which ranks forget at times of their own
         self.mask, self._place = mask, np.flatnonzero(mask)
-        level = _Level(comm, mask, starts)
+        level = _Level(comm, mask, tiles)
         matrices, between = [level.matrix(PETSc, steps, tensors)], []
         while level.count > COARSEST and (few := level.coarser()).count:
             between.append(level.prolongation(PETSc, few))
@@ -94,7 +94,7 @@ class PetscCycle:
             pc.setUp()
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        """Of planes [d, rows, ...], zero outside the mask."""
+        """Of planes [d, *box], zero outside the mask."""
         d = len(r)
         self._r.array = r.reshape(d, -1)[:, self._place].T.ravel()
         self._cycle.apply(self._r, self._z)
@@ -126,9 +126,9 @@ def _defaults(options: Any, low: float, high: float) -> Iterator[None]:
 class _Level:
     """Unknown nodes of one level, numbered rank by rank; nothing here asks who owns which."""
 
-    def __init__(self, comm: Comm, mask: np.ndarray, starts: np.ndarray) -> None:
-        self.comm, self.mask, self.starts = comm, mask, starts
-        self._halo = RowHalo(comm, starts, 1)
+    def __init__(self, comm: Comm, mask: np.ndarray, tiles: Tiles) -> None:
+        self.comm, self.mask, self.tiles = comm, mask, tiles
+        self._halo = Halo(comm, tiles, 1)
         self.own = int(mask.sum())
         counts = comm.allgather(self.own)
         self.count = sum(counts)
@@ -138,12 +138,12 @@ class _Level:
     @property
     def _odd(self) -> tuple[slice, ...]:
         """Where the nodes of the coarser level are: every second of the box, from the second on."""
-        first = int(self.starts[self.comm.rank])
-        return (slice((first + 1) % 2, None, 2), *[slice(1, None, 2)] * (self.mask.ndim - 1))
+        corner = self.tiles.corner(self.comm.rank).tolist()
+        return tuple(slice((first + 1) % 2, None, 2) for first in corner)
 
     def coarser(self) -> _Level:
         """The next level; its nodes stay on their ranks."""
-        return _Level(self.comm, self.mask[self._odd], self.starts // 2)
+        return _Level(self.comm, self.mask[self._odd], self.tiles.coarser())
 
     def _beside(self, number: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Numbers at this rank's unknown nodes moved by steps [s, d], −1 where none is: [n, s]."""

@@ -1,4 +1,4 @@
-"""Nodes of one body, each owned by one rank: rows of a lattice, or parts by bisection or METIS."""
+"""Nodes of one body, each owned by one rank: tiles of a lattice, or parts by bisection or METIS."""
 
 from __future__ import annotations
 
@@ -16,30 +16,21 @@ from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks.processes import Comm, agreed, world
 from warp_peri.ranks.sums import total
+from warp_peri.ranks.tiles import Tiles, cut
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
-"""Blocks of rows that a box is cut to at least, where they have between so many rows each."""
+"""Slabs of rows that a box is cut to at least, where they have between so many rows each."""
+TILES, LONGEST, TILED = 4, {2: 256, 3: 48}, {2: 768, 3: 64}
+"""In the plane and in space: tiles along an axis at least, most nodes of each, and nodes of a box
+from which there are tiles, not slabs: the filter reaches 32 and 12 nodes beyond a tile."""
+FEW = 50_000
+"""Nodes of a level of multigrid that every rank can have, to which tiles are halved if they can."""
 WIDE = 4
 """Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
 to the ranks."""
+READ = 100_000
+"""Nodes that are read from a file at a time: between those of a tile lie those of others."""
 _OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """A box of lattice nodes in blocks of rows, each of one rank.
-
-    What is computed block by block has the same bits on any number of ranks.
-
-    Attributes:
-        shape: nodes of the box along the axes.
-        block: rows of a block along the first axis, a power of two.
-        starts: first row of each rank, and the number of rows, shape [P + 1].
-    """
-
-    shape: tuple[int, ...]
-    block: int
-    starts: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +45,10 @@ class Piece:
         number: of these nodes in the whole body, rising, shape [n].
         count: nodes of the whole body.
         grid: lattice steps from the corner of the whole body, shape [n, d].
-        rows: of a box in rows; None of other parts.
+        tiles: of a box in tiles; None of other parts.
         units, axis: as of Points.
         carrier: of scattered points the spacing of the lattice that carries them.
-        at: of scattered points, in spacings of the coarse lattice whose rows are `rows`, [n, d].
+        at: of scattered points, in spacings of the coarse lattice of `tiles`, [n, d].
     """
 
     comm: Comm
@@ -67,7 +58,7 @@ class Piece:
     number: np.ndarray
     count: int
     grid: np.ndarray
-    rows: Rows | None
+    tiles: Tiles | None
     units: Units = USUAL
     axis: Any = None
     carrier: float = 0.0
@@ -107,10 +98,10 @@ class Piece:
         return strain_on_ranks(self, u)
 
     def every_second(self) -> Any:
-        """Every second node of a box in rows: RowsEverySecond."""
-        from warp_peri.ranks.coarse import RowsEverySecond
+        """Every second node of a box in tiles: TilesEverySecond."""
+        from warp_peri.ranks.coarse import TilesEverySecond
 
-        return RowsEverySecond(self)
+        return TilesEverySecond(self)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
@@ -157,49 +148,49 @@ def lattice(
     interior: Callable[[np.ndarray], np.ndarray] | str | os.PathLike[str],
     *,
     origin: Any = 0.0,
-    block: int | None = None,
+    block: int | tuple[int, ...] | None = None,
     units: Units = USUAL,
     axis: float | None = None,
 ) -> Any:
     """This rank's Piece of a box of lattice nodes, of which no rank ever holds the whole.
 
     Args:
-        shape: nodes along each axis; the rows of the first axis go to the ranks.
+        shape: nodes along each axis; the ranks share tiles of the first two.
         spacing: h [length].
         interior: which nodes are unknown, of positions [n, d] as bool [n]; or an HDF5 file whose
             `interior` says it of all nodes, [N], of which a rank reads its own.
         origin: position of the first node.
-        block: rows that stay together, a power of two; by default an eighth of them or less.
+        block: nodes of a tile along the first axes, which stay together, even numbers; a number
+            alone is of whole rows.
         units, axis: as of Points.
 
-    Raises InputError for more ranks than blocks.
+    Raises InputError for more ranks than tiles, and a number of ranks that is no grid of them.
     """
     comm = world()
-    sides = np.array(shape)
-    rows = _rows(comm, shape, block)
-    first, last = rows.starts[comm.rank : comm.rank + 2]
-    grid = np.indices((last - first, *shape[1:]), dtype=np.int32).reshape(len(sides), -1).T
-    grid = np.ascontiguousarray(grid + np.array([first, *[0] * (len(sides) - 1)], np.int32))
-    row = int(np.prod(sides[1:]))
+    if block is None:
+        block = _usual(shape)
+    tiles = cut(comm, shape, block if isinstance(block, tuple) else (block,))
+    grid = np.indices(tiles.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T
+    grid = np.ascontiguousarray(grid + tiles.corner(comm.rank))
     x = np.asarray(origin) + spacing * grid
-    number = np.arange(first * row, last * row)
+    number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
+    count = int(np.prod(shape))
     with agreed(comm):
         if callable(interior):
             inside = np.asarray(interior(x))
         else:
-            inside = read_rows(interior, "interior", number, row * int(sides[0]))
+            inside = read_rows(interior, "interior", number, count)
         if inside.shape != (len(x),) or inside.dtype != bool:
             raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
         check_units(units)
-    count = row * int(sides[0])
-    return Piece(comm, x, inside, float(spacing), number, count, grid, rows, units, axis)
+    return Piece(comm, x, inside, float(spacing), number, count, grid, tiles, units, axis)
 
 
 def read_rows(
     path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
 ) -> np.ndarray:
-    """Rows of rising numbers of an array of `count` in an HDF5 file; no others are read but those
-    that lie between.
+    """Rows of rising numbers of an array of `count` in an HDF5 file; some READ at a time, with
+    those that lie between.
 
     Raises InputError for a file without the array, and one of another length.
     """
@@ -210,7 +201,9 @@ def read_rows(
             array = file[name]
             length = len(array)
             if length == count:
-                return np.asarray(array[number[0] : number[-1] + 1][number - number[0]])
+                parts = np.array_split(number, len(number) // READ + 1)
+                found = [array[n[0] : n[-1] + 1][n - n[0]] for n in parts if len(n)]
+                return np.concatenate(found)
     except (OSError, KeyError, TypeError) as error:
         raise InputError(f"{path}: expected an HDF5 file with {name!r} ({error})") from None
     raise InputError(f"{path}: expected {count} rows of {name!r}, got {length}")
@@ -242,11 +235,10 @@ def spread(points: Points, by: str = "rows") -> Any:
     grid = np.rint(place).astype(np.int32)
     if np.abs(place - grid).max() > LATTICE_TOLERANCE:
         raise InputError("points: expected a lattice along the axes for ranks, got a turned one")
-    rows = None
+    tiles = None
     if by == "rows":
-        rows = _rows(comm, tuple((grid.max(axis=0) + 1).tolist()), None)
-        first, last = rows.starts[comm.rank : comm.rank + 2]
-        own = np.flatnonzero((grid[:, 0] >= first) & (grid[:, 0] < last))
+        tiles = _slabs(comm, grid.max(axis=0) + 1)
+        own = _owned(comm, tiles, grid)
     elif by == "metis":
         own = np.flatnonzero(comm.bcast(_by_metis(grid, comm.size)) == comm.rank)
     else:
@@ -254,7 +246,7 @@ def spread(points: Points, by: str = "rows") -> Any:
     if min(comm.allgather(len(own))) == 0:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
-    return Piece(comm, *parts, own, len(grid), grid[own], rows, points.units, points.axis)
+    return Piece(comm, *parts, own, len(grid), grid[own], tiles, points.units, points.axis)
 
 
 def _scattered(comm: Comm, points: Points, by: str) -> Piece:
@@ -268,10 +260,9 @@ def _scattered(comm: Comm, points: Points, by: str) -> Piece:
     carrier = fitting_spacing(mean_spacing(points))
     at = (points.x - points.x.min(axis=0)) / (WIDE * carrier)
     cell = np.floor(at).astype(np.int32)
-    rows = _rows(comm, tuple((cell.max(axis=0) + 2).tolist()), None)
-    first, last = rows.starts[comm.rank : comm.rank + 2]
-    own = np.flatnonzero((cell[:, 0] >= first) & (cell[:, 0] < last))
-    parts = points.x[own], points.interior[own], 0.0, own, len(at), cell[own], rows
+    tiles = _slabs(comm, cell.max(axis=0) + 2)
+    own = _owned(comm, tiles, cell)
+    parts = points.x[own], points.interior[own], 0.0, own, len(at), cell[own], tiles
     return Piece(comm, *parts, points.units, points.axis, carrier, at[own])
 
 
@@ -280,20 +271,32 @@ def whole(points: Any, values: np.ndarray) -> np.ndarray:
     return values if isinstance(points, Points) else np.asarray(points.gather(values))
 
 
-def _rows(comm: Comm, shape: tuple[int, ...], block: int | None) -> Rows:
-    if block is None:
-        wanted = 2 ** int(np.log2(max(shape[0] / SLABS, 1)))
-        block = int(np.clip(wanted, SMALLEST, LARGEST))
-    if block < 1 or block & (block - 1):
-        raise InputError(f"block: expected a power of two, got {block}")
-    blocks = -(-shape[0] // block)
-    if comm.size > blocks:
-        raise InputError(
-            f"ranks: expected at most {blocks} for {shape[0]} rows in blocks of {block}, got "
-            f"{comm.size}"
-        )
-    starts = np.minimum(block * (blocks * np.arange(comm.size + 1) // comm.size), shape[0])
-    return Rows(tuple(int(n) for n in shape), block, starts)
+def _slabs(comm: Comm, shape: np.ndarray) -> Tiles:
+    """A box of this shape in slabs of rows."""
+    return cut(comm, tuple(shape.tolist()), _slab(int(shape[0])))
+
+
+def _slab(rows: int) -> tuple[int]:
+    """Rows of a slab of a box with so many, a power of two."""
+    wanted = 1 << int(np.log2(max(rows / SLABS, 1)))
+    return (min(max(wanted, SMALLEST), LARGEST),)
+
+
+def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
+    """Which of the nodes at these places are this rank's, of slabs of rows."""
+    (rows,) = tiles.own(comm.rank)
+    return np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
+
+
+def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Nodes of a tile along the axes that are cut, of a box of this shape."""
+    d, unit = len(shape), 4  # which predict halves once more
+    if min(shape[:2]) < TILED[d]:
+        return _slab(shape[0])
+    while np.prod(shape) > FEW * unit**d and unit < LONGEST[d] // 3:
+        unit *= 2
+    sides = (n / max(-(-n // LONGEST[d]), TILES) for n in shape[:2])
+    return tuple(unit * int(np.ceil(side / unit)) for side in sides)
 
 
 def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:

@@ -17,12 +17,13 @@ from warp_peri.micromodulus.states import tensors_of
 from warp_peri.models.lps import Model
 from warp_peri.points.interpolation import FINER, NEIGHBOURS
 from warp_peri.points.points import Points
-from warp_peri.ranks.halo import NodeHalo, RowHalo
+from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
 from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import inner
+from warp_peri.ranks.tiles import Halo
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.cache import model_at
@@ -138,22 +139,21 @@ class _Coarse:
     """
 
     def __init__(self, piece: Piece, spacing: float, model: Model, petsc: bool) -> None:
-        assert piece.rows is not None
+        assert piece.tiles is not None
         assert piece.at is not None
-        comm, rows, inside = piece.comm, piece.rows, piece.interior
-        first, last = rows.starts[comm.rank : comm.rank + 2]
-        self.shape = (int(last - first), *rows.shape[1:])
+        comm, tiles, inside = piece.comm, piece.tiles, piece.interior
+        self.shape = tiles.box(comm.rank)
         cell = np.floor(piece.at).astype(np.int64)
-        share, cell = piece.at - cell, cell - [first, 0]
+        share, cell = piece.at - cell, cell - tiles.corner(comm.rank)
         self._share, self._cell = share[inside], cell[inside]
-        self._halo = RowHalo(comm, rows.starts, 1)
+        self._halo = Halo(comm, tiles, 1)
         whole = self._summed(share, cell, np.ones((len(cell), 1)))
         free = self._summed(share, cell, inside[:, None].astype(float))
         self.mask = (free > INSIDE * whole)[0] & (whole > 0)[0]
         elastic = tensors_of(model, spacing).tensor()
         near = q1_tensors(elastic * spacing**-2)
         made = PetscCycle if petsc else cycle
-        self._cycle = made(comm, *near, self.mask, rows.starts)
+        self._cycle = made(comm, *near, self.mask, tiles)
 
     def _summed(self, share: np.ndarray, cell: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Nᵗ of values [n, c] at nodes, planes [c, rows, ...]."""

@@ -92,7 +92,7 @@ def _by_petsc(preconditioner: str | None) -> bool:
 
 
 def operator_on(material: Any, piece: Piece, petsc: bool = False) -> Any:
-    """A solid on a lattice in rows: RowOperator, or RowNonlinear with third-order constants; or
+    """A solid on a lattice in tiles: RowOperator, or RowNonlinear with third-order constants; or
     a linear one on scattered points, ScatteredOperator. With `petsc` the coarse problem of a
     linear solid is PETSc's.
 

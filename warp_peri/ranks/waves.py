@@ -1,4 +1,4 @@
-"""Waves in an unbroken solid on many ranks: the steps of dynamics.verlet, with forces in rows.
+"""Waves in an unbroken solid on many ranks: the steps of dynamics.verlet, with forces by tiles.
 
 The force has the same bits on any number of ranks (theory.md, R1), and so has the motion; energies
 are sums that do not depend on them (R3).
@@ -37,8 +37,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     """
     piece, comm = problem.points, problem.points.comm
     with agreed(comm):
-        if piece.spacing == 0 or piece.rows is None:
-            raise InputError("points: expected a lattice in rows for waves on ranks")
+        if piece.spacing == 0 or piece.tiles is None:
+            raise InputError("points: expected a lattice in tiles for waves on ranks")
         offered(material, "on", "move", MATERIAL)
         steps, files = taken(options, "move", _of_steps, Kept.__init__)
         given = {"u": problem.u, "v": steps.pop("v", None), "b": problem.b}
