@@ -201,7 +201,7 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     b, given = 1e-4 * np.cos(x @ k), 0.5 * np.sin(x @ k)
     problem = wp.Dirichlet(points, b, given)
 
-    def fastest(run: Callable[[], Any], rounds: int = 4) -> float:
+    def fastest(run: Callable[[], Any], rounds: int = 12) -> float:
         return min(timed(run)[0] for _ in range(rounds))
 
     def one_answer() -> Any:
@@ -218,8 +218,9 @@ def costs(material: Members, truth: dict[str, float]) -> dict[str, Any]:
     by_elements = elements(wp.Samples(points, given[None], b[None]), truth)
 
     def residual() -> Any:
-        return coarse.correction(load - placed.rich(linear)), coarse.gradient(linear)
+        return coarse.correction(load - placed.rich(first)), coarse.gradient(first)
 
+    first = coarse.start(b, start, FIRST)
     few = coarse.correction(right)[0]
     prices = {
         "coarse": fastest(lambda: coarse.start(b, start, FIRST)),

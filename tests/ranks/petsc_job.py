@@ -46,7 +46,7 @@ def solved(material, points):
 
 def going_on(folder):
     """Half of the digits on two ranks, all of them on others, from where those stopped."""
-    points = lattice((52, 52), H, inside)
+    points = lattice((52, 52), H, inside, block=(16, 16))
     problem, few = wp.Dirichlet(points, *small(points.x)), points.comm.size == 2
     solver = wp.Krylov("petsc", tolerance=1e-5 if few else 1e-10)
     found = wp.solve(solid(2), problem, solver=solver, checkpoint=folder / "kept.h5")

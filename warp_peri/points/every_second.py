@@ -38,6 +38,7 @@ class EverySecond:
         place = grid[self.chosen] // APART
         self.shape = tuple(int(n) for n in place.max(axis=0) + 1)
         self.flat = np.ravel_multi_index(tuple(place.T), self.shape)
+        self.unknown = self.flat[interior]
         self.wide = tuple(APART * n for n in self.shape)
         self.own = np.ravel_multi_index(tuple(grid[inside].T), self.wide)
         missing = np.ones(self.shape, bool)
@@ -49,17 +50,19 @@ class EverySecond:
 
     def spread(self, u: np.ndarray) -> np.ndarray:
         """Of u on the coarse nodes [C, 2] what all unknown nodes have, shape [I, 2]."""
-        found = [halved(spline_filter(one[self.nearest])).ravel()[self.own] for one in u.T]
-        return np.stack(found, axis=-1)
+        found = np.empty((len(self.own), 2))
+        for axis, one in enumerate(u.T):
+            found[:, axis] = halved(spline_filter(one[self.nearest])).ravel()[self.own]
+        return found
 
     def gathered(self, r: np.ndarray) -> np.ndarray:
         """Means of a residual on the unknown nodes [I, 2] at the coarse ones, shape [J, 2]."""
-        found = []
-        for one in r.T:
+        found = np.empty((len(self.unknown), 2))
+        for axis, one in enumerate(r.T):
             field = np.zeros(self.wide)
-            field.flat[self.own] = one
-            found.append(_averaged(field).ravel()[self.flat[self.nodes.interior]])
-        return np.stack(found, axis=-1)
+            field.reshape(-1)[self.own] = one
+            found[:, axis] = _averaged(field).ravel()[self.unknown]
+        return found
 
 
 def halved(coefficients: np.ndarray) -> np.ndarray:
