@@ -39,9 +39,9 @@ DIRECT, LARGEST_LU = 4_000, 40_000
 """Most unknown nodes that are factorised, on lattices and on other point sets."""
 FLAT = 40_000
 """Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-PAYS = {"sine": 1700, "fft": 5500}
-"""A factorisation pays from 1 + n B/1700 loads on n nodes with B bonds where the sine transform
-does, from 1 + n B/5500 elsewhere."""
+PAYS = {"sine": 1700, "fft": 3500}
+"""A factorisation pays from 2 + n B/1700 loads on n nodes with B bonds where the sine transform
+does, from 2 + n B/3500 elsewhere."""
 BONDS = 34
 """Where nobody says how many: between δ = 2.5 and 4 spacings."""
 LARGEST_SOLID = 4_000
@@ -334,7 +334,7 @@ def cheapest_method(
     nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1, bonds: float = BONDS
 ) -> str:
     """The cheapest method for so many unknown nodes of a plain sheet; as choose_method."""
-    pays = 1 + nodes * bonds / PAYS["sine" if rectangle else "fft"]
+    pays = 2 + nodes * bonds / PAYS["sine" if rectangle else "fft"]
     if nodes <= DIRECT and loads and (stiff or loads > pays):
         return "lu"
     if stiff:
