@@ -66,6 +66,20 @@ def test_short_waves_do_not_pose_as_long_ones(both):
     assert not wp.predict(both, given, 0.1).why.startswith("on every second node")
 
 
+def test_a_load_between_the_coarse_nodes_is_not_lost(both):
+    points = lattice(21, WIDE)
+    b, nodes = np.zeros_like(points.x), EverySecond(points)
+    free = np.setdiff1d(np.flatnonzero(points.interior), nodes.chosen)
+    b[free[len(free) // 2], 1] = 1e-3
+    held = wp.Dirichlet(points, b, 0 * b)
+    answer = wp.predict(both, held, 0.1)
+    assert answer.why.startswith("linear")
+    assert far(answer.u, wp.solve(both.rich, held).u, points) < answer.error < 0.1
+    nothing = wp.predict(both, wp.Dirichlet(points, 0 * b, 0 * b), 0.1)
+    assert nothing.kept
+    assert nothing.error == np.abs(nothing.u).max() == 0
+
+
 def test_bodies_between_the_coarse_nodes_are_answered(both):
     points, u, b = problem(both, 0.01, 0.12)
     middle = np.abs(points.x - points.x.mean(axis=0))[:, 0] < 0.5

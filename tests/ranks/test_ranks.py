@@ -111,8 +111,9 @@ def test_a_box_is_cut_into_tiles_whose_ranks_form_a_grid():
     ):
         with pytest.raises(wp.InputError, match=f"ranks: expected {said}"):
             cut(SimpleNamespace(size=size), (25, 30, 9), (8, 10))
-    with pytest.raises(wp.InputError, match="block: expected even numbers"):
-        cut(SimpleNamespace(size=1), (25, 30, 9), (8, 5))
+    for wrong in ((8, 5), (8, None), (8.0,), ("a",)):
+        with pytest.raises(wp.InputError, match="block: expected even numbers"):
+            cut(SimpleNamespace(size=1), (25, 30, 9), wrong)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -6,6 +6,7 @@ both the estimate and the improvement.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -65,7 +66,7 @@ class _Stage:
 
     @property
     def error(self) -> float:
-        return float(np.sqrt(sum(part**2 for part in self.parts.values())))
+        return _size(self.parts)
 
 
 def predict(
@@ -156,7 +157,9 @@ def _on_coarse(
     told, unseen = coarse.recorded(u)
     before, taken, gone = np.inf, 0, np.zeros(1)
     while True:
-        size = placed.norm(np.compress(inside, u, axis=0)) or 1.0
+        size = placed.norm(np.compress(inside, u, axis=0))
+        if size == 0:  # every load lies between these nodes, or there is none
+            return None
         left, missed = coarse.correction(load - placed.rich(u))
         moved, bent = (GROWN * coarse.norm(e) / size for e in (left, gone + left))
         rest = 1 / max(1 - moved / before, HALVED)  # what later corrections add up to
@@ -304,7 +307,7 @@ def _noise(points: Any, count: int) -> list[float]:
 
 
 def _size(parts: dict[str, float]) -> float:
-    return float(np.sqrt(sum(part**2 for part in parts.values())))
+    return math.hypot(*parts.values())
 
 
 def _rest(parts: dict[str, float]) -> float:

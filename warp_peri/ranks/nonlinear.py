@@ -60,7 +60,7 @@ class RowNonlinear:
                 raise InputError("ranks: a rank has no interior node of the solid; take fewer")
             here = Points(halo.x, inside, piece.spacing, units=piece.units, axis=piece.axis)
             self.placed = material.on(here)
-            self._law = tensors_at(self.placed.model.linear, piece)
+        self._law = tensors_at(self.placed.model.linear, piece)  # all ranks prove it together
         for turn in (comm.rank == 0, comm.rank != 0):  # one compiles
             if turn:
                 self.placed(np.zeros_like(halo.x))

@@ -167,9 +167,8 @@ def lattice(
     Raises InputError for more ranks than tiles, and a number of ranks that is no grid of them.
     """
     comm = world()
-    if block is None:
-        block = _usual(shape)
-    tiles = cut(comm, shape, block if isinstance(block, tuple) else (block,))
+    sizes = _usual(shape) if block is None else tuple(np.atleast_1d(np.array(block)).tolist())
+    tiles = cut(comm, shape, sizes)
     grid = np.indices(tiles.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T
     grid = np.ascontiguousarray(grid + tiles.corner(comm.rank))
     x = np.asarray(origin) + spacing * grid

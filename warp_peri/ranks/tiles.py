@@ -93,7 +93,8 @@ def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
 
     Raises InputError for other tiles, and ranks that are more than tiles or form no grid of them.
     """
-    if not 0 < len(block) <= len(shape) or any(n < 2 or n % 2 for n in block):
+    fits = 0 < len(block) <= len(shape) and all(isinstance(n, int) for n in block)
+    if not fits or any(n < 2 or n % 2 for n in block):
         said = block[0] if len(block) == 1 else block
         raise InputError(f"block: expected even numbers, at most {len(shape)}, got {said}")
     while len(block) > 1 and block[-1] >= shape[len(block) - 1]:
