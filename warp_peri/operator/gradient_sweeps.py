@@ -104,6 +104,16 @@ class GradientSweeps:
         shape = (*whole.shape[:2], 2, 2)
         return whole[..., 5:].reshape(shape), whole[..., :4].reshape(shape)
 
+    def mean_gradient(
+        self, u: wp.array[Any], bonds: wp.array[Any], numbers: np.ndarray, radius: float
+    ) -> float:
+        """Root mean square of |H| of one field over the nodes `full`."""
+        laid = self._laid_out
+        planes, state = self._state(u, bonds, numbers, radius)
+        H = np.take(state.numpy().reshape(PLANES, -1)[5:], laid.home[self.full], axis=1)
+        laid.give_back("forward", planes, state)
+        return float(np.sqrt(np.vdot(H, H) / H.shape[1]))
+
     def adjoint(
         self,
         given: tuple[wp.array[Any], np.ndarray, float, np.ndarray, float],

@@ -190,6 +190,12 @@ class NonlinearOperator:
         shape = (*field.shape[:-2], len(self.sweeps.full), 2, 2)
         return H.reshape(shape), P.reshape(shape)
 
+    def mean_gradient(self, u: ArrayLike) -> float:
+        """Root mean square of |H| of one field [N, 2] over the nodes within δ of the interior."""
+        field = floats(_array(u)[None], self.sweeps.kernels.vec)
+        bonds = self.sweeps.bonds(self.tables.numpy())
+        return self.sweeps.mean_gradient(field, bonds, self.numbers.numpy(), self.radius)
+
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes within δ of the interior, shape [...]."""
         H, _ = self.gradients(u)

@@ -238,11 +238,12 @@ class OnCoarse:
 
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H| of u [N, 2] near the unknowns."""
-        return _gradient(self.operator, u[self.nodes.chosen])
+        return _gradient(self.operator, np.take(u, self.nodes.chosen, axis=0))
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """As PlacedMembers.recorded, of u [N, 2] and the waves that these nodes hold."""
-        return _told(self.nodes.nodes, self.family.record, self, u[self.nodes.chosen])
+        few = np.take(u, self.nodes.chosen, axis=0)
+        return _told(self.nodes.nodes, self.family.record, self, few)
 
     @cached_property
     def spectrum(self) -> Any:
@@ -317,7 +318,7 @@ def _told(
 
 def _gradient(operator: Any, u: np.ndarray) -> float:
     """Root mean square of |H|; 0 of a linear operator."""
-    if hasattr(operator, "mean_gradient"):  # over all ranks
+    if hasattr(operator, "mean_gradient"):
         return float(operator.mean_gradient(u))
     if not hasattr(operator, "straight"):
         return 0.0

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
+import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
 from warp_peri.points.lattice import lattice_steps
@@ -91,9 +92,11 @@ class Spectrum:
         twice[[0] if self.wide[-1] % 2 else [0, -1]] = 1.0
         share, count = twice / np.prod(self.wide), len(wavelength)
         knot = np.interp(np.log(length), np.log(wavelength), np.arange(count)).ravel()
-        self.low = np.minimum(knot.astype(int), count - 2)
-        upper, whole = knot - self.low, np.broadcast_to(share, length.shape).ravel()
-        self.weights, self.count = (whole * (1 - upper), whole * upper), count
+        low = np.minimum(knot.astype(int), count - 2)
+        upper, whole = knot - low, np.broadcast_to(share, length.shape).ravel()
+        values = np.concatenate([whole * (1 - upper), whole * upper])
+        at = np.concatenate([low, low + 1]), np.tile(np.arange(low.size), 2)
+        self.by_knot = sp.csr_array((values, at), (count, low.size))
 
     def shares(self, u: np.ndarray) -> np.ndarray:
         """Shares of the square of a field [N, d], shape [K]."""
@@ -104,8 +107,7 @@ class Spectrum:
         axes = tuple(range(1, 1 + len(self.shape)))
         wave = scipy.fft.rfftn(field.reshape(-1, *self.shape), s=self.wide, axes=axes)
         power = (wave.real**2 + wave.imag**2).sum(axis=0).ravel()
-        below, above = (np.bincount(self.low, power * w, self.count) for w in self.weights)
-        found = below + np.roll(above, 1)
+        found = self.by_knot @ power
         size = float(((u * self.window[:, None]) ** 2).sum())
         return np.asarray(found / size if size > 0 else found)
 
