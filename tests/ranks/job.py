@@ -108,6 +108,11 @@ def inside(x):
     return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
 
 
+def rim(x):
+    """What of it the first of two ranks has."""
+    return inside(x) & (x[:, 0] < 15 * H)
+
+
 TILE = {2: (32, 16), 3: (24, 8)}
 """Of these two ranks cut a box along the first axis, three along the second."""
 CENTRE = {2: np.array([12.5, 12.5]), 3: np.array([6.0, 6.0, 6.0])}
@@ -247,6 +252,10 @@ def rest(folder):
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"nonlinear_{comm.size}.npy", answer)
+    edge = lattice((52, 52), H, rim, axis=0.0)
+    bent = wp.solve(nonlinear(), wp.Dirichlet(edge, *small(edge.x)))
+    found["rim"] = {"u": digest(edge.gather(bent.u)), "solves": bent.iterations[0]}
+    found["none"] = comm.allgather(bool(edge.interior.any())).count(False)
     plate = lattice((62, 62), H, wide, block=TILE[2], axis=0.0)
     loose = {name: (law(), tolerance) for name, (law, tolerance) in LOOSE.items()}
     for name, (rich, tolerance) in (ASKED | loose).items():
@@ -283,6 +292,7 @@ def rest(folder):
         lambda: wp.move(
             solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
         ),
+        lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
     ):
         try:

@@ -170,6 +170,12 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
     assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
 
 
+def test_a_nonlinear_solid_needs_no_unknown_node_on_each_rank(jobs):
+    found = [jobs[count]["rim"] for count in (1, 2, 3)]
+    assert found[0] == found[1] == found[2]
+    assert [jobs[count]["none"] for count in (1, 2, 3)] == [0, 1, 2]
+
+
 def test_scattered_points_have_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
     found = [jobs[count]["scattered"] for count in (1, 2, 3)]
     assert found[0] == found[1] == found[2]
@@ -279,10 +285,11 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    one, edge, long, many = jobs[2]["refused"]
+    one, edge, long, none, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
     assert edge.startswith("points: expected 4 nodes around the interior")
     assert long.startswith("step: expected at most 0.0025")
+    assert none == "interior: expected at least one interior node, got none"
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 

@@ -46,24 +46,27 @@ class RowNonlinear:
         material: certified on the lattice, or on another.
         piece: the nodes of this rank, in tiles.
 
-    Raises InputError as `material.on` and RowOperator do, and for a rank without interior nodes.
+    Raises InputError as `material.on` and RowOperator do.
     """
 
     def __init__(self, material: Any, piece: Piece) -> None:
         comm = piece.comm
         self.points = piece
-        self.halo = halo = NodeHalo(piece, 2 * material.horizon * (1 + HORIZON_TOLERANCE))
-        inside = np.zeros(len(halo.x), bool)
+        reach = 2 * material.horizon * (1 + HORIZON_TOLERANCE)
+        self.halo = halo = NodeHalo(piece, reach)
+        x, inside = halo.x, np.zeros(len(halo.x), bool)
         inside[halo.own] = piece.interior
+        self._asked = bool(inside.any())
+        if not self._asked:  # the law needs an unknown node: one of a body of its own, at rest
+            x, inside = _one_node(piece.spacing, reach)
+        self._rest = np.zeros_like(x)
         with agreed(comm):
-            if not inside.any():
-                raise InputError("ranks: a rank has no interior node of the solid; take fewer")
-            here = Points(halo.x, inside, piece.spacing, units=piece.units, axis=piece.axis)
+            here = Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis)
             self.placed = material.on(here)
         self._law = tensors_at(self.placed.model.linear, piece)  # all ranks prove it together
         for turn in (comm.rank == 0, comm.rank != 0):  # one compiles
             if turn:
-                self.placed(np.zeros_like(halo.x))
+                self.placed(self._rest)
             comm.Barrier()
         self.model = self.placed.model
         self.strain = float(self.placed.model.proven_strain(piece.spacing))
@@ -79,15 +82,19 @@ class RowNonlinear:
         field = np.zeros_like(self.halo.x)
         field[self.halo.own] = u
         self.halo.exchange(field)
-        return field
+        return field if self._asked else self._rest
+
+    def _pulled(self, force: Callable[[np.ndarray], np.ndarray], u: np.ndarray) -> np.ndarray:
+        """A force of the placed law at this rank's interior nodes, shape [i, d]."""
+        return np.asarray(force(self.around(u)))[: self.points.interior.sum()]
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
-        return np.asarray(self.placed(self.around(u)))
+        return self._pulled(self.placed, u)
 
     def straight(self, u: np.ndarray) -> np.ndarray:
         """Its linear part at u, as above."""
-        return np.asarray(self.placed.straight(self.around(u)))
+        return self._pulled(self.placed.straight, u)
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on this rank's interior, which the operator equals in equilibrium."""
@@ -106,7 +113,8 @@ class RowNonlinear:
         """Root mean square of |H| over all nodes within δ of unknown ones, of all ranks."""
         H, _ = self.placed.gradients(self.around(u))
         square = np.full(len(self.halo.x), -1.0)
-        square[self.placed.sweeps.full] = (H**2).sum(axis=(-2, -1))
+        if self._asked:
+            square[self.placed.sweeps.full] = (H**2).sum(axis=(-2, -1))
         square = self.halo.largest(square)  # of its owner and of whoever feels it
         felt = square >= 0
         added, count = total(self.points.comm, np.stack([square * felt, felt], axis=1))
@@ -132,7 +140,7 @@ class RowNonlinear:
 
         def left(force: Callable[[np.ndarray], np.ndarray], v: np.ndarray) -> np.ndarray:
             unbalanced = np.zeros_like(given)
-            pulled = np.asarray(force(self.around(given + rows.take_up(v))))
+            pulled = self._pulled(force, given + rows.take_up(v))
             unbalanced[inside] = (b[inside] - pulled) / scale
             rest = rows.lay_out(unbalanced)
             if kept is not None and (size := inner.norm(rest)) < least[0]:
@@ -179,3 +187,10 @@ class RowNonlinear:
         record.largest_gradient = self.largest_gradient(answer)
         record.unique = record.largest_gradient <= self.strain
         return answer, record
+
+
+def _one_node(spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """A square of nodes to a distance around one that is unknown: positions and which it is."""
+    steps = int(np.ceil(reach / spacing))
+    grid = np.argwhere(np.ones((2 * steps + 1,) * 2)) - steps
+    return spacing * grid, np.asarray((grid == 0).all(axis=1))

@@ -164,7 +164,8 @@ def lattice(
             alone is of whole rows.
         units, axis: as of Points.
 
-    Raises InputError for more ranks than tiles, and a number of ranks that is no grid of them.
+    Raises InputError for more ranks than tiles, a number of ranks that is no grid of them, and no
+    interior node anywhere.
     """
     comm = world()
     sizes = _usual(shape) if block is None else tuple(np.atleast_1d(np.array(block)).tolist())
@@ -182,6 +183,8 @@ def lattice(
         if inside.shape != (len(x),) or inside.dtype != bool:
             raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
         check_units(units)
+    if not any(comm.allgather(bool(inside.any()))):
+        raise InputError("interior: expected at least one interior node, got none")
     return Piece(comm, x, inside, float(spacing), number, count, grid, tiles, units, axis)
 
 
