@@ -215,7 +215,7 @@ def _corrected(
     factors, first = placed.family.factors, u
     inside, (told, unseen) = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
-    before, since, slowed = np.inf, 0.0, 0.0
+    before, since, slowed, held = np.inf, 0.0, 0.0, 0.0
     for done in range(MOST + 1):
         size = placed.norm(u[inside]) or 1.0
         left = placed.correction(load, u)
@@ -224,7 +224,9 @@ def _corrected(
         bent = known
         if bent is None:
             bent = placed.norm((first - u)[inside] - left) / size
-        screen = _screened(placed, placed.gradient(u), moved, bent, told, slowed)
+        gradient = placed.gradient(u)
+        series = placed.series(gradient, slowed)
+        screen = _screened(placed, gradient, moved, bent, told, slowed)
         screen["noise"] = noise
         if tolerance is not None and _size(screen) <= tolerance:
             return _Stage(u, screen, None, done, unseen)
@@ -234,7 +236,9 @@ def _corrected(
         if factors.left * moved <= goal or last:
             if fields is None or since > MOVED:
                 fields, since = placed.doubts(u, left, told, slowed), 0.0
-            fields = replace(fields, left=left)
+            elif fields.strain is not None:  # how corrections shrink was not known then
+                fields = replace(fields, strain=fields.strain * (series / held))
+            fields, held = replace(fields, left=left), series
             parts = _parts(fields, placed, size, noise)
             floor = _rest(parts)
             if tolerance is None:
