@@ -33,9 +33,9 @@ from warp_peri.points.samples import Samples
 OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-WAVES = (26.0, 30.0, 35.0, 41.0, 49.0, 64.0)
-SHEET = tuple(MixedLoad(141 + n, shortest) for n, shortest in enumerate(WAVES))
-DISK = tuple(RandomRim(1301 + n) for n in range(6))
+WAVES = (27.0, 33.0, 39.0, 46.0, 52.0, 75.0)
+SHEET = tuple(MixedLoad(151 + n, shortest) for n, shortest in enumerate(WAVES))
+DISK = tuple(RandomRim(1401 + n) for n in range(6))
 """Named when the form of the error stood, before they were made."""
 SEEN = (
     (((81, 27.0), (82, 38.0), (83, 62.0)), (701, 702, 703)),
@@ -53,6 +53,10 @@ SEEN = (
     (
         ((131, 27.0), (132, 32.0), (133, 37.0), (134, 44.0), (135, 53.0), (136, 70.0)),
         (1201, 1202, 1203, 1204, 1205, 1206),
+    ),
+    (
+        ((141, 26.0), (142, 30.0), (143, 35.0), (144, 41.0), (145, 49.0), (146, 64.0)),
+        (1301, 1302, 1303, 1304, 1305, 1306),
     ),
 )
 """Loads that were each scored once, in this order, by the form that the error had then: what the
