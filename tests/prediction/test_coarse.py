@@ -57,6 +57,26 @@ def test_a_loose_tolerance_is_answered_on_every_second_node(both):
     assert loose.map()[points.interior].max() > 0
 
 
+@pytest.mark.parametrize(("tolerance", "where"), [(0.02, "on"), (0.01, "from")])
+def test_how_corrections_shrink_there_is_known_on_all_nodes_too(both, tolerance, where):
+    """c|H| knows nothing here: the part of strain is what the second has of the first."""
+    told = replace(both, factors=replace(both.factors, screen=1e-6))
+    points, u, b = problem(told, 0.3, 0.12)
+    held = np.where(points.interior[:, None], 0, u)
+    placed = told.with_doubts(points)
+    coarse, load, inside = placed.coarse, placed.load(b), points.interior
+    found = coarse.start(b, held, 1e-3)
+    bent = far(found, u, points)
+    first, _ = coarse.correction(load - placed.rich(found))
+    found[inside] += coarse.spread(first)
+    second, _ = coarse.correction(load - placed.rich(found))
+    slowed = np.linalg.norm(second) / np.linalg.norm(first)
+    answer = wp.predict(placed, wp.Dirichlet(points, b, held), tolerance)
+    assert answer.why.startswith(f"{where} every second node")
+    assert answer.kept
+    assert answer.parts["strain"] == pytest.approx(told.factors.floor * slowed * bent, rel=0.15)
+
+
 def test_short_waves_do_not_pose_as_long_ones(both):
     points, u, b = problem(both, 0.01, 3.0)  # 2.1 spacings
     given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))

@@ -52,7 +52,8 @@ class _Stage:
     """One displacement and what is known of it.
 
     `unseen` is the share of waves shorter than the data's, `on` says which nodes. `answers`: more
-    than a start of other nodes' answer, which is to know the size of the nonlinear part, `bent`.
+    than a start of other nodes' answer, which is to know the size of the nonlinear part, `bent`,
+    and the second correction over the first, `slowed`, 0 where there was none.
     """
 
     u: np.ndarray
@@ -63,6 +64,7 @@ class _Stage:
     on: str = ""
     answers: bool = True
     bent: float | None = None
+    slowed: float = 0.0
 
     @property
     def error(self) -> float:
@@ -123,7 +125,7 @@ def _predict(
     if coarse is not None and coarse.answers:
         stage = coarse
     elif coarse is not None and coarse.error <= min(share / ROUGH, ASTRAY):
-        stage = _corrected(placed, load, coarse.u, tolerance, noise, coarse.bent)
+        stage = _corrected(placed, load, coarse.u, tolerance, noise, coarse)
         stage.corrections += coarse.corrections
         stage.on = "from every second node, "
     else:
@@ -155,7 +157,7 @@ def _on_coarse(
         return None
     u = coarse.start(b, given, share)
     told, unseen = coarse.recorded(u)
-    before, taken, gone = np.inf, 0, np.zeros(1)
+    before, taken, gone, slowed = np.inf, 0, np.zeros(1), 0.0
     while True:
         size = placed.norm(np.compress(inside, u, axis=0))
         if size == 0:  # every load lies between these nodes, or there is none
@@ -163,7 +165,9 @@ def _on_coarse(
         left, missed = coarse.correction(load - placed.rich(u))
         moved, bent = (GROWN * coarse.norm(e) / size for e in (left, gone + left))
         rest = 1 / max(1 - moved / before, HALVED)  # what later corrections add up to
-        parts = _screened(placed, coarse.gradient(u), moved, bent, told) | {"noise": noise}
+        slowed = moved / before if taken == 1 else slowed
+        parts = _screened(placed, coarse.gradient(u), moved, bent, told, slowed)
+        parts["noise"] = noise
         parts["left"] = max(parts["left"], rest * moved)
         short = placed.family.factors.short * missed / size
         parts["waves"] = float(np.hypot(parts["waves"], short))
@@ -176,7 +180,7 @@ def _on_coarse(
         if tolerance is None or _rest(parts) > tolerance or moved > HALVED * before:
             break
         before, gone = moved, gone + left
-    return _Stage(u, parts, None, taken, unseen, "on every second node, ", answers, bent)
+    return _Stage(u, parts, None, taken, unseen, "on every second node, ", answers, bent, slowed)
 
 
 def _screened(
@@ -206,22 +210,24 @@ def _corrected(
     u: np.ndarray,
     tolerance: float | None,
     noise: float,
-    known: float | None = None,
+    known: _Stage | None = None,
 ) -> _Stage:
     """Correct until the tolerance is kept, or cannot be.
 
-    `known` is the size of the nonlinear part, where u is not the linear answer that tells it.
+    `known` tells the size of the nonlinear part, where u is not the linear answer that does, and
+    how corrections shrank before.
     """
     factors, first = placed.family.factors, u
     inside, (told, unseen) = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
-    before, since, slowed, held = np.inf, 0.0, 0.0, 0.0
+    before, since, held = np.inf, 0.0, 0.0
+    slowed = 0.0 if known is None else known.slowed
     for done in range(MOST + 1):
         size = placed.norm(u[inside]) or 1.0
         left = placed.correction(load, u)
         moved = placed.norm(left) / size
-        slowed = moved / before if done == 1 else slowed
-        bent = known
+        slowed = max(slowed, moved / before) if done == 1 else slowed
+        bent = None if known is None else known.bent
         if bent is None:
             bent = placed.norm((first - u)[inside] - left) / size
         gradient = placed.gradient(u)
