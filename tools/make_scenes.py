@@ -33,9 +33,9 @@ from warp_peri.points.samples import Samples
 OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
 """Largest bond strains."""
-WAVES = (27.0, 33.0, 39.0, 46.0, 52.0, 75.0)
-SHEET = tuple(MixedLoad(151 + n, shortest) for n, shortest in enumerate(WAVES))
-DISK = tuple(RandomRim(1401 + n) for n in range(6))
+WAVES = (28.0, 34.0, 40.0, 48.0, 54.0, 66.0)
+SHEET = tuple(MixedLoad(161 + n, shortest) for n, shortest in enumerate(WAVES))
+DISK = tuple(RandomRim(1501 + n) for n in range(6))
 """Named when the form of the error stood, before they were made."""
 SEEN = (
     (((81, 27.0), (82, 38.0), (83, 62.0)), (701, 702, 703)),
@@ -57,6 +57,10 @@ SEEN = (
     (
         ((141, 26.0), (142, 30.0), (143, 35.0), (144, 41.0), (145, 49.0), (146, 64.0)),
         (1301, 1302, 1303, 1304, 1305, 1306),
+    ),
+    (
+        ((151, 27.0), (152, 33.0), (153, 39.0), (154, 46.0), (155, 52.0), (156, 75.0)),
+        (1401, 1402, 1403, 1404, 1405, 1406),
     ),
 )
 """Loads that were each scored once, in this order, by the form that the error had then: what the
