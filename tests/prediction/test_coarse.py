@@ -77,6 +77,23 @@ def test_how_corrections_shrink_there_is_known_on_all_nodes_too(both, tolerance,
     assert answer.parts["strain"] == pytest.approx(told.factors.floor * slowed * bent, rel=0.15)
 
 
+def test_for_many_loads_at_once_small_bodies_are_factorised(both):
+    points, u, b = problem(both, 0.05, 0.12)
+    held = np.where(points.interior[:, None], 0, u)
+    placed, count = both.with_doubts(points), 30
+    many = wp.predict(placed, wp.Dirichlet(points, [b] * count, [held] * count), 0.1)
+    alone = wp.predict(both, wp.Dirichlet(points, b, held), 0.1)
+    assert far(many[0].u, alone.u, points) < 0.03
+    assert many[-1].error == pytest.approx(alone.error, rel=0.2)
+    assert far(many[0].u, u, points) < many[0].error
+    coarse = placed.coarse
+    few = coarse.operator.load(b[coarse.nodes.chosen])
+    for who, nodes, right in ((placed, points, placed.load(b)), (coarse, coarse.nodes.nodes, few)):
+        found = np.zeros_like(nodes.x)
+        found[nodes.interior] = who.inverse(right, 0.5)  # exact, however loosely it is asked
+        assert np.abs(who.straight(found) - right).max() < 1e-8 * np.abs(right).max()
+
+
 def test_short_waves_do_not_pose_as_long_ones(both):
     points, u, b = problem(both, 0.01, 3.0)  # 2.1 spacings
     given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))

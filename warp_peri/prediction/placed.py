@@ -66,7 +66,12 @@ class PlacedMembers:
         family: what was learned.
         points: a lattice, or for a linear rich member any points it goes on.
         options: of its `on`.
+
+    Attributes:
+        loads: how many are asked for at once, before the first: what a factorisation is worth.
     """
+
+    loads = 1
 
     def __init__(self, family: Members, points: PointsLike, **options: Any) -> None:
         nodes = nodes_of(points)
@@ -113,7 +118,7 @@ class PlacedMembers:
     def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
         """S: L⁻¹ of a load on the interior, to a relative residual."""
         if hasattr(self.rich, "inverse"):
-            return self.rich.inverse(1)  # type: ignore[no-any-return]
+            return self.rich.inverse(self.loads)  # type: ignore[no-any-return]
         inside, zero = self.points.interior, np.zeros(self.points.x.shape)
 
         def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
@@ -161,7 +166,7 @@ class PlacedMembers:
                 placed = family.coarse.on(nodes.nodes, transfer=False)
             here = np.count_nonzero(nodes.nodes.interior)
             few = sum(points.comm.allgather(here)) if self.on_ranks else here
-            return None if few < FEW else OnCoarse(nodes, placed, family)
+            return None if few < FEW else OnCoarse(nodes, placed, family, self.loads)
         except InputError:  # no unknowns there, another spacing, a narrow collar
             return None
 
@@ -215,10 +220,11 @@ class OnCoarse:
         nodes: every second one, EverySecond; on ranks RowsEverySecond.
         operator: the rich member there.
         family: which it is of.
+        loads: as of PlacedMembers.
     """
 
-    def __init__(self, nodes: Any, operator: Any, family: Members) -> None:
-        self.nodes, self.operator, self.inverse = nodes, operator, operator.inverse(1)
+    def __init__(self, nodes: Any, operator: Any, family: Members, loads: int = 1) -> None:
+        self.nodes, self.operator, self.inverse = nodes, operator, operator.inverse(loads)
         self.family = family
         linear = operator.straight if hasattr(operator, "straight") else operator
         self.straight: Callable[[np.ndarray], np.ndarray] = linear

@@ -102,7 +102,8 @@ def predict(
     members = placed(material, nodes_of(points), **asked, **options)
     load, field = checked_fields(members.points, problem.b, problem.u)
     uncovered = _uncovered(members, problem)
-    flat = (each.reshape(-1, *members.points.x.shape) for each in (load, field))
+    flat = [each.reshape(-1, *members.points.x.shape) for each in (load, field)]
+    members.loads = max(members.loads, len(flat[0]))
     noise = _noise(points, len(field) if field.ndim == 3 else 1)
     answers = tuple(
         _predict(members, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
