@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, model_content
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.unit_names import STRESSES, search_length, symbols
+from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -38,13 +37,15 @@ short waves nothing that can be seen."""
 SMOOTHNESS = 1e-6
 """Weight of the second differences of D. It costs no error that can be seen, and leaves no free
 directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
-ZETA = 0.01
-"""c [TPa] that is asked for, or what is proven at home where that is less."""
+ZETA = 0.0139
+"""c over μ that is asked for, or what is proven at home where that is less: 0.010 TPa of graphene."""
+WORST = 0.05
+"""Largest error of the longest waves that a transfer is answered with."""
 LEAST = 2.0
 """Smallest horizon that a lattice has, in spacings."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 6
+RECIPE = 7
 """Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""
@@ -162,7 +163,7 @@ def home_of(model: Model, spacing: float) -> Home:
         )
     nearest = _nearest(model, spacing)
     figures = model.certificate.get(f"{nearest:g}", {})
-    usual = ZETA / STRESSES.get(model.units[1], math.inf)
+    usual = ZETA * model.mu
     proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
     largest = model.largest_wave_number
     if largest is None:  # an older file does not tell
@@ -290,11 +291,17 @@ def _record(
     bonds = len(candidate.classes.steps)
     unit = symbols(home.model.units)[0]
     parts = []
-    for level in (0.005, 0.01, 0.02, 0.05):
+    for level in (0.005, 0.01, 0.02, WORST):
         wave = agrees_to(2 * np.pi / sizes, errors, level)
         if wave is not None:
             parts.append(f"{wave:.3g} {unit} to {100 * level:g} %")
-    agreement = f"waves longer than {', '.join(parts)}" if parts else "no wave to 5 %"
+    if not parts:
+        raise InputError(
+            f"horizon: no kernel on the lattice of {spacing:g} {unit} answers the longest waves as "
+            f"the model does on that of {home.spacing:g} {unit}: within {100 * WORST:g} %, expected "
+            f"of a transfer, the best misses them by {100 * errors[0]:.2g} %"
+        )
+    agreement = f"waves longer than {', '.join(parts)}"
     return {
         "from_spacing": home.spacing,
         "from_horizon": home.model.horizon,

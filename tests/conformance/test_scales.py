@@ -1,0 +1,202 @@
+"""Nothing decides on an absolute stiffness, length or force: a solid a million times as soft or as
+large gives the same strains."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
+from tests.conformance.test_laws import LAWS, near, solved_samples, uneven
+from tests.support.plates import plate
+from tests.support.problems import kernel, lattice
+from tests.support.sheets import waves
+from warp_peri.damage import Cracked
+from warp_peri.diffusion import Conductor
+from warp_peri.micromodulus.states import tensors_of
+from warp_peri.points.unit_names import USUAL, factors
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:strain:UserWarning", "ignore:transferred:UserWarning"
+)
+SMALLER, LARGER = ("nm", "mm"), ("mm", "nm")
+SOFTER, STIFFER = ("MPa", "TPa"), ("TPa", "MPa")
+SCALES = {
+    "small and stiff": (SMALLER, STIFFER),
+    "large and soft": (LARGER, SOFTER),
+    "small and soft": (SMALLER, SOFTER),
+    "large and stiff": (LARGER, STIFFER),
+}
+
+
+@pytest.fixture(params=SCALES)
+def scale(request):
+    return SCALES[request.param]
+
+
+def named(value, units):
+    """The same numbers under other units, those of parts too."""
+    if not dataclasses.is_dataclass(value):
+        value.units = units
+        return value
+    parts = {
+        field.name: named(part, units)
+        for field in dataclasses.fields(value)
+        if hasattr(part := getattr(value, field.name), "in_units")
+    }
+    own = {"units": units} if "units" in {field.name for field in dataclasses.fields(value)} else {}
+    return dataclasses.replace(value, **parts, **own)
+
+
+def resized(material, scale):
+    """The material with lengths and moduli a million times as large or small, and both factors."""
+    (here, there), (stress, other) = scale
+    have, want = (here, stress), (there, other)
+    return named(named(material, have).in_units(want), USUAL), *factors(have, want)
+
+
+def larger(points, length):
+    box = None if points.box is None else tuple(length * side for side in points.box)
+    return dataclasses.replace(
+        points, x=length * points.x, spacing=length * points.spacing, box=box
+    )
+
+
+@pytest.fixture(params=LAWS)
+def law(request):
+    return LAWS[request.param]
+
+
+def test_a_force_a_solve_and_a_motion(law, scale):
+    material, points = law.material(), law.points(4)
+    op, u = material.on(points), uneven(points)
+    other, length, stress = resized(material, scale)
+    there = larger(points, length)
+    twin = other.on(there)
+    near(twin(length * u), op(u) * stress / length, 1e-9)
+    near(twin.product(length * u, length * u), op.product(u, u) * stress / length, 1e-9)
+    near(twin.stress(length * u), op.stress(u) * stress, 1e-9)
+    if law.energy:
+        near(twin.energy(length * u), op.energy(u) * stress * length**2, 1e-9)
+    samples = solved_samples(law, op, points)
+    b = samples.b * stress / length
+    held = np.where(points.interior[:, None], 0, samples.u)
+    found = wp.solve(twin, wp.Dirichlet(there, b, length * held))
+    near(found.u, length * samples.u, 1e-7)
+    errors = wp.evaluate(twin, wp.Samples(there, length * samples.u, b))
+    assert errors["E_res"] < 1e-9
+    assert errors["E_u"] < 1e-7
+    how = {"density": 1000.0, "steps": 5, "every": 5}
+    step = 1e-2 * points.spacing / np.sqrt(np.abs(op.stress(u)).max() / 0.05 * 1e8 / 1000)
+    try:
+        moved = wp.move(op, wp.Dirichlet(points, None, u), step=step, **how)
+    except wp.InputError:
+        with pytest.raises(wp.InputError):
+            wp.move(twin, wp.Dirichlet(there, None, length * u), step=step, **how)
+        return
+    slower = length / np.sqrt(stress)
+    again = wp.move(twin, wp.Dirichlet(there, None, length * u), step=step * slower, **how)
+    near(again.u, length * moved.u, 1e-9)
+    near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
+
+
+SOLID = kernel("1/r", 2.0, lam=0.9)
+LINEAR = {"LPS": SOLID, "crystal": tensors_of(SOLID, 1.0).certified()}
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_a_body_with_free_edges(name, scale):
+    material = LINEAR[name]
+    other, length, stress = resized(material, scale)
+
+    def pulled(size, load):
+        return wp.Body(
+            plate(5.0 * size, 27.0 * size, 7, 32),
+            displacement={"sides": lambda x: 0.01 * x * (1, -0.3)},
+            traction={"hole": lambda x, n: 0.002 * load * n},
+        )
+
+    first = wp.solve(material, pulled(1.0, 1.0))
+    assert first.method == "elements and lattice"
+    near(wp.solve(other, pulled(length, stress)).u, length * first.u, 1e-5)
+
+
+def test_another_lattice(scale):
+    """A kernel is fitted there, whose conditions are those of the solid, however soft."""
+    bound = wp.certify(SOLID, spacing=1.0).figures()
+    material = dataclasses.replace(SOLID, certificate={"1": bound})
+    other, length, stress = resized(material, scale)
+    points = lattice(6, 5.0, 0.5)
+    op = material.on(points)
+    u = uneven(points)
+    b = np.zeros_like(u)
+    b[points.interior] = op(u)
+    there = larger(points, length)
+    found = wp.solve(other, wp.Dirichlet(there, b * stress / length, length * u))
+    near(found.u, length * u, 1e-4)
+    assert found.proven
+
+
+FITS = {
+    "LPS": wp.LPS(3.0, wp.Bernstein(2)),
+    "LPS, two functions": wp.LPS(3.0, wp.Bernstein(2, two_functions=True)),
+    "tensors": wp.Micromodulus(2.0, "4mm", moduli=None),
+    "dressed": wp.Dressed(symmetry="4mm"),
+    "third order": wp.ThirdOrder(wp.LPS(3.0, wp.Bernstein(2))),
+}
+
+
+@pytest.mark.parametrize("name", FITS)
+@pytest.mark.parametrize("scale", ["small and stiff", "large and soft"], indirect=True)
+def test_a_fit(name, scale):
+    """Errors of a fit to the same data in other sizes."""
+    law, points = FITS[name], dataclasses.replace(lattice(8, 3.0), axis=0.0)
+    op = LAWS["third order, energy"].material().on(points)
+    u = uneven(points, 6)
+    b = np.zeros_like(u)
+    b[:, points.interior] = op(u)
+    (here, there), (unit, other) = scale
+    length, stress = factors((here, unit), (there, other))
+    far = larger(points, length)
+    errors = []
+    for samples, asked in (
+        (wp.Samples(points, u, b), law),
+        (wp.Samples(far, length * u, b * stress / length), scaled_law(law, length)),
+    ):
+        fit = wp.fit(samples, asked)
+        found = wp.evaluate(fit.material, samples)
+        errors.append((found["E_res"], found["E_u"]))
+    assert errors[0][0] < 0.5
+    near(errors[1], errors[0], 1e-3)
+
+
+def scaled_law(law, length):
+    if hasattr(law, "linear"):
+        return dataclasses.replace(law, linear=scaled_law(law.linear, length))
+    horizon = {"horizon": law.horizon * length} if hasattr(law, "horizon") else {}
+    return dataclasses.replace(law, **horizon)
+
+
+def test_diffusion(scale):
+    (here, there), (unit, other) = scale
+    length, stress = factors((here, unit), (there, other))
+    points = lattice(6, 2.0)
+    phi, source = waves(points, 0.1)[:, 0], waves(points, 0.1, 1)[:, 1]
+    first = wp.solve(Conductor(2.0, 0.7), wp.Dirichlet(points, source, phi))
+    far = wp.Dirichlet(larger(points, length), source * stress / length**2, phi)
+    near(wp.solve(Conductor(2.0 * length, 0.7 * stress), far).u, first.u, 1e-8)
+
+
+@pytest.mark.parametrize("name", ["brittle", "soft"])
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_crack_at_rest(name, d, scale):
+    solid = SOLIDS[name](d)
+    other, length, _ = resized(solid, scale)
+    points = points_of(solid)
+    u = 0.01 * points.x * np.arange(1, d + 1)
+    crack = [np.array(face) for face in CRACK[d]]
+    first = wp.solve(solid, Cracked(points, u=u, cracks=crack))
+    cracks = [face * length for face in crack]
+    found = wp.solve(other, Cracked(larger(points, length), u=length * u, cracks=cracks))
+    near(found.u, length * first.u, 1e-7)
