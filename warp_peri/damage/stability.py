@@ -18,6 +18,9 @@ from warp_peri.points.families import BondClasses
 from warp_peri.stability.inertia import pivots, symmetric_factors
 from warp_peri.stability.proof import largest_bound
 
+ROUNDING = 1e-12
+"""Relative, of weights: below it a bond is without force, whatever its sign."""
+
 
 def check_breakable(model: Model, classes: BondClasses) -> None:
     """Refuse a model whose bonds must not break (theory.md, C3).
@@ -26,7 +29,7 @@ def check_breakable(model: Model, classes: BondClasses) -> None:
     function that changes sign on the lattice, or two of them.
     """
     w = bond_weights(model, classes)
-    if (w >= 0).all():
+    if (w >= -ROUNDING * np.abs(w).max()).all():
         return
     plus, minus = stiffness_across(model, classes)
     raise InputError(

@@ -11,7 +11,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.learning.checks import check_explained, warn_of_bounds
-from warp_peri.learning.full_loss_check import Oracle
+from warp_peri.learning.full_loss_check import ConsistencyCheck
 from warp_peri.learning.loss_choice import LossChoice, choose_loss
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.nonlinear import (
@@ -129,13 +129,13 @@ def _linear(
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)
     probe, responds = _probe(starts, bernstein), not isinstance(method, TwoStage)
     choice = choose_loss(loss, data, probe, responds=responds)
-    oracle = Oracle(data.grids, data.full)
+    consistency = ConsistencyCheck(data.grids, data.full)
     rough = _rough(bernstein, method)
-    oracle.check(rough)
+    consistency.check(rough)
     stages = Stages(data, data.losses(choice.name), progress)
     depends = (bernstein, conditions, normalise, choice.name)
     final = _learned(stages, starts, rough, method, depends)
-    oracle.check(final)
+    consistency.check(final)
     check_explained(final, choice.name)
     warn_of_bounds(final, data, scale, method)
     two_functions = bernstein is not None and bernstein.two_functions
@@ -216,7 +216,7 @@ def _second(method: Method) -> Optimum:
 
 
 def _rough(kernel: Bernstein | None, method: Method) -> Parameters:
-    """The random kernel that Algorithm 1 starts from and the oracle looks at first.
+    """The random kernel that Algorithm 1 starts from and the consistency looks at first.
 
     As printed the constants are random too, in the units of the fit.
     """
