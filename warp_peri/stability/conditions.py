@@ -13,8 +13,6 @@ from warp_peri.points.families import BondClasses
 CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}
 """What each choice asks for: D ≥ ζ s; with `paper` also μΓ ≥ ζ s and μ(Γ − 2φφᵗ) ≥ 0."""
 
-USUAL_ZETA = 0.01
-"""ζ [TPa] where there are no data whose stiffness it could be a part of."""
 SEARCH_INTERVALS = 120
 """Intervals of the zone grid on which a fit looks for violations."""
 
@@ -62,8 +60,10 @@ class LatticeConditions:
 
     @property
     def zeta(self) -> float:
-        """ζ [TPa]; without data to take it from, USUAL_ZETA."""
-        return USUAL_ZETA if self.asked.zeta is None else self.asked.zeta
+        """ζ [stress]; InputError where none is given, for it is a part of a stiffness."""
+        if self.asked.zeta is None:
+            raise InputError("zeta: expected a stiffness > 0, a small part of the shear modulus")
+        return self.asked.zeta
 
     @property
     def names(self) -> tuple[str, ...]:
