@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.learning.full_loss_check import held
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.output_error import as_model
 from warp_peri.learning.response import products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.scale import Scale, scale_of
-from warp_peri.learning.full_loss_check import held
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
 from warp_peri.models.nonlinear import NonlinearModel

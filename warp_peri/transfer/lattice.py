@@ -38,7 +38,7 @@ SMOOTHNESS = 1e-6
 """Weight of the second differences of D. It costs no error that can be seen, and leaves no free
 directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
 ZETA = 0.0139
-"""c over μ that is asked for, or what is proven at home where that is less: 0.010 TPa of graphene."""
+"""c over μ that is asked for, or what is proven at home where that is less; .010 TPa of graphene."""
 WORST = 0.05
 """Largest error of the longest waves that a transfer is answered with."""
 LEAST = 2.0
@@ -297,9 +297,9 @@ def _record(
             parts.append(f"{wave:.3g} {unit} to {100 * level:g} %")
     if not parts:
         raise InputError(
-            f"horizon: no kernel on the lattice of {spacing:g} {unit} answers the longest waves as "
-            f"the model does on that of {home.spacing:g} {unit}: within {100 * WORST:g} %, expected "
-            f"of a transfer, the best misses them by {100 * errors[0]:.2g} %"
+            f"horizon: expected a kernel on the lattice of {spacing:g} {unit} that answers the "
+            f"longest waves as on that of {home.spacing:g} {unit}, within {100 * WORST:g} %; the "
+            f"best misses them by {100 * errors[0]:.2g} %"
         )
     agreement = f"waves longer than {', '.join(parts)}"
     return {
