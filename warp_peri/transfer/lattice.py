@@ -38,7 +38,7 @@ SMOOTHNESS = 1e-6
 """Weight of the second differences of D. It costs no error that can be seen, and leaves no free
 directions to search in: the ripple of a kernel between the bond lengths goes where it may."""
 ZETA = 0.0139
-"""c over μ that is asked for, or what is proven at home where that is less; .010 TPa of graphene."""
+"""c over μ that is asked for, or what is proven at home where that is less: graphene's .010 TPa."""
 WORST = 0.05
 """Largest error of the longest waves that a transfer is answered with."""
 LEAST = 2.0
