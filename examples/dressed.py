@@ -29,11 +29,11 @@ from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
 from tools.graphene import DISK_RADIUS
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, torn
 from warp_peri.errors import exit_status
 from warp_peri.methods import Smoothing
 from warp_peri.micromodulus import from_phonons as tensors_from_phonons
-from warp_peri.micromodulus.elastic import plane_isotropic
 from warp_peri.structures.waves import wave_loads
 
 SETS = {"train": "train", "val": "val", "disks": "test"}

@@ -18,8 +18,8 @@ import ase.build
 import numpy as np
 
 import warp_peri as wp
+from warp_peri.core.elastic import voigt
 from warp_peri.errors import exit_status
-from warp_peri.micromodulus.elastic import voigt
 
 EMT = "ase.calculators.emt:EMT"
 TERSOFF = ("lammps:tersoff", "SiC_1989.tersoff")

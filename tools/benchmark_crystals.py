@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from warp_peri.micromodulus.certificate import certify
 
 from tools.crystals import force_constants
+from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.certificate import certify
-from warp_peri.micromodulus.family import half_ball
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from tools.crystals import RECIPES, session
 from tools.solid_session import SolidSession
+from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.groups import point_group
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from warp_peri.micromodulus.family import bend, half_ball
+from warp_peri.core.stencil import bend, directions, half_ball, laplacian, zone_sample
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.regression import directions, laplacian, zone_sample
 
 WAVES, LARGEST = 200, 2.0
 PENALTY = 3.0

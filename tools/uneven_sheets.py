@@ -13,8 +13,8 @@ from tools.graphene_phonons import force_constants
 from tools.lammps_session import LammpsSession
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.statics import Statics
-from warp_peri.micromodulus.elastic import allowed_tensors, voigt
-from warp_peri.micromodulus.groups import point_group
+from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.groups import point_group
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix

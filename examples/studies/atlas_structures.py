@@ -9,7 +9,7 @@ from ase.calculators.emt import EMT
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.micromodulus.elastic import voigt
+from warp_peri.core.elastic import voigt
 
 REPEATS = (2, 3, 4, 5, 6, 7)
 

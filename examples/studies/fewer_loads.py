@@ -34,10 +34,10 @@ from tools import make_graphene as making
 from tools.loads import DESIGNED as TWO
 from tools.loads import TRAINING, both_ways
 from tools.samples import _statics, solve_samples
+from warp_peri.core.elastic import from_voigt
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.elastic import from_voigt
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.prediction import next_load
 from warp_peri.prediction.learning import part

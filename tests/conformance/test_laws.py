@@ -14,8 +14,8 @@ from tests.support.nonlinear import CONSTANTS, psi, rotation
 from tests.support.problems import AXIS, difference, kernel, lattice, noise, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri import launch
-from warp_peri.micromodulus.family import family
-from warp_peri.micromodulus.groups import point_group, shared_with_nodes
+from warp_peri.core.basis import invariant_basis
+from warp_peri.core.groups import point_group, shared_with_nodes
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.nonlinear import NonlinearModel
@@ -150,7 +150,7 @@ def cell():
 def tensors():
     """A crystal with four axes, its tensors no states of bonds."""
     group = point_group("4mm", 2)
-    bonds = family(3.0, shared_with_nodes(group, np.eye(2)))
+    bonds = invariant_basis(3.0, shared_with_nodes(group, np.eye(2)))
     p = np.random.default_rng(4).normal(size=len(bonds.basis))
     stiff = 1 / (bonds.steps**2).sum(axis=1)[:, None, None] ** 2 * np.eye(2)
     C = stiff + 0.02 * np.tensordot(p, bonds.basis, 1)

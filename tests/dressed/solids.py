@@ -6,10 +6,10 @@ import numpy as np
 
 import warp_peri as wp
 from tests.micromodulus.crystals import cubic_tensor
+from warp_peri.core.basis import invariant_basis
+from warp_peri.core.elastic import voigt
+from warp_peri.core.groups import point_group
 from warp_peri.dressed.law import DressedSolid
-from warp_peri.micromodulus.elastic import voigt
-from warp_peri.micromodulus.family import family
-from warp_peri.micromodulus.groups import point_group
 
 SPACING = 1.3
 ISOTROPIC = {"C11": 1.25, "C12": -0.2, "C44": 0.725}
@@ -19,7 +19,7 @@ NAMES = {2: "4mm", 3: "m-3m"}
 def solid(d=2, base="elements", reach=2**0.5, size=0.03, split=False, seed=0, dilatation=1 / 8):
     """Of given moduli, under a random G of the symmetry of the nodes."""
     rng = np.random.default_rng(seed)
-    dressing = family(reach, point_group(NAMES[d], d).astype(int))
+    dressing = invariant_basis(reach, point_group(NAMES[d], d).astype(int))
     C = voigt(cubic_tensor(d, **ISOTROPIC) if base == "bonds" else cubic_tensor(d))
     count = 3 if split and base == "elements" else 1 + split
     q = size * rng.normal(size=(count, len(dressing.basis)))

@@ -8,8 +8,8 @@ import pytest
 import warp_peri as wp
 from tests.dressed.solids import SPACING, nodes, rigid, solid
 from tests.dressed.test_body import check
+from warp_peri.core.elastic import turned, voigt
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import turned, voigt
 from warp_peri.statics.settings import Direct, Krylov
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.problems import KERNELS, ell, fitted_order, kernel, lattice, noise, periodic
+from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.solving import velocity_verlet
 from warp_peri import InputError
 from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
@@ -13,8 +13,6 @@ from warp_peri.operator.matrices import matrices
 from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import critical_time_step
-from warp_peri.stability import proof
-from warp_peri.stability.proof import largest_bound
 from warp_peri.transfer.operator import LPSOperator
 
 DENSITY = 2147.0
@@ -27,40 +25,6 @@ def largest(model, k, spacing=1.0):
     classes = bond_classes(spacing, model.horizon)
     d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
     return np.linalg.eigvalsh(np.stack([d11, d12, d12, d22], axis=-1).reshape(-1, 2, 2))[:, 1]
-
-
-@pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])
-@pytest.mark.parametrize("name", KERNELS)
-def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
-    model = kernel(name, horizon, lam=-0.2)
-    classes = bond_classes(1.0, horizon)
-    bound = largest_bound(classes, *stiffnesses(model, classes))
-    sampled = largest(model, ZONE).max()
-    assert sampled <= bound <= 1.002 * sampled
-
-
-@pytest.mark.parametrize("lam", [-0.2, 3.0])
-@pytest.mark.parametrize("name", KERNELS)
-def test_no_cell_holds_more_than_its_bound(name, lam, monkeypatch):
-    model, classes = kernel(name, 3.0, lam=lam), bond_classes(1.0, 3.0)
-    random, half = np.random.default_rng(0), np.pi / 32
-    middle = random.uniform(0, np.pi, (100, 2))
-    inside = middle[:, None] + half * random.uniform(-1, 1, (100, 100, 2))
-    sampled = largest(model, inside.reshape(-1, 2)).reshape(100, 100).max(axis=1)
-    point = stiffnesses(model, classes)
-    bound = proof._cells_above(classes, *point, middle, half)[1]
-    assert (sampled <= bound).all()
-    monkeypatch.setattr(proof, "second_derivative", lambda *_: 0.0)
-    straight = proof._cells_above(classes, *point, middle, half)[1]
-    assert (sampled > straight).any()  # without the curvature it is no bound
-
-
-def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
-    model, classes = kernel("positive", 3.0), bond_classes(1.0, 3.0)
-    tight = largest_bound(classes, *stiffnesses(model, classes))
-    monkeypatch.setattr(proof, "MOST_CELLS", 1)
-    loose = largest_bound(classes, *stiffnesses(model, classes), tolerance=1e-9)
-    assert loose > tight
 
 
 def box_of(model, spacing):

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from warp_peri.micromodulus.family import family
-from warp_peri.micromodulus.groups import checked_orientation, point_group, shared_with_nodes
+from warp_peri.core.basis import invariant_basis
+from warp_peri.core.groups import checked_orientation, point_group, shared_with_nodes
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.points import Points
@@ -52,7 +52,7 @@ def learned(d, spacing=1.5, orientation=None, symmetry=None):
 def random_law(d, reach=2.0, spacing=1.5, symmetry="m-3m", seed=0):
     """Tensors of a symmetry, of any sign, that are no crystal's."""
     name = symmetry if d == 3 else "4mm"
-    bonds = family(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
+    bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
     p = np.random.default_rng(seed).normal(size=len(bonds.basis))
     return Crystal(spacing, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
 

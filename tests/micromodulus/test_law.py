@@ -5,16 +5,16 @@ import pytest
 
 import warp_peri
 from tests.micromodulus.crystals import COPPER, cubic_tensor, lattice, learned, random_law
-from warp_peri.errors import InputError
-from warp_peri.micromodulus import elastic
-from warp_peri.micromodulus.elements import q1_tensors
-from warp_peri.micromodulus.family import family
-from warp_peri.micromodulus.groups import (
+from warp_peri.core import elastic
+from warp_peri.core.basis import invariant_basis
+from warp_peri.core.groups import (
     checked_orientation,
     name_of,
     point_group,
     shared_with_nodes,
 )
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.law import Crystal, load_crystal
 from warp_peri.micromodulus.planes import plane_strain, plane_stress
 
@@ -33,7 +33,7 @@ from warp_peri.micromodulus.planes import plane_strain, plane_stress
     ],
 )
 def test_numbers_of_a_family(name, d, reach, bonds, numbers):
-    found = family(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
+    found = invariant_basis(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
     assert (2 * len(found.steps), len(found.basis)) == (bonds, numbers)
 
 

@@ -11,9 +11,10 @@ import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive, lattice, learned
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
+from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import force_constants
-from warp_peri.micromodulus.elastic import allowed_tensors, voigt
 from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.force_constants import (
     Polar,
@@ -22,7 +23,6 @@ from warp_peri.micromodulus.force_constants import (
     from_supercell,
     read_force_constants,
 )
-from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.states import tensors_of

@@ -12,6 +12,7 @@ FLOORS = (
     ("launch", "files", "cluster", "contract", "shown"),
     ("kernels",),
     ("points",),
+    ("core",),
     ("sources", "models"),
     ("operator",),
     ("stability",),

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from tests.support import reference
-from tests.support.problems import KERNELS, MU, difference, ell, kernel, lattice
+from tests.support.problems import KERNELS, ell, kernel, lattice
 from warp_peri import InputError, Model, certify
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import stiffnesses, symbol, zone_wedge
+from warp_peri.operator.symbol import stiffnesses, symbol
 from warp_peri.points.families import bond_classes
-from warp_peri.stability import proof
-from warp_peri.stability.proof import proven_bound, taylor_radius
 from warp_peri.transfer.operator import LPSOperator
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
@@ -80,68 +78,6 @@ def test_minimum_and_bound_against_a_fine_grid(name, horizon):
     assert certificate.symbol_bound <= max(expected, 0)
     if expected > 0.05:
         assert certificate.symbol_bound >= 0.9 * expected
-
-
-@pytest.mark.parametrize("name", ["1/r", "positive"])
-def test_nothing_above_the_minimum_is_ever_proven(name):
-    """The proof by itself, told that more was sampled than there is."""
-    model = kernel(name, 2.0)
-    classes = bond_classes(1.0, 2.0)
-    expected = smallest_ratio(model)
-    for factor in (1.02, 4.0):
-        assert proven_bound(classes, *stiffnesses(model, classes), factor * expected) <= expected
-
-
-@pytest.mark.parametrize("name", ["1/r", "steep", "positive", "two functions"])
-def test_the_ball_around_zero_is_sound(name):
-    model, classes = kernel(name, 3.0), bond_classes(1.0, 3.0)
-    point = stiffnesses(model, classes)
-    slowest = symbol(classes, zone_wedge(1.0, 1)[:9]).ratio(*point).min()
-    for c in np.array([0.0, 0.5, 0.9, 0.999]) * slowest:
-        radius = taylor_radius(classes, *point, c)
-        assert radius > 0
-        angle = np.linspace(0, np.pi, 50)
-        ring = np.stack([np.cos(angle), np.sin(angle)], 1)
-        k = np.concatenate([radius * part * ring for part in (0.01, 0.3, 0.7, 1.0)])
-        assert (symbol(classes, k).ratio(*point) >= c).all()
-    assert taylor_radius(classes, *point, 1.001 * slowest) == 0
-
-
-@pytest.mark.parametrize("lam", [-0.2, MU], ids=["both parts", "deviatoric alone"])
-@pytest.mark.parametrize("name", KERNELS)
-def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
-    """Slopes of D − c s are right, and no second derivative is above its bound."""
-    classes = bond_classes(1.0, 3.0)
-    point, c = stiffnesses(kernel(name, 3.0, lam=lam), classes), 0.1
-    random = np.random.default_rng(4)
-    steepest = 0.0
-    for k in random.uniform(-np.pi, np.pi, (20, 2)):
-
-        def entries(k):
-            d, _ = proof.affine_part(classes, *point, c, k[None])
-            return d[:, 0]
-
-        _, slopes = proof.affine_part(classes, *point, c, k[None])
-        expected = difference(entries, k, 0.01)
-        np.testing.assert_allclose(slopes[:, :, 0], expected, atol=1e-9)
-        step, (e, n) = 1e-3, random.normal(size=(2, 2))
-        e, n = e / np.hypot(*e), n / np.hypot(*n)
-        if steepest == 0.0:  # where Γ is bent most
-            k, e = np.array([1e-2, 1e-2]), n
-        form = np.array([e[0] ** 2, e[1] ** 2, 2 * e[0] * e[1]])
-        bend = entries(k + step * n) - 2 * entries(k) + entries(k - step * n)
-        steepest = max(steepest, abs(form @ bend) / step**2)
-    bound = proof.second_derivative(classes, *point) + 2 * c
-    assert 0.01 * bound < steepest <= bound
-
-
-def test_the_proof_sets_the_curvature_aside(monkeypatch):
-    classes = bond_classes(1.0, 2.0)
-    point = stiffnesses(kernel("1/r", 2.0), classes)
-    assert proven_bound(classes, *point, 0.5) > 0
-    monkeypatch.setattr(proof, "MOST_CELLS", 5000)
-    monkeypatch.setattr(proof, "second_derivative", lambda *_: 1e6)
-    assert proven_bound(classes, *point, 0.5) == 0
 
 
 def five_point(interior):

@@ -8,8 +8,9 @@ from scipy.sparse.linalg import splu
 
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
+from warp_peri.core.groups import lattice_group
 from warp_peri.operator.nonlinear import NonlinearOperator
-from warp_peri.operator.symbol import stiffnesses, symbol, zone_wedge
+from warp_peri.operator.symbol import stencil_of, stiffnesses, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
 from warp_peri.stability.uniqueness import curvature_bound, largest_parts, proven_kappa
@@ -72,7 +73,8 @@ def test_kappa_is_a_bound_over_the_whole_zone(form):
     for p, kappa in zip(model.weights(classes), (proof.kappa_in, proof.kappa_out)):
         sampled = np.sqrt(((table.phi @ p) ** 2).sum(axis=1) / smallest).max()
         assert sampled <= kappa <= 1.05 * sampled
-    assert proven_kappa(classes, -stiff[0], *stiff[1:], model.weights(classes)[0]) == np.inf
+    negative = stencil_of(classes, -stiff[0], *stiff[1:])
+    assert proven_kappa(negative, lattice_group(2), classes, model.weights(classes)[0]) == np.inf
 
 
 class Iteration:

@@ -13,8 +13,8 @@ from ase.calculators.lj import LennardJones
 import warp_peri as wp
 from tools.crystals import LEWIS_CATLOW
 from warp_peri.cli.main import main
-from warp_peri.micromodulus.elastic import voigt
-from warp_peri.micromodulus.groups import group_of_structure
+from warp_peri.core.elastic import voigt
+from warp_peri.core.groups import group_of_structure
 from warp_peri.structures.campaign import load_campaign
 from warp_peri.structures.lammps import LammpsError, lammps_calculator
 from warp_peri.structures.phonons import born_charges, force_constants

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from warp_peri.micromodulus.elastic import allowed_tensors, voigt
-from warp_peri.micromodulus.groups import point_group
+from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.groups import point_group
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
 STRAINED = (392.963, 164.309, 164.298)

@@ -5,8 +5,8 @@ import pytest
 
 from tools.crystals import RECIPES, at_rest, force_constants, session, spacing_of
 from tools.isotropic_rival import isotropic_lps
-from warp_peri.micromodulus.elastic import allowed_tensors
-from warp_peri.micromodulus.groups import point_group
+from warp_peri.core.elastic import allowed_tensors
+from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.structures.waves import wave_loads
 

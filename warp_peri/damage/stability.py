@@ -10,13 +10,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import largest
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import bond_weights, stiffness_across
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.operator.symbol import stencil_of
 from warp_peri.points.families import BondClasses
 from warp_peri.stability.inertia import pivots, symmetric_factors
-from warp_peri.stability.proof import largest_bound
 
 ROUNDING = 1e-12
 """Relative, of weights: below it a bond is without force, whatever its sign."""
@@ -75,7 +77,8 @@ def largest_stiffness(model: Model, classes: BondClasses) -> float:
     check_breakable(model, classes)
     w = bond_weights(model, classes)
     v = np.bincount(classes.bond_class, w) / classes.count
-    gamma, d = largest_bound(classes, v, v, 0.0), model.dimension
+    d = model.dimension
+    gamma = largest(stencil_of(classes, v, v, 0.0), lattice_group(d))
     return energy_bounds(model)[1] / (d * (d + 2) / 2) * gamma
 
 

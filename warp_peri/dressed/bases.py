@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from warp_peri.core.elastic import PAIRS, named_symmetry, voigt
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import PAIRS, named_symmetry, voigt
 
 KINDS = ("elements", "bonds")
 EQUAL = 1e-6

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import plane_isotropic
 from warp_peri.models.lps import read_content
 from warp_peri.models.nonlinear import CUBIC
 from warp_peri.points.arrays import is_number

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from warp_peri.core.elastic import from_voigt
 from warp_peri.dressed.finite import NUMBERS, FiniteSolid, stress, third_derivatives
 from warp_peri.dressed.finite_body import FiniteBody, Slopes, gathered, gradients
 from warp_peri.dressed.learning import third_order_moduli
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import from_voigt
 from warp_peri.micromodulus.laws import one_set
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.axis import axis_of

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.core.elastic import from_voigt, voigt
+from warp_peri.core.groups import Symmetry
+from warp_peri.core.proof import Proof
 from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.certificate import Certificate
-from warp_peri.micromodulus.elastic import from_voigt, voigt
-from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.models.lps import Model, read_content
@@ -58,7 +58,7 @@ class DressedSolid:
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
-    certificate: Certificate | None = None
+    certificate: Proof | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     dilatation: float = AXIS_WEIGHT
 
@@ -274,7 +274,7 @@ class DressedSolid:
                 (content.get("length_unit", USUAL[0]), content.get("stress_unit", USUAL[1])),
                 symmetry if isinstance(symmetry, str) else np.asarray(symmetry, dtype=float),
                 content.get("orientation"),
-                None if proof is None else Certificate(**proof),
+                None if proof is None else Proof(**proof),
                 dict(content.get("provenance") or {}),
                 float(content.get("dilatation", AXIS_WEIGHT)),
             )

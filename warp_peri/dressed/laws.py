@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from warp_peri.core.groups import Symmetry
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.learning import REACH, fit
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.laws import one_set
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples

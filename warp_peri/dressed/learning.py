@@ -7,6 +7,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from warp_peri.core.basis import Basis, invariant_basis
+from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
+from warp_peri.core.groups import (
+    Symmetry,
+    checked_orientation,
+    point_group,
+    shared_with_nodes,
+)
 from warp_peri.dressed.bases import (
     AXIS_WEIGHT,
     base,
@@ -19,15 +27,7 @@ from warp_peri.dressed.bases import (
 from warp_peri.dressed.law import DressedSolid, held
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import fields
-from warp_peri.micromodulus.elastic import allowed_tensors, from_voigt, turned
-from warp_peri.micromodulus.family import Family, family
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.groups import (
-    Symmetry,
-    checked_orientation,
-    point_group,
-    shared_with_nodes,
-)
 from warp_peri.micromodulus.third_order_learning import fit_third_order
 from warp_peri.micromodulus.waves import LARGEST_WAVE, SAME, carried_symbol, wave_rows
 from warp_peri.models.smoothing import Smoothing
@@ -181,13 +181,13 @@ def _isotropic(symmetry: Symmetry) -> bool:
     return isinstance(symmetry, str) and symmetry == "isotropic"
 
 
-def _dressing(neighbours: int, group: np.ndarray) -> Family:
+def _dressing(neighbours: int, group: np.ndarray) -> Basis:
     known = REACH[group.shape[1]]
     if neighbours not in known:
         raise InputError(
             f"neighbours: expected one of {', '.join(map(str, known))}, got {neighbours!r:.50}"
         )
-    return family(known[neighbours], group)
+    return invariant_basis(known[neighbours], group)
 
 
 class _Monomials:
@@ -198,7 +198,7 @@ class _Monomials:
         self,
         kind: str,
         tensor: np.ndarray,
-        dressing: Family,
+        dressing: Basis,
         split: bool,
         spacing: float,
         two_functions: bool = False,
@@ -234,7 +234,7 @@ class _Monomials:
         steps = half(np.abs(stacked).sum(axis=0))[0]
         middle = stacked.shape[1] // 2
         basis = -stacked[(slice(None), *(steps + middle).T)] / spacing**2
-        self.family = Family(steps, (basis + basis.swapaxes(2, 3)) / 2, np.zeros(len(steps), int))
+        self.family = Basis(steps, (basis + basis.swapaxes(2, 3)) / 2, np.zeros(len(steps), int))
 
     def coefficients(self, x: np.ndarray) -> np.ndarray:
         """c_n(q, s)."""

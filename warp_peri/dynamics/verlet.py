@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.operator.symbol import stiffnesses
-from warp_peri.points.families import bond_classes
+from warp_peri.operator.symbol import lps_stencil
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
-from warp_peri.stability.proof import largest_bound
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.operator import LPSOperator
 
@@ -59,8 +59,7 @@ def critical_time_step(
     offered(model, "is_certified_on", "critical_time_step", "a linear solid or a crystal")
     model = model_at(model, spacing, allow_uncertified=allow_uncertified)
     near = model.nominal_spacing(spacing)
-    classes = bond_classes(near, model.horizon, dimension=model.dimension)
-    stiffest = largest_bound(classes, *stiffnesses(model, classes))
+    stiffest = largest(lps_stencil(model, near), lattice_group(model.dimension))
     return float(2 * np.sqrt(inertia(density, model.units) / stiffest))
 
 

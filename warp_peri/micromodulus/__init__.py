@@ -1,6 +1,6 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory.md, T)."""
 
-from warp_peri.micromodulus.elastic import from_voigt
+from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.laws import CrystalFit, Micromodulus

@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
+from warp_peri.core.basis import Basis
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.family import Family
 from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.micromodulus.regression import compressed
 from warp_peri.points.lattice import lattice_steps
@@ -19,7 +19,7 @@ MODES = 1
 """Half waves along an axis of the longest test fields."""
 
 
-def rows(samples: Samples, bonds: Family, *, normalise: bool = False) -> tuple[np.ndarray, ...]:
+def rows(samples: Samples, bonds: Basis, *, normalise: bool = False) -> tuple[np.ndarray, ...]:
     """R and y so that ‖R p − y‖² is the sum of squares of L u − b, as few rows as that takes.
 
     Args:
@@ -48,7 +48,7 @@ def rows(samples: Samples, bonds: Family, *, normalise: bool = False) -> tuple[n
     return R, y
 
 
-def _features(u: np.ndarray, nodes: Nodes, bonds: Family) -> np.ndarray:
+def _features(u: np.ndarray, nodes: Nodes, bonds: Basis) -> np.ndarray:
     """L u of every basis tensor at the interior nodes, shape [S, I, d, P]."""
     planes = nodes.lay_out(u)
     asked = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.core.elastic import acoustic, stress_brackets
+from warp_peri.core.groups import group_of_structure, point_group
+from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import acoustic, stress_brackets
-from warp_peri.micromodulus.groups import group_of_structure, point_group
-from warp_peri.micromodulus.regression import directions
 from warp_peri.points.unit_names import STRESSES
 
 STEP = 2e-3

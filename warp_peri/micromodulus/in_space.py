@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from warp_peri.core.basis import invariant_basis
+from warp_peri.core.elastic import allowed_tensors
+from warp_peri.core.groups import point_group, shared_with_nodes
+from warp_peri.core.proof import Proof
+from warp_peri.core.stencil import ratios, zone_sample
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.certificate import Certificate
-from warp_peri.micromodulus.elastic import allowed_tensors
-from warp_peri.micromodulus.family import family
 from warp_peri.micromodulus.fields import long_wave_moduli, rows
-from warp_peri.micromodulus.groups import point_group, shared_with_nodes
-from warp_peri.micromodulus.regression import particular, ratios, zone_sample
+from warp_peri.micromodulus.regression import particular
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.lps import Model
@@ -44,7 +45,7 @@ class SpaceFit:
     """
 
     material: Model
-    certificate: Certificate
+    certificate: Proof
     history: dict[str, Any]
 
     def __repr__(self) -> str:
@@ -79,7 +80,7 @@ def learn_in_space(
     """
     points, h = samples.points, samples.spacing
     group = shared_with_nodes(point_group("m-3m", 3), np.eye(3))
-    bonds = family(2 * horizon / h, group)
+    bonds = invariant_basis(2 * horizon / h, group)
     R, y = rows(samples, bonds, normalise=normalise)
     size = float(np.linalg.norm(y))
     classes = bond_classes(h, horizon, dimension=3)

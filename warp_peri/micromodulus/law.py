@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
-from warp_peri.micromodulus import elastic
-from warp_peri.micromodulus.certificate import Certificate, certify, stiffest
-from warp_peri.micromodulus.family import bend
-from warp_peri.micromodulus.groups import (
+from warp_peri.core import elastic
+from warp_peri.core.groups import (
     Symmetry,
     checked_orientation,
     point_group,
     shared_with_nodes,
 )
+from warp_peri.core.proof import Proof, largest, prove
+from warp_peri.core.stencil import Stencil
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import write_json
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.axis import unsaid
@@ -79,7 +79,7 @@ class Crystal:
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
-    certificate: Certificate | None = None
+    certificate: Proof | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     stress: np.ndarray | None = None
 
@@ -154,10 +154,14 @@ class Crystal:
         return shared_with_nodes(point_group(self.symmetry, self.dimension), self.orientation)
 
     @property
+    def stencil(self) -> Stencil:
+        """Its numbers alone."""
+        return Stencil(self.spacing, self.steps, self.tensors)
+
+    @property
     def brackets(self) -> np.ndarray:
         """[ij, kl] = ½ Σ C_ij ξ_k ξ_l over all bonds [stress], shape [d, d, d, d] (T3)."""
-        xi = self.spacing * self.steps
-        return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
+        return self.stencil.brackets
 
     @property
     def _at_rest(self) -> np.ndarray:
@@ -168,9 +172,7 @@ class Crystal:
     def symbol(self, k: np.ndarray) -> np.ndarray:
         """D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2), at k of shape [..., d], shape [..., d, d]."""
         k = np.asarray(k, dtype=float)
-        D = np.tensordot(
-            bend(k.reshape(-1, self.dimension) * self.spacing, self.steps), self.tensors, 1
-        )
+        D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.spacing)
         return np.asarray(D.reshape(*k.shape, self.dimension))
 
     def huang_defect(self) -> float:
@@ -265,12 +267,11 @@ class Crystal:
 
     def certified(self) -> Crystal:
         """The law with its certificate; `certificate.holds` says whether one was found."""
-        scaled = self.tensors * self.spacing**2
-        return replace(self, certificate=certify(self.steps, scaled, self.group))
+        return replace(self, certificate=prove(self.stencil, self.group))
 
     def stiffest_wave(self) -> float:
         """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
-        return stiffest(self.steps, self.tensors)
+        return largest(self.stencil, self.group)
 
     def in_units(self, units: Units) -> Crystal:
         """The same law in other units. Raises InputError where no factor leads to them."""
@@ -416,7 +417,7 @@ class Crystal:
                 (content.get("length_unit", USUAL[0]), content.get("stress_unit", USUAL[1])),
                 symmetry if isinstance(symmetry, str) else np.asarray(symmetry, dtype=float),
                 content.get("orientation"),
-                None if proof is None else Certificate(**proof),
+                None if proof is None else Proof(**proof),
                 dict(content.get("provenance") or {}),
                 content.get("stress"),
             )

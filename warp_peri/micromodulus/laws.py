@@ -6,8 +6,8 @@ import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from warp_peri.core.groups import Symmetry
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.groups import Symmetry
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
 from warp_peri.models.smoothing import Smoothing

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.micromodulus import fields
-from warp_peri.micromodulus.elastic import allowed_tensors, from_voigt, turned
-from warp_peri.micromodulus.family import family
-from warp_peri.micromodulus.groups import (
+from warp_peri.core.basis import invariant_basis
+from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
+from warp_peri.core.groups import (
     CANDIDATES,
     LEAST,
     Symmetry,
@@ -20,6 +18,8 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
+from warp_peri.errors import InputError
+from warp_peri.micromodulus import fields
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.arrays import is_positive
@@ -85,7 +85,7 @@ def fit(
     name, ratio = _judged(samples, reach, turn, normalise, symmetry)
     group = point_group(name, d)
     shared = shared_with_nodes(group, turn)
-    bonds = family(reach, shared)
+    bonds = invariant_basis(reach, shared)
     R, y = fields.rows(samples, bonds, normalise=normalise)
     C, misfit = None, None
     if isinstance(moduli, str):
@@ -131,7 +131,10 @@ def _judged(
     if len(samples) < 2 and not auto:
         return told, None
     none = point_group(LEAST[d], d)
-    least, any_tensor = family(reach, none.astype(int)), allowed_tensors(LEAST[d], none, turn)
+    least, any_tensor = (
+        invariant_basis(reach, none.astype(int)),
+        allowed_tensors(LEAST[d], none, turn),
+    )
     u, b = samples.u, samples.loads
     halves = [Samples(samples.points, u[n::2], b[n::2]) for n in range(min(2, len(u)))]
     equations = [fields.rows(half, least, normalise=normalise) for half in halves]
@@ -148,7 +151,7 @@ def _judged(
 
     def losses(name: Symmetry) -> np.ndarray:
         group = point_group(name, d)
-        bonds = family(reach, shared_with_nodes(group, turn))
+        bonds = invariant_basis(reach, shared_with_nodes(group, turn))
         allowed = allowed_tensors(name, group, turn)
         return np.array(
             [

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from warp_peri.core import elastic
+from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
-from warp_peri.micromodulus import elastic
-from warp_peri.micromodulus.groups import point_group
 from warp_peri.micromodulus.law import BROKEN, Crystal
 from warp_peri.micromodulus.waves import fit_symbol
 

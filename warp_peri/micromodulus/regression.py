@@ -8,16 +8,10 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import nnls
 
+from warp_peri.core.basis import Basis
+from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.family import Family, bend
-from warp_peri.micromodulus.groups import orbit_grid
 
-CUT_INTERVALS = {2: 40, 3: 12}
-"""Of the grid on the zone that cuts are looked for on."""
-DIRECTIONS = {2: 60, 3: 200}
-"""Of long waves."""
-LONG = 1e-3
-"""Their |k| h."""
 ROUNDS, NEW_CUTS = 60, 40
 MET = 1e-6
 """Relative, of the floor: what is above (1 − MET) of it is met."""
@@ -44,43 +38,10 @@ class Learned:
     history: list[float] = field(default_factory=list)
 
 
-def directions(count: int, dimension: int) -> np.ndarray:
-    """Unit vectors spread evenly over half the circle, or over the sphere, shape [count, d]."""
-    number = np.arange(count) + 0.5
-    if dimension == 2:
-        angle = np.pi * number / count
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    z = 1 - 2 * number / count
-    angle = np.pi * (1 + np.sqrt(5)) * number
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
-
-
-def laplacian(phase: np.ndarray) -> np.ndarray:
-    """s(k) h² = 4 Σ sin²(k_a h/2) at k h = `phase`, shape [K]."""
-    wave: np.ndarray = 4 * (np.sin(phase / 2) ** 2).sum(axis=1)
-    return wave
-
-
-def zone_sample(group: np.ndarray, dimension: int, intervals: int | None = None) -> np.ndarray:
-    """k h of one of each orbit of a grid on the zone, and of very long waves, shape [K, d]."""
-    grid = orbit_grid(intervals or CUT_INTERVALS[dimension], group, dimension)
-    axes = np.array([v for v in np.ndindex((3,) * dimension) if v != (1,) * dimension]) - 1.0
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    return np.concatenate([grid, LONG * axes, LONG * directions(DIRECTIONS[dimension], dimension)])
-
-
-def ratios(steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Λmin D/s h^−2 at k h = `phase`, shape [K], and the eigenvectors it is taken at, [K, d]."""
-    symbol = np.tensordot(bend(phase, steps), tensors, 1)
-    value, vector = np.linalg.eigh(symbol)
-    return value[:, 0] / laplacian(phase), vector[:, :, 0]
-
-
 def learn(
     R: np.ndarray,
     y: np.ndarray,
-    bonds: Family,
+    bonds: Basis,
     group: np.ndarray,
     *,
     equal: tuple[np.ndarray, np.ndarray],

@@ -18,10 +18,11 @@ from warp_peri.models.lps import content_hash, read_content
 from warp_peri.models.nonlinear import CUBIC
 from warp_peri.models.smoothing import Smoothing, fitted_weights
 from warp_peri.points.arrays import is_number, is_positive
-from warp_peri.points.families import BondClasses
+from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, factors, shown_moduli
 from warp_peri.shown import as_table, in_rows
+from warp_peri.stability.uniqueness import uniqueness_of
 
 if TYPE_CHECKING:
     from warp_peri.micromodulus.third_order_operator import PlacedCrystal
@@ -136,6 +137,15 @@ class ThirdOrderCrystal:
         """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
         here = abs(spacing / self.spacing - 1) <= SAME_SPACING
         return float(self.proven.get("strain", 0.0)) if here else 0.0
+
+    def certified(self) -> ThirdOrderCrystal:
+        """The law with its guarantee of uniqueness, where its tensors are certified (N25)."""
+        proof = self.linear.certificate
+        if proof is None or not proof.holds:
+            return self
+        classes = bond_classes(self.spacing, self.reach)
+        unique = uniqueness_of(self, self.linear.stencil, self.linear.group, classes)
+        return replace(self, proven=unique.figures())
 
     def on(self, points: PointsLike, **options: Any) -> PlacedCrystal:
         """The law on a lattice, carried over to its spacing; as PlacedCrystal."""

@@ -8,22 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import root
 
-from warp_peri.errors import InputError
-from warp_peri.losses.nonlinear import CONSTANTS, NonlinearFeatures
-from warp_peri.micromodulus import fields
-from warp_peri.micromodulus.elastic import allowed_tensors, from_voigt, turned
-from warp_peri.micromodulus.family import Family, family
-from warp_peri.micromodulus.groups import (
+from warp_peri.core.basis import Basis, invariant_basis
+from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
+from warp_peri.core.groups import (
     Symmetry,
     checked_orientation,
     point_group,
     shared_with_nodes,
 )
+from warp_peri.errors import InputError
+from warp_peri.losses.nonlinear import CONSTANTS, NonlinearFeatures
+from warp_peri.micromodulus import fields
 from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.regression import Learned, compressed
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal, gradient_weights
 from warp_peri.micromodulus.third_order_operator import PlacedCrystal
-from warp_peri.micromodulus.third_order_proof import proven_crystal
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.families import bond_classes
@@ -77,11 +76,13 @@ def fit_third_order(
     have no load.
     """
     begin = time.perf_counter()
-    axes = lay_out(samples.points, family(horizon / samples.spacing, np.eye(2)[None]).steps).axes
+    axes = lay_out(
+        samples.points, invariant_basis(horizon / samples.spacing, np.eye(2)[None]).steps
+    ).axes
     turn = np.eye(2) if orientation is None else axes.T @ checked_orientation(orientation, 2)
     group = point_group(symmetry, 2)
     shared = shared_with_nodes(group, turn)
-    bonds = family(horizon / samples.spacing, shared)
+    bonds = invariant_basis(horizon / samples.spacing, shared)
     weights = gradient_weights(smoothing, form, bond_classes(samples.spacing, horizon))
     extra = NonlinearFeatures(samples, horizon, weights)(samples.u).transpose(0, 1, 3, 2)
     extra = np.einsum("siam,ak->sikm", extra, axes)
@@ -106,7 +107,7 @@ def fit_third_order(
     law = ThirdOrderCrystal(
         linear, t3, tq2, q3, smoothing, form, float(horizon), provenance={"fit": record}
     )
-    law = proven_crystal(law)
+    law = law.certified()
     operator = PlacedCrystal(law, samples.points, allow_uncertified=True)
     b = samples.loads[:, samples.interior]
     wrong = np.linalg.norm((operator(samples.u) - b).reshape(len(b), -1), axis=1)
@@ -137,7 +138,7 @@ def _lame(tensor: np.ndarray) -> np.ndarray:
 
 
 def _at(
-    rows: _Rows, bonds: Family, shared: np.ndarray, tensor: np.ndarray, spacing: float
+    rows: _Rows, bonds: Basis, shared: np.ndarray, tensor: np.ndarray, spacing: float
 ) -> tuple[Learned, np.ndarray]:
     """The fit with some moduli, and the numbers that belong to all columns."""
     known = _lame(tensor)  # those of the geometric terms are those of the tensors
@@ -151,7 +152,7 @@ def _at(
 
 
 def _found_moduli(
-    samples: Samples, bonds: Family, shared: np.ndarray, rows: _Rows, allowed: np.ndarray
+    samples: Samples, bonds: Basis, shared: np.ndarray, rows: _Rows, allowed: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """The moduli with which what the law leaves of the loads has no long waves (N29)."""
     moments = fields.long_wave_rows(samples, allowed, 0)[2] * rows.weight
@@ -174,7 +175,7 @@ def _found_moduli(
 
 
 def _rows(
-    samples: Samples, bonds: Family, extra: np.ndarray, values: np.ndarray, kept: np.ndarray
+    samples: Samples, bonds: Basis, extra: np.ndarray, values: np.ndarray, kept: np.ndarray
 ) -> _Rows:
     """Each sample over its load; test fields, shape [V, n], on nodes by number."""
     nodes = lay_out(samples.points, bonds.steps)

@@ -19,7 +19,6 @@ from warp_peri.micromodulus.law import SAME_SPACING
 from warp_peri.micromodulus.operator import Operator
 from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
-from warp_peri.micromodulus.third_order_proof import proven_crystal
 from warp_peri.micromodulus.waves import transferred
 from warp_peri.models.nonlinear import energy_density
 from warp_peri.operator.gradient_sweeps import GradientSweeps
@@ -48,7 +47,7 @@ def crystal_for(model: ThirdOrderCrystal, points: PointsLike) -> ThirdOrderCryst
     if key not in _known:
         linear = transferred(model.linear, points.spacing)
         there = dict(vars(model)) | {"linear": linear, "proven": {}}
-        _known[key] = proven_crystal(ThirdOrderCrystal(**there))
+        _known[key] = ThirdOrderCrystal(**there).certified()
     return _known[key]
 
 

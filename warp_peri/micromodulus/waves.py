@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import (
+from warp_peri.core.basis import Basis, invariant_basis
+from warp_peri.core.elastic import (
     acoustic,
     allowed_tensors,
     bracket_rows,
@@ -18,9 +18,7 @@ from warp_peri.micromodulus.elastic import (
     stress_brackets,
     turned,
 )
-from warp_peri.micromodulus.family import Family, family
-from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.groups import (
+from warp_peri.core.groups import (
     Symmetry,
     checked_orientation,
     name_of,
@@ -28,8 +26,11 @@ from warp_peri.micromodulus.groups import (
     point_group,
     shared_with_nodes,
 )
+from warp_peri.core.stencil import directions
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.regression import Learned, compressed, directions, learn
+from warp_peri.micromodulus.regression import Learned, compressed, learn
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.unit_names import USUAL, Units, factors, symbols
 
@@ -80,7 +81,7 @@ def fit_symbol(
     d = _dimension(target) if tensor is None else len(tensor)
     turn = checked_orientation(orientation, d)
     shared = shared_with_nodes(point_group(symmetry, d), turn)
-    bonds = family(horizon / spacing, shared)
+    bonds = invariant_basis(horizon / spacing, shared)
     R, y = wave_rows(target, spacing, bonds, shared, largest_wave)
     learned = solved(R, y, bonds, shared, tensor, spacing, stress)
     found = {"loss": learned.loss, "cuts": learned.cuts, "numbers": len(bonds.basis)}
@@ -102,7 +103,7 @@ def _dimension(target: Callable[[np.ndarray], np.ndarray]) -> int:
 def wave_rows(
     target: Callable[[np.ndarray], np.ndarray],
     spacing: float,
-    bonds: Family,
+    bonds: Basis,
     shared: np.ndarray,
     largest_wave: float,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +176,7 @@ def from_phonons(
     group = point_group(name, d)
     allowed = allowed_tensors(name, group, np.eye(d))
     if hold_moduli is None:
-        moments = family(horizon / spacing, shared_with_nodes(group, turn)).moments()
+        moments = invariant_basis(horizon / spacing, shared_with_nodes(group, turn)).moments()
         hold_moduli = len(moments) >= ENOUGH * np.linalg.matrix_rank(bracket_rows(moments))
     C = atoms.elastic(allowed)  # also where it is not held: refuses what is no elastic solid
     tensor = turned(C, turn) / stress if hold_moduli else None
@@ -206,7 +207,7 @@ def from_phonons(
 def solved(
     R: np.ndarray,
     y: np.ndarray,
-    bonds: Family,
+    bonds: Basis,
     shared: np.ndarray,
     tensor: np.ndarray | None,
     spacing: float,
@@ -234,7 +235,7 @@ def solved(
 
 def law_of(
     learned: Learned,
-    bonds: Family,
+    bonds: Basis,
     spacing: float,
     units: Units,
     symmetry: Symmetry,

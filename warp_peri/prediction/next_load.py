@@ -9,9 +9,9 @@ import numpy as np
 from scipy.linalg import null_space
 
 from warp_peri.contract import offered
+from warp_peri.core.basis import Basis, invariant_basis
+from warp_peri.core.elastic import bracket_rows, huang_rows
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import bracket_rows, huang_rows
-from warp_peri.micromodulus.family import Family, family
 from warp_peri.micromodulus.fields import rows
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import wave_rows
@@ -112,7 +112,7 @@ def calibrated(told: np.ndarray, pull: np.ndarray, prior: np.ndarray, slopes: np
 
 def _of_tensors(material: Crystal, quantity: Quantity | None) -> Told:
     """Slopes of a quantity, the prior, and what loads tell, in the directions that are free."""
-    bonds = family(material.horizon / material.spacing, material.group)
+    bonds = invariant_basis(material.horizon / material.spacing, material.group)
     free, p = _coordinates(material, bonds), _numbers(material, bonds)
     if quantity is None:
         waves, _ = wave_rows(material.symbol, material.spacing, bonds, material.group, WAVES)
@@ -123,7 +123,7 @@ def _of_tensors(material: Crystal, quantity: Quantity | None) -> Told:
     return slopes, prior, lambda samples: _information(samples, bonds, free, p)
 
 
-def _numbers(material: Crystal, bonds: Family) -> np.ndarray:
+def _numbers(material: Crystal, bonds: Basis) -> np.ndarray:
     """p of a law, in units of stress."""
     basis = bonds.basis.reshape(len(bonds.basis), -1)
     if not np.array_equal(bonds.steps, material.steps):
@@ -132,14 +132,14 @@ def _numbers(material: Crystal, bonds: Family) -> np.ndarray:
     return np.asarray(np.linalg.lstsq(basis.T, tensors, rcond=None)[0])
 
 
-def _coordinates(material: Crystal, bonds: Family) -> np.ndarray:
+def _coordinates(material: Crystal, bonds: Basis) -> np.ndarray:
     """Directions that p may move in: moduli stay where they were held, [P, F]."""
     held = dict(material.provenance.get("fit", {})).get("moduli_held", False)
     asked = (bracket_rows if held else huang_rows)(bonds.moments())
     return np.asarray(null_space(asked / np.abs(bonds.moments()).max(), rcond=1e-8))
 
 
-def _slopes(material: Crystal, bonds: Family, free: np.ndarray, quantity: Quantity) -> np.ndarray:
+def _slopes(material: Crystal, bonds: Basis, free: np.ndarray, quantity: Quantity) -> np.ndarray:
     """Of a quantity, by central differences, [n, F]."""
     step = STEP * float(np.abs(_numbers(material, bonds)).max())
 
@@ -159,7 +159,7 @@ def _answered(material: Any, candidates: Samples) -> Samples:
 
 
 def _information(
-    samples: Samples, bonds: Family, free: np.ndarray, p: np.ndarray
+    samples: Samples, bonds: Basis, free: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """RᵗR and Rᵗ(y − R p) of each load over ‖b‖², its residual counted as one number (Q11)."""
     told, pull = [], []

@@ -9,18 +9,15 @@ import numpy as np
 from scipy.linalg import eigh, eigvalsh
 
 from warp_peri.contract import linear_part, offered
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import stiffnesses
-from warp_peri.points.families import bond_classes
+from warp_peri.operator.symbol import lps_stencil
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
-from warp_peri.stability.proof import proven_bound
 
-INTERVALS = 500
-"""Intervals of the zone grid of a certificate; finer than any that a fit looks at."""
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
 SCHWARZ_TOLERANCE = 1e-10
@@ -119,14 +116,10 @@ def certify(
             f"{symbols(model.units)[0]}, got {spacing:g}"
         )
     spacing = model.nominal_spacing(spacing)
-    classes = bond_classes(spacing, model.horizon)
-    v, z, kappa = stiffnesses(model, classes)
-    zeta = model.mu  # any level; the search is for the smallest ratio
-    search = ZoneSearch(LatticeConditions(classes, Conditions("direct", zeta)), INTERVALS)
-    smallest = float(search.worst(v, z, kappa)[0][0]) + zeta
-    bound = proven_bound(classes, v, z, kappa, smallest)
+    proof = prove(lps_stencil(model, spacing), lattice_group(model.dimension))
+    figures = spacing, proof.sampled, proof.proven
     if points is None:
-        return Certificate(spacing, smallest, bound, units=model.units)
+        return Certificate(*figures, units=model.units)
 
     parts = matrices(model, points)
     unknown = np.repeat(points.interior, 2)
@@ -141,4 +134,4 @@ def certify(
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
     dense = (gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1]))
-    return Certificate(spacing, smallest, bound, *dense, units=model.units)
+    return Certificate(*figures, *dense, units=model.units)

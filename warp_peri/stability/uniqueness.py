@@ -9,33 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from warp_peri.launch import in_blocks
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import prove
+from warp_peri.core.stencil import Stencil, squared
 from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.symbol import long_wave_moduli, stiffnesses, symbol, zone_wedge
+from warp_peri.operator.symbol import lps_stencil
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.stability.proof import (
-    AT_ONCE,
-    CORNERS,
-    ROUNDING,
-    affine_part,
-    lowest,
-    second_derivative,
-    slowest,
-)
 
 DIRECTIONS = 400
 """Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
-INTERVALS = 160
-"""Intervals of the zone grid on which κ is sampled."""
-SLACKS = (1.002, 1.005, 1.01, 1.02, 1.05, 1.1, 1.25, 1.5, 2.0, 4.0)
+SLACKS = (1.001, 1.002, 1.005, 1.01, 1.02, 1.05, 1.1, 1.25, 1.5, 2.0, 4.0)
 """Multiples of the sampled κ² that are tried, smallest first."""
-FIRST_CELLS, MOST_CELLS = 16, 400_000
 CONTRACTION = 0.999
 """What C κ_in κ_out must stay below."""
 
@@ -91,21 +80,23 @@ def uniqueness(model: NonlinearModel, *, spacing: float) -> Uniqueness:
     Raises InputError when the horizon is below one spacing.
     """
     classes = bond_classes(spacing, model.horizon)
-    stiff = stiffnesses(model.linear, classes)
-    p_in, p_out = model.weights(classes)
-    kappa_out = proven_kappa(classes, *stiff, p_out)
-    kappa_in = kappa_out if p_in is p_out else proven_kappa(classes, *stiff, p_in)
-    return uniqueness_of(model, spacing, kappa_in, kappa_out)
+    return uniqueness_of(model, lps_stencil(model.linear, spacing), lattice_group(2), classes)
 
 
-def uniqueness_of(model: Any, spacing: float, kappa_in: float, kappa_out: float) -> Uniqueness:
-    """The largest |H| that proven bounds of κ [TPa^(−1/2)] leave unique (N15).
+def uniqueness_of(
+    model: Any, stencil: Stencil, group: np.ndarray, classes: BondClasses
+) -> Uniqueness:
+    """The largest |H| that proven bounds of κ [stress^(−1/2)] leave unique (N15).
 
     Args:
-        model: with the `numbers` and `units` of a NonlinearModel.
-        spacing: h [Å].
-        kappa_in, kappa_out: infinite where none was proven.
+        model: with `numbers`, `units` and `weights` of a solid of third order.
+        stencil: of its linear part.
+        group: integer matrices under which that is invariant, shape [g, 2, 2].
+        classes: bond classes of its gradient's family.
     """
+    p_in, p_out = model.weights(classes)
+    kappa_out = proven_kappa(stencil, group, classes, p_out)
+    kappa_in = kappa_out if p_in is p_out else proven_kappa(stencil, group, classes, p_in)
     parts = largest_parts(model)
     strain = 0.0
     if np.isfinite(kappa_in * kappa_out):
@@ -116,7 +107,9 @@ def uniqueness_of(model: Any, spacing: float, kappa_in: float, kappa_out: float)
             low, high = (middle, high) if small else (low, middle)
         strain = low
     bound = curvature_bound(parts, strain)
-    return Uniqueness(spacing, strain, kappa_in, kappa_out, bound, tuple(parts), model.units)
+    return Uniqueness(
+        stencil.spacing, strain, kappa_in, kappa_out, bound, tuple(parts), model.units
+    )
 
 
 def curvature_bound(parts: Sequence[float], strain: float) -> float:
@@ -167,82 +160,17 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return product
 
 
-def proven_kappa(
-    classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, p: np.ndarray
-) -> float:
-    """A proven upper bound of κ_p [TPa^(−1/2)]; infinite when none was found.
+def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
+    """A proven upper bound of κ_p [stress^(−1/2)]; infinite when none was found (N14).
 
     Args:
-        classes: bond classes of the lattice.
-        v, z, kappa: stiffnesses [TPa/Å²] and κ [1/TPa] of the linear solid.
-        p: weights by class [1/Å²], Σ n r² p = 1.
+        stencil: of the linear solid, certified.
+        group: integer matrices under which it is invariant, shape [g, d, d].
+        classes: bond classes of the gradient's family.
+        p: its weights by class [1/length²], Σ n r² p = 1.
     """
-    table = symbol(classes, zone_wedge(classes.spacing, INTERVALS))
-    smallest = table.ratio(v, z, kappa) * table.laplacian
-    if not smallest.min() > 0:
-        return float(np.inf)
-    sampled = float((((table.phi @ p) ** 2).sum(axis=1) / smallest).max())
-    for slack in SLACKS:
-        if _holds(classes, v, z, kappa, p, 1 / (slack * sampled)):
-            return float(np.sqrt(slack * sampled))
-    return float(np.inf)
-
-
-def _holds(
-    classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, p: np.ndarray, c: float
-) -> bool:
-    """Whether D(k) ≥ c |h_p(k)|² is proven for all k, by cells that are halved where they fail."""
-    edge = np.pi / classes.spacing
-    ball = _taylor_radius(classes, v, z, kappa, p, c)
-    if ball == 0:
-        return False
-    first, second, third = (classes.count @ (np.abs(p) * classes.r**n) for n in (1, 2, 3))
-    curvature = second_derivative(classes, v, z, kappa)
-    curvature += 2 * c * (4 * first * third + second**2)
-    slack = ROUNDING * (32 * (classes.count @ np.abs(v)) + 4 * c * first**2)
-    half = edge / FIRST_CELLS / 2
-    middle = np.stack(np.tril_indices(FIRST_CELLS), axis=1) * 2 * half + half
-    work = 0
-
-    def cells(half: float, k: np.ndarray) -> np.ndarray:
-        d, slopes = affine_part(classes, v, z, kappa, 0.0, k)
-        value, slope = _square(classes, p, k)
-        d[:2] -= c * value
-        slopes[:, :2] -= c * slope[:, None]
-        return lowest(d, slopes, half)
-
-    while len(middle):
-        middle = middle[np.hypot(*(middle + half).T) > ball]
-        work += len(middle)
-        if work > MOST_CELLS:
-            return False
-        bound = in_blocks(partial(cells, half), middle, AT_ONCE)
-        failed = bound - curvature * half**2 - slack <= 0
-        half /= 2
-        middle = (middle[failed][:, None, :] + half * CORNERS).reshape(-1, 2)
-        middle = middle[middle[:, 0] + 2 * half >= middle[:, 1]]  # the wedge k₂ ≤ k₁
-    return True
-
-
-def _taylor_radius(
-    classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float, p: np.ndarray, c: float
-) -> float:
-    """|k| [1/Å] inside which the long-wave moduli prove D ≥ c |h_p|², (N19); 0 if they do not."""
-    least = slowest(*long_wave_moduli(classes, v, kappa)) - c
-    if not least > 0:
-        return 0.0
-    mu = classes.count @ (v * classes.r**2)
-    fourth_v, fourth_z, fourth_p = (classes.count @ (np.abs(x) * classes.r**4) for x in (v, z, p))
-    # least − a k² − b k⁴ ≥ 0
-    a = 2 / 3 * (fourth_v + abs(kappa * mu) * fourth_z + c * fourth_p)
-    b = abs(kappa) * fourth_z**2 / 9 + c * fourth_p**2 / 9
-    return float(np.sqrt((-a + np.sqrt(a**2 + 4 * b * least)) / (2 * b)))
-
-
-def _square(classes: BondClasses, p: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """|h_p(k)|², shape [K], and its derivatives to k, shape [2, K]."""
-    xi, weight = classes.xi, p[classes.bond_class]
-    phase = k @ xi.T
-    h = 2 * np.sin(phase) @ (weight[:, None] * xi)
-    slope = 2 * np.einsum("kb,b,ba,bc->akc", np.cos(phase), weight, xi, xi, optimize=True)
-    return (h**2).sum(axis=1), 2 * (h * slope).sum(axis=2)
+    d = stencil.dimension
+    gradient = d * p[classes.bond_class, None] * classes.xi
+    weight = squared(stencil.spacing, classes.steps, gradient)
+    proven = prove(stencil, group, weight, tuple(1 / slack for slack in SLACKS)).proven
+    return float(1 / np.sqrt(proven)) if proven > 0 else float(np.inf)

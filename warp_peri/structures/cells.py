@@ -10,8 +10,8 @@ import numpy as np
 from ase.neighborlist import neighbor_list
 from scipy.linalg import sqrtm
 
+from warp_peri.core.groups import group_of_structure
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.groups import group_of_structure
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""

@@ -11,8 +11,7 @@ from typing import Any
 import ase
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import (
+from warp_peri.core.elastic import (
     acoustic,
     allowed_tensors,
     brackets_from_elastic,
@@ -21,11 +20,12 @@ from warp_peri.micromodulus.elastic import (
     stress_brackets,
     voigt,
 )
+from warp_peri.core.groups import Symmetry, name_of, point_group
+from warp_peri.core.stencil import directions
+from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.groups import Symmetry, name_of, point_group
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
-from warp_peri.micromodulus.regression import directions
 from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units

@@ -12,8 +12,8 @@ import numpy as np
 from ase.data import atomic_masses
 from ase.optimize import BFGS
 
+from warp_peri.core.elastic import PAIRS, from_voigt
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elastic import PAIRS, from_voigt
 from warp_peri.micromodulus.force_constants import (
     STEP,
     ForceConstants,

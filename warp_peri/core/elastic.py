@@ -10,9 +10,9 @@ import itertools
 
 import numpy as np
 
+from warp_peri.core.groups import Symmetry
+from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.groups import Symmetry
-from warp_peri.micromodulus.regression import directions
 from warp_peri.points.arrays import checked
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}

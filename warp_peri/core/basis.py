@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.points.families import HORIZON_TOLERANCE
-
-MOST_BONDS = 4000
-"""Of a half family; a horizon beyond it is a slip of units."""
+from warp_peri.core.stencil import bend, half_ball
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class Basis:
     """Half of a family, ξ and −ξ being one bond, and the tensors that a group allows on it.
 
     Attributes:
@@ -46,31 +41,6 @@ class Family:
         return np.asarray(np.einsum("anij,nk,nl->aijkl", self.basis, x, x, optimize=True))
 
 
-def bend(phase: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """2 (1 − cos k·ξ) without cancellation at small k, shape [K, H]."""
-    wave: np.ndarray = 4 * np.sin(phase @ steps.T / 2) ** 2
-    return wave
-
-
-def half_ball(reach: float, dimension: int) -> np.ndarray:
-    """ξ/h of one half of the bonds with |ξ| ≤ reach h, shape [H, d].
-
-    Raises InputError for a ball without bonds, or with more than MOST_BONDS of a half.
-    """
-    most = reach**2 * (1 + HORIZON_TOLERANCE) ** 2
-    side = int(np.sqrt(most))
-    if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
-        raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")
-    line = range(-side, side + 1)
-    grid = np.array(list(itertools.product(line, repeat=dimension)), dtype=np.int64)
-    square = (grid**2).sum(axis=1)
-    mirror = (2 * side + 1) ** np.arange(dimension)[::-1]  # ξ before −ξ in this order
-    half: np.ndarray = grid[(square <= most) & (grid @ mirror > 0)]
-    if not len(half):
-        raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
-    return half[np.argsort((half**2).sum(axis=1), kind="stable")]
-
-
 def symmetric_matrices(dimension: int) -> np.ndarray:
     """An orthonormal basis of symmetric matrices, shape [d (d + 1)/2, d, d]."""
     found = []
@@ -82,7 +52,7 @@ def symmetric_matrices(dimension: int) -> np.ndarray:
     return np.array(found)
 
 
-def family(reach: float, group: np.ndarray) -> Family:
+def invariant_basis(reach: float, group: np.ndarray) -> Basis:
     """The half ball and its invariant tensors under C(Rξ) = R C(ξ) Rᵗ.
 
     Args:
@@ -108,4 +78,4 @@ def family(reach: float, group: np.ndarray) -> Family:
             on_bonds = np.zeros((len(steps), d, d))
             on_bonds[image] = group @ tensor.reshape(d, d) @ group.transpose(0, 2, 1)
             basis.append((on_bonds + on_bonds.transpose(0, 2, 1)) / 2)
-    return Family(steps, np.array(basis), orbit)
+    return Basis(steps, np.array(basis), orbit)

@@ -46,6 +46,9 @@ CANDIDATES = {
 }
 """Groups that a fit to fields tries, from the largest."""
 
+LATTICE_GROUP = {2: "4mm", 3: "m-3m"}
+"""Of a square and of a cubic lattice of nodes."""
+
 
 def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
     """Rotations of a group in the crystal's axes, shape [G, d, d], with the inversion.
@@ -129,6 +132,12 @@ def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
     turned = orientation @ group @ orientation.T
     whole = np.rint(turned)
     return np.asarray(whole[np.abs(turned - whole).max(axis=(1, 2)) < TOLERANCE].astype(np.int64))
+
+
+def lattice_group(dimension: int) -> np.ndarray:
+    """All turns of a square or cubic lattice of nodes, integer matrices, shape [g, d, d]."""
+    group = point_group(LATTICE_GROUP[dimension], dimension)
+    return shared_with_nodes(group, np.eye(dimension))
 
 
 def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:

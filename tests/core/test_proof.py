@@ -1,0 +1,173 @@
+"""What is proven of a stencil's symbol holds, and what does not hold is not proven."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.micromodulus.crystals import learned
+from tests.support.problems import KERNELS, difference, kernel
+from warp_peri.core import proof
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import largest, long_wave_radius, parts, prove
+from warp_peri.core.stencil import (
+    Stencil,
+    half_ball,
+    laplacian,
+    laplacian_stencil,
+    ratios,
+    squared,
+)
+from warp_peri.operator.symbol import lps_stencil
+
+NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
+SQUARE = lattice_group(2)
+
+
+def waves(d, count=4000):
+    phase = np.random.default_rng(0).uniform(-np.pi, np.pi, (count, d))
+    phase[::2] *= 1e-2
+    return phase
+
+
+def smallest_ratio(stencil):
+    line = np.linspace(-np.pi, np.pi, 161)
+    zone = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    zone = zone[np.hypot(*zone.T) > 1e-9]
+    return ratios(stencil.steps, stencil.tensors * stencil.spacing**2, zone)[0].min()
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_nearly_all_of_the_sampled_minimum_is_proven_with_the_wedge_and_without(d):
+    law = learned(d)
+    for group in (law.group, NOTHING[d]) if d == 2 else (law.group,):
+        found = prove(law.stencil, group)
+        assert found.proven == pytest.approx(0.99 * found.sampled)
+        assert found.sampled == pytest.approx(0.024, rel=0.01)  # (C11 − C12)/2, the softest shear
+    D = law.stencil.symbol(waves(d)) * law.spacing**2
+    assert (np.linalg.eigvalsh(D)[:, 0] > found.proven * laplacian(waves(d))).all()
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(d, monkeypatch):
+    """Positive at the sampled waves, negative in between: nothing may be proven."""
+    monkeypatch.setattr(proof, "ZOOMS", 0)
+    law, sample = learned(d), proof.SAMPLE[d]
+    far = np.zeros((2, d), int)
+    far[:, 0] = 2 * sample, 4 * sample  # 1 − cos k·ξ vanishes on the sampled grid
+    dip = np.zeros((2, d, d))
+    dip[:, 0, 0] = -0.2, 0.2
+    steps = np.concatenate([law.steps, far])
+    below = Stencil(1.0, steps, np.concatenate([law.tensors * law.spacing**2, dip]))
+    wave = np.zeros((1, d))
+    wave[0, 0] = np.pi / far[0, 0]
+    assert np.linalg.eigvalsh(below.symbol(wave))[0, 0] < 0
+    found = prove(below, NOTHING[d])
+    assert found.sampled > 0
+    assert not found.holds
+
+
+def test_long_waves_that_are_unstable_are_not_proven():
+    steps = half_ball(1.5, 3)
+    found = prove(Stencil(1.0, steps, np.tile(-0.01 * np.eye(3), (len(steps), 1, 1))), NOTHING[3])
+    assert not found.holds
+    assert found.statement == "Nothing is proven."
+
+
+@pytest.mark.parametrize("name", ["1/r", "positive"])
+def test_nothing_above_the_minimum_is_ever_proven(name):
+    """The proof by itself, told that more was sampled than there is."""
+    stencil = lps_stencil(kernel(name, 2.0), 1.0)
+    assert prove(stencil, SQUARE).proven <= smallest_ratio(stencil)
+    assert prove(stencil, SQUARE, shares=(4.0, 1.02)).proven == 0
+
+
+@pytest.mark.parametrize("lam", [-0.2, 0.8], ids=["both parts", "deviatoric alone"])
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
+    """Slopes are right, no symbol is below its affine part by more than the rest, and some are."""
+    weight = laplacian_stencil(1.0, 2, 2)
+    stencil = lps_stencil(kernel(name, 3.0, lam=lam), 1.0).minus(weight, 0.1)
+    rest, half = proof._most(stencil, sum(parts(stencil.tensors))), 0.05
+    random, worst = np.random.default_rng(4), 0.0
+    for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
+        (value,), slopes = proof._symbol_slopes(stencil, k[None])[0], None
+        slopes = proof._symbol_slopes(stencil, k[None])[1][:, 0]
+        expected = difference(lambda k: stencil.symbol(k[None])[0], k, 0.01)
+        np.testing.assert_allclose(slopes, expected, atol=1e-9)
+        t = half * random.uniform(-1, 1, (200, 2))
+        affine = value + np.tensordot(t, slopes, 1)
+        gap = np.linalg.eigvalsh(stencil.symbol(k + t) - affine)[:, 0].min()
+        assert gap >= -rest * half**2
+        worst = max(worst, -gap / (rest * half**2))
+    assert worst > 1e-3
+
+
+@pytest.mark.parametrize("name", ["1/r", "steep", "positive", "two functions"])
+def test_the_ball_around_zero_is_sound(name):
+    weight = laplacian_stencil(1.0, 2, 2)
+    stencil = lps_stencil(kernel(name, 3.0), 1.0)
+    long, _ = proof._long_waves(stencil, SQUARE)
+    assert long > 0
+    angle = np.linspace(0, np.pi, 50)
+    ring = np.stack([np.cos(angle), np.sin(angle)], 1)
+    for c in np.array([0.0, 0.5, 0.9, 0.999]) * long:
+        less = stencil.minus(weight, c)
+        radius = long_wave_radius(less, long - c)
+        k = np.concatenate([radius * part * ring for part in (0.01, 0.3, 0.7, 1.0)])
+        assert (np.linalg.eigvalsh(less.symbol(k))[:, 0] > 0).all()
+
+
+def test_the_proof_sets_the_curvature_aside(monkeypatch):
+    stencil = lps_stencil(kernel("1/r", 2.0), 1.0)
+    assert prove(stencil, SQUARE).holds
+    monkeypatch.setattr(proof, "MOST_CELLS", {2: 5000})
+    monkeypatch.setattr(proof, "_most", lambda *_: 1e6)
+    assert not prove(stencil, SQUARE).holds
+
+
+def test_a_weight_is_what_it_says():
+    """Of an odd field the square, of which the proof is a bound over all waves."""
+    steps = np.array([s for s in itertools.product((-1, 0, 1), repeat=2) if any(s)])
+    field = steps / (steps**2).sum(axis=1)[:, None] / 3.0
+    weight, phase = squared(1.0, steps, field), waves(2)
+    expected = ((np.sin(phase @ steps.T) @ field) ** 2).sum(axis=1)
+    np.testing.assert_allclose(weight.symbol(phase)[:, 0, 0], expected, rtol=1e-9, atol=1e-15)
+    stencil = lps_stencil(kernel("1/r", 2.0), 1.0)
+    found = prove(stencil, SQUARE, weight)
+    left = stencil.minus(weight, found.proven).symbol(phase)
+    assert np.linalg.eigvalsh(left)[:, 0].min() > 0
+    assert found.proven == pytest.approx(0.99 * found.sampled)
+
+
+def test_parts_of_a_matrix():
+    C = np.random.default_rng(1).normal(size=(5, 3, 3))
+    C = C + C.transpose(0, 2, 1)
+    above, below = parts(C)
+    np.testing.assert_allclose(above - below, C, atol=1e-12)
+    assert np.linalg.eigvalsh(np.concatenate([above, below])).min() > -1e-12
+
+
+def top(stencil):
+    line = np.linspace(-np.pi, np.pi, 201 if stencil.dimension == 2 else 41)
+    zone = np.stack(np.meshgrid(*stencil.dimension * [line]), -1).reshape(-1, stencil.dimension)
+    return np.linalg.eigvalsh(stencil.symbol(zone))[:, -1].max()
+
+
+@pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
+    stencil = lps_stencil(kernel(name, horizon, lam=-0.2), 1.0)
+    assert top(stencil) <= largest(stencil, SQUARE) <= 1.002 * top(stencil)
+
+
+def test_the_upper_bound_in_space():
+    law = learned(3)
+    assert top(law.stencil) <= law.stiffest_wave() <= 1.01 * top(law.stencil)
+
+
+def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
+    stencil = lps_stencil(kernel("positive", 3.0), 1.0)
+    tight = largest(stencil, SQUARE)
+    monkeypatch.setattr(proof, "MOST_CELLS", {2: 1})
+    assert largest(stencil, SQUARE, tolerance=1e-9) > tight

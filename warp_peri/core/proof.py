@@ -1,0 +1,365 @@
+"""One proof for every stencil, in the plane and in space: D(k) ≥ c w(k) for all waves (T11–T13).
+
+The weight w is a stencil too: the Laplacian for static problems, |h_p|² of a gradient for solids of
+third order. D − c w is then one stencil, whose symbol is to be positive. On a cell of waves a
+symbol is affine but for a remainder of known size, and the smallest eigenvalue of an affine matrix
+function is concave: it is positive on the cell if it is at the corners, by more than the remainder.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from warp_peri.core.groups import canonical
+from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
+from warp_peri.launch import in_blocks
+
+SAMPLE = {2: 240, 3: 24}
+"""Intervals of the grid that the smallest ratio is sampled on, before zooming."""
+STARTS, ZOOMS = 8, 8
+"""Lowest waves that are zoomed into, and how often, by a factor of 3."""
+SHARES = (0.99, 0.92, 0.75, 0.5, 0.25, 0.05, 0.01)
+"""Of the sampled minimum, tried one after another."""
+FIRST = 8
+"""Cells along an axis of the zone, or of a face of directions."""
+DEEPEST = 24
+MOST_CELLS = {2: 400_000, 3: 3_000_000}
+AT_ONCE = 500
+"""Waves or cells of a block, of which ranks share many."""
+LONG_SHARE = 0.995
+"""Of the smallest sampled Λmin Q(e)/|e|² that is proven for long waves."""
+UPPER_TOLERANCE = 2e-4
+"""How far a proven bound of Λmax D may be above a value that D takes, relative."""
+ROUNDING = 1e-13
+"""Of Σ |C| that may be lost to rounding in a matrix."""
+
+Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Middles of cells [K, n] to a matrix there, [K, c, c], and its slopes, [n, K, c, c]."""
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What was proven of a symbol, in the stress unit of its stencil.
+
+    Attributes:
+        proven: c with D(k) ≥ c s(k) for every k; 0 where none was found.
+        sampled: the smallest Λmin D/s found on a grid.
+        long_waves: q with Q(e) ≥ q |e|² for all directions e, proven; 0 where not.
+        cells: looked at.
+        seconds: that took.
+    """
+
+    proven: float
+    sampled: float
+    long_waves: float
+    cells: int
+    seconds: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether every problem with displacement given around the unknowns has one answer."""
+        return self.proven > 0
+
+    @property
+    def statement(self) -> str:
+        """What is proven, in one sentence."""
+        if not self.holds:
+            return "Nothing is proven."
+        return (
+            "Every static problem on any finite set of nodes of the law's lattice, with "
+            "displacement given on all nodes that their bonds reach, has exactly one solution: "
+            f"D(k) ≥ {self.proven:.6g} s(k) for every wave, in the law's unit of stress, "
+            f"{self.proven / self.sampled:.0%} of the smallest ratio that was sampled."
+        )
+
+    def content(self) -> dict[str, Any]:
+        """Plain values for a file."""
+        return asdict(self)
+
+
+def prove(
+    stencil: Stencil,
+    group: np.ndarray,
+    weight: Stencil | None = None,
+    shares: tuple[float, ...] = SHARES,
+) -> Proof:
+    """Prove D(k) ≥ c w(k) for the largest share of the sampled minimum that the cells allow.
+
+    Args:
+        stencil: of D.
+        group: integer matrices under which D and w are invariant, shape [g, d, d]; the identity
+            and the inversion alone give the proof of the whole zone.
+        weight: of w, which is |k|² at long waves; s(k) by default.
+        shares: of the sampled minimum, the largest first.
+    """
+    start = time.perf_counter()
+    if weight is None:
+        weight = laplacian_stencil(stencil.spacing, stencil.dimension, stencil.tensors.shape[1])
+    stiff, weight = _lattice_units(stencil), _lattice_units(weight)
+    sampled = _smallest_ratio(stiff, weight, group)
+    proven = long = 0.0
+    cells = 0
+    if sampled > 0:
+        long, cells = _long_waves(stiff, group)
+        for c in (share * sampled for share in shares if share * sampled < long):
+            holds, seen = _positive_on_zone(stiff.minus(weight, c), group, long - c)
+            cells += seen
+            if holds:
+                proven = c
+                break
+    return Proof(proven, sampled, long, cells, time.perf_counter() - start)
+
+
+def _lattice_units(stencil: Stencil) -> Stencil:
+    """The same on nodes that are 1 apart: tensors in units of stress, those of a weight of none."""
+    return Stencil(1.0, stencil.steps, stencil.tensors * stencil.spacing**2)
+
+
+def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
+    """Of symmetric matrices [..., c, c], shape [...]."""
+    if matrices.shape[-1] == 2:  # much faster than by LAPACK
+        a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
+        return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
+    return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
+
+
+def _smallest_ratio(stencil: Stencil, weight: Stencil, group: np.ndarray) -> float:
+    """The smallest Λmin D/w of a grid and of zooms into its minima, where w is not zero."""
+    d = stencil.dimension
+
+    def ratio(phase: np.ndarray) -> np.ndarray:
+        w = bend(phase, weight.steps) @ weight.tensors[:, 0, 0]
+        low = smallest_eigenvalue(stencil.symbol(phase))
+        seen = w > 1e-9 * (phase**2).sum(axis=1)
+        return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
+
+    grid = zone_sample(group, d, SAMPLE[d])
+    value = in_blocks(ratio, grid, AT_ONCE)
+    smallest = float(value.min())
+    patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=d)))
+    for start in np.argsort(value)[:STARTS]:
+        k, reach = grid[start], np.pi / SAMPLE[d]
+        for _ in range(ZOOMS):
+            near = k + reach * patch
+            near = near[(near**2).sum(axis=1) > 1e-8]  # of k = 0 nothing is asked
+            found = ratio(near)
+            k, smallest = near[found.argmin()], min(smallest, float(found.min()))
+            reach /= 3
+    return smallest
+
+
+def parts(tensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The positive and the negative part of symmetric matrices, C = C⁺ − C⁻."""
+    value, vector = np.linalg.eigh(tensors)
+    above, below = (
+        (vector * np.maximum(sign * value, 0)[:, None]) @ vector.swapaxes(-1, -2)
+        for sign in (1, -1)
+    )
+    return above, below
+
+
+def _corners(d: int) -> np.ndarray:
+    return np.array(list(itertools.product((-1.0, 1.0), repeat=d)))
+
+
+def _most(stencil: Stencil, tensors: np.ndarray) -> float:
+    """max of Λmax Σ T (t·ξ)² over corners t of a cube."""
+    lengths = (stencil.steps @ _corners(stencil.dimension).T) ** 2
+    return float(np.linalg.eigvalsh(np.tensordot(lengths.T, tensors, 1))[:, -1].max())
+
+
+def _slack(stencil: Stencil) -> float:
+    size = np.abs(np.linalg.eigvalsh(stencil.tensors)).max(axis=1).sum()
+    return ROUNDING * 4 * stencil.dimension * float(size)
+
+
+def _positive(
+    affine: Affine,
+    cells: np.ndarray,
+    half: float,
+    rest: float,
+    slack: float,
+    asked: Callable[[np.ndarray, float], np.ndarray],
+    most: int,
+) -> tuple[bool, int]:
+    """Whether a matrix function is positive definite on cells, which are halved where that fails.
+
+    Args:
+        affine: its value and slopes at the middles of cells.
+        cells: middles, shape [K, n].
+        half: half the side of a cell.
+        rest: times half², what the function may be below its affine part.
+        slack: for rounding.
+        asked: middles and half a side to those cells that must be looked at.
+        most: cells after which it is given up.
+
+    Returns whether it is, and how many cells were looked at.
+    """
+    corners, seen = _corners(cells.shape[1]), 0
+
+    def states(half: float, some: np.ndarray) -> np.ndarray:
+        """0 where it is positive, 1 where a corner failed, 2 where the middle is negative."""
+        value, slopes = affine(some)
+        state = np.where(smallest_eigenvalue(value) < 0, 2, 0)
+        for corner in corners:
+            low = smallest_eigenvalue(value + half * np.tensordot(corner, slopes, 1))
+            state = np.maximum(state, low <= rest * half**2 + slack)
+        return state
+
+    for _ in range(DEEPEST):
+        cells = cells[asked(cells, half)]
+        seen += len(cells)
+        if not len(cells):
+            return True, seen
+        if seen > most:
+            return False, seen
+        state = in_blocks(partial(states, half), cells, AT_ONCE)
+        if state.max() > 1:
+            return False, seen
+        half /= 2
+        cells = (cells[state > 0][:, None] + half * corners).reshape(-1, cells.shape[1])
+    return False, seen
+
+
+def _first_cells(edge: float, count: int, dimension: int) -> np.ndarray:
+    """Middles of cells of [−edge, edge]^d, `count` along an axis."""
+    half = edge / count
+    line = -edge + half * (2 * np.arange(count) + 1)
+    return np.array(list(itertools.product(line, repeat=dimension)))
+
+
+def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """D, shape [K, c, c], and its derivatives, [d, K, c, c]."""
+    flat = stencil.tensors.reshape(len(stencil.tensors), -1)
+    shape = (len(phase), *stencil.tensors.shape[1:])
+    sine = 2 * np.sin(phase @ stencil.steps.T)
+    slopes = [(sine @ (step[:, None] * flat)).reshape(shape) for step in stencil.steps.T]
+    return (bend(phase, stencil.steps) @ flat).reshape(shape), np.array(slopes)
+
+
+def long_wave_radius(stencil: Stencil, long: float) -> float:
+    """|k| h within which D > 0 of k ≠ 0, from Q(e) ≥ long |e|² and 1 − cos x ≥ x²/2 − x⁴/24."""
+    lengths = (stencil.steps.astype(float) ** 2).sum(axis=1)
+    quartic = np.tensordot(lengths**2, parts(stencil.tensors)[0], 1) / 12
+    return float(0.999 * np.sqrt(long / np.linalg.eigvalsh(quartic)[-1]))
+
+
+def _positive_on_zone(stencil: Stencil, group: np.ndarray, long: float) -> tuple[bool, int]:
+    """Whether D(k) > 0 is proven for all k ≠ 0, and the cells that took.
+
+    On cells outside the ball of long waves, where D is at least its value and slope at the middle
+    less Σ |C| (η·ξ)².
+
+    Args:
+        stencil: on nodes that are 1 apart.
+        group: as of `prove`.
+        long: q > 0 with Q(e) ≥ q |e|², proven.
+    """
+    d, (above, below) = stencil.dimension, parts(stencil.tensors)
+    radius = long_wave_radius(stencil, long)
+
+    def asked(k: np.ndarray, half: float) -> np.ndarray:
+        far = ((np.abs(k) + half) ** 2).sum(axis=1) > radius**2
+        far[far] = canonical(k[far], group, half)
+        return far
+
+    return _positive(
+        partial(_symbol_slopes, stencil),
+        _first_cells(np.pi, FIRST, d),
+        np.pi / FIRST,
+        _most(stencil, above + below),
+        _slack(stencil),
+        asked,
+        MOST_CELLS[d],
+    )
+
+
+def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
+    """q > 0 with Q(e) ≥ q |e|² for all e, and the cells that took; 0 where none is proven (T13).
+
+    On cells of the faces e_a = 1 of a cube: there Q(e) − q |e|² is its value and slope at the
+    middle and a quadratic rest that is at least −Σ C⁻ (t·ξ)² − q |t|².
+    """
+    d, brackets = stencil.dimension, stencil.brackets
+    one = np.eye(brackets.shape[0])
+
+    def Q(e: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
+
+    line = np.linspace(-1, 1, {2: 2001, 3: 121}[d])
+    grid = np.array(list(itertools.product(line, repeat=d - 1)))
+    faces = [np.insert(grid, a, 1.0, axis=1) for a in range(d)]
+    faces = [e[canonical(e, group, 0.0)] for e in faces]
+    smallest = min(
+        float((smallest_eigenvalue(Q(e)) / (e**2).sum(axis=1)).min(initial=np.inf)) for e in faces
+    )
+    q = LONG_SHARE * smallest
+    if not q > 0:
+        return 0.0, 0
+    rest, slack = _most(stencil, parts(stencil.tensors)[1]) + q * (d - 1), _slack(stencil)
+    total = 0
+    for a in range(d):
+        free = [b for b in range(d) if b != a]
+
+        def affine(
+            t: np.ndarray, a: int = a, free: list[int] = free
+        ) -> tuple[np.ndarray, np.ndarray]:
+            e = np.insert(t, a, 1.0, axis=1)
+            slopes = []
+            for b in free:
+                bent = np.einsum("ijk,nk->nij", brackets[..., b] + brackets[:, :, b], e)
+                slope = (bent + bent.swapaxes(1, 2)) / 2
+                slopes.append(slope - 2 * q * e[:, b, None, None] * one)
+            return Q(e) - q * (e**2).sum(axis=1)[:, None, None] * one, np.array(slopes)
+
+        def asked(t: np.ndarray, half: float, a: int = a) -> np.ndarray:
+            return canonical(np.insert(t, a, 1.0, axis=1), group, half)
+
+        cells = _first_cells(1.0, FIRST, d - 1)
+        holds, seen = _positive(affine, cells, 1 / FIRST, rest, slack, asked, MOST_CELLS[d])
+        total += seen
+        if not holds:
+            return 0.0, total
+    return q, total
+
+
+def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERANCE) -> float:
+    """A bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory.md, 50, T21).
+
+    Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
+    then it is what was proven so far.
+    """
+    d, half, work, taken = stencil.dimension, np.pi / FIRST, 0, 0.0
+    rest = _most(stencil, sum(parts(stencil.tensors)))
+    slack, corners = _slack(stencil), _corners(d)
+    cells = _first_cells(np.pi, FIRST, d)
+
+    def bounds(half: float, some: np.ndarray) -> np.ndarray:
+        """Λmax at the middles, and its bound over the cells, shape [K, 2]."""
+        value, slopes = _symbol_slopes(stencil, some)
+        high = [
+            -smallest_eigenvalue(-value - half * np.tensordot(corner, slopes, 1))
+            for corner in corners
+        ]
+        return np.stack([-smallest_eigenvalue(-value), np.max(high, axis=0)], axis=1)
+
+    while True:
+        cells = cells[canonical(cells, group, half)]
+        found = in_blocks(partial(bounds, half), cells, AT_ONCE)
+        taken = max(taken, float(found[:, 0].max()))
+        bound = found[:, 1] + rest * half**2 + slack
+        still = bound > (1 + tolerance) * taken
+        work += len(cells)
+        if not still.any():
+            return (1 + tolerance) * taken
+        if work > MOST_CELLS[d]:
+            return float(bound.max())
+        half /= 2
+        cells = (cells[still][:, None] + half * corners).reshape(-1, d)

@@ -1,0 +1,153 @@
+"""A linear solid on one lattice as a stencil: L u(x) = Σ C(ξ) (u(x) − u(x + ξ)) (theory.md, T1–T2).
+
+C(−ξ) = C(ξ) is symmetric. Every homogeneous linear material on a lattice is a stencil, and what is
+proven, transferred or solved on lattices is written for stencils alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from warp_peri.core.groups import orbit_grid
+from warp_peri.errors import InputError
+from warp_peri.points.families import HORIZON_TOLERANCE
+
+CUT_INTERVALS = {2: 40, 3: 12}
+"""Of the grid on the zone that cuts are looked for on."""
+DIRECTIONS = {2: 60, 3: 200}
+"""Of long waves."""
+LONG = 1e-3
+"""Their |k| h."""
+MOST_BONDS = 4000
+"""Of a half family; a horizon beyond it is a slip of units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stencil:
+    """A linear solid, or a conductor of one component, on one lattice.
+
+    Attributes:
+        spacing: h [length].
+        steps: ξ/h of one half of the bonds, shape [H, d] of whole numbers.
+        tensors: C(ξ) [stress/length²], shape [H, c, c], c components of the field.
+    """
+
+    spacing: float
+    steps: np.ndarray
+    tensors: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return int(self.steps.shape[1])
+
+    @property
+    def reach(self) -> int:
+        """Largest step along an axis."""
+        return int(np.abs(self.steps).max())
+
+    def symbol(self, phase: np.ndarray) -> np.ndarray:
+        """D(k) = 2 Σ C(ξ) (1 − cos k·ξ) at k h = `phase`, shape [K, d]; shape [K, c, c]."""
+        return np.asarray(np.tensordot(bend(phase, self.steps), self.tensors, 1))
+
+    @cached_property
+    def brackets(self) -> np.ndarray:
+        """[ij, kl] = Σ C_ij ξ_k ξ_l over the half [stress], shape [c, c, d, d] (T3)."""
+        xi = self.spacing * self.steps
+        return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
+
+    def minus(self, other: Stencil, factor: float = 1.0) -> Stencil:
+        """The stencil of D − factor · (symbol of another on the same lattice)."""
+        steps = np.concatenate([self.steps, other.steps])
+        first = steps @ (2 * int(np.abs(steps).max()) + 1) ** np.arange(steps.shape[1]) > 0
+        steps = np.where(first[:, None], steps, -steps)  # ξ and −ξ are one bond
+        tensors = np.concatenate([self.tensors, -factor * other.tensors])
+        kept, place = np.unique(steps, axis=0, return_inverse=True)
+        joined = np.zeros((len(kept), *tensors.shape[1:]))
+        np.add.at(joined, place.ravel(), tensors)
+        return Stencil(self.spacing, kept, joined)
+
+
+def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stencil:
+    """The 2 d + 1-point Laplacian times the identity [1/length²]; its symbol is s(k)."""
+    steps = np.eye(dimension, dtype=np.int64)
+    return Stencil(spacing, steps, np.tile(np.eye(components), (dimension, 1, 1)) / spacing**2)
+
+
+def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
+    """f ∗ f of an odd vector field, whose symbol is |Σ f(ξ) sin k·ξ|² times the identity.
+
+    Args:
+        spacing: h.
+        steps: ξ/h of whole families, shape [B, d].
+        field: f(ξ) = −f(−ξ), shape [B, d].
+    """
+    d, far = steps.shape[1], 2 * int(np.abs(steps).max())
+    box = np.zeros((2 * far + 1,) * d)
+    for step, f in zip(steps, field):
+        np.add.at(box, tuple((step + steps + far).T), field @ f)
+    at = np.indices(box.shape).reshape(d, -1).T - far
+    half = (np.arange(len(at)) > len(at) // 2) & (box.ravel() != 0)
+    return Stencil(spacing, at[half], box.ravel()[half, None, None] * np.eye(d))
+
+
+def bend(phase: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """2 (1 − cos k·ξ) without cancellation at small k, shape [K, H]."""
+    wave: np.ndarray = 4 * np.sin(phase @ steps.T / 2) ** 2
+    return wave
+
+
+def half_ball(reach: float, dimension: int) -> np.ndarray:
+    """ξ/h of one half of the bonds with |ξ| ≤ reach h, shape [H, d].
+
+    Raises InputError for a ball without bonds, or with more than MOST_BONDS of a half.
+    """
+    most = reach**2 * (1 + HORIZON_TOLERANCE) ** 2
+    side = int(np.sqrt(most))
+    if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
+        raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")
+    line = range(-side, side + 1)
+    grid = np.array(list(itertools.product(line, repeat=dimension)), dtype=np.int64)
+    square = (grid**2).sum(axis=1)
+    mirror = (2 * side + 1) ** np.arange(dimension)[::-1]  # ξ before −ξ in this order
+    half: np.ndarray = grid[(square <= most) & (grid @ mirror > 0)]
+    if not len(half):
+        raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
+    return half[np.argsort((half**2).sum(axis=1), kind="stable")]
+
+
+def directions(count: int, dimension: int) -> np.ndarray:
+    """Unit vectors spread evenly over half the circle, or over the sphere, shape [count, d]."""
+    number = np.arange(count) + 0.5
+    if dimension == 2:
+        angle = np.pi * number / count
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    z = 1 - 2 * number / count
+    angle = np.pi * (1 + np.sqrt(5)) * number
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def laplacian(phase: np.ndarray) -> np.ndarray:
+    """s(k) h² = 4 Σ sin²(k_a h/2) at k h = `phase`, shape [K]."""
+    wave: np.ndarray = 4 * (np.sin(phase / 2) ** 2).sum(axis=1)
+    return wave
+
+
+def zone_sample(group: np.ndarray, dimension: int, intervals: int | None = None) -> np.ndarray:
+    """k h of one of each orbit of a grid on the zone, and of very long waves, shape [K, d]."""
+    grid = orbit_grid(intervals or CUT_INTERVALS[dimension], group, dimension)
+    axes = np.array([v for v in np.ndindex((3,) * dimension) if v != (1,) * dimension]) - 1.0
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    return np.concatenate([grid, LONG * axes, LONG * directions(DIRECTIONS[dimension], dimension)])
+
+
+def ratios(steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Λmin D/s h^−2 at k h = `phase`, shape [K], and the eigenvectors it is taken at, [K, d]."""
+    symbol = np.tensordot(bend(phase, steps), tensors, 1)
+    value, vector = np.linalg.eigh(symbol)
+    return value[:, 0] / laplacian(phase), vector[:, :, 0]
