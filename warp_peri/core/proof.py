@@ -33,13 +33,22 @@ DEEPEST = 24
 MOST_CELLS = {2: 400_000, 3: 3_000_000}
 AT_ONCE = 500
 """Waves or cells of a block, of which ranks share many."""
-LONG_SHARE = 0.995
+LONG_SHARE = 0.9995
 """Of the smallest sampled Λmin Q(e)/|e|² that is proven for long waves."""
 UPPER_TOLERANCE = 2e-4
 """How far a proven bound of Λmax D may be above a value that D takes, relative."""
 ROUNDING = 1e-13
 """Of Σ |C| that may be lost to rounding in a matrix."""
 
+FOUND = 1e-9
+"""Relative, by which a wave must be below the smallest ratio to count as a new one."""
+NO_WEIGHT = 1e-9
+"""Of |k|²: a weight below it is none."""
+LEAST_WAVE = 1e-4
+"""|k| h: shorter ones are left to the proof of long waves."""
+
+Ratio = Callable[[np.ndarray], np.ndarray]
+"""Waves k h [K, d] to the smallest eigenvalue of D over the weight, [K]."""
 Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Middles of cells [K, n] to a matrix there, [K, c, c], and its slopes, [n, K, c, c]."""
 
@@ -103,17 +112,25 @@ def prove(
     if weight is None:
         weight = laplacian_stencil(stencil.spacing, stencil.dimension, stencil.tensors.shape[1])
     stiff, weight = _lattice_units(stencil), _lattice_units(weight)
-    sampled = _smallest_ratio(stiff, weight, group)
+    ratio = partial(_ratio, stiff, weight)
+    sampled = _smallest_ratio(ratio, group)
     proven = long = 0.0
-    cells = 0
+    cells, left = 0, list(shares)
     if sampled > 0:
         long, cells = _long_waves(stiff, group)
-        for c in (share * sampled for share in shares if share * sampled < long):
-            holds, seen = _positive_on_zone(stiff.minus(weight, c), group, long - c)
+    while long > 0 and sampled > 0 and left and not proven:
+        c = left[0] * sampled
+        if c < long:
+            holds, seen, against = _positive_on_zone(stiff.minus(weight, c), group, long - c)
             cells += seen
             if holds:
                 proven = c
-                break
+            elif against is not None:
+                lower = _zoomed(ratio, against, np.pi / FIRST)
+                if lower < sampled * (1 - FOUND):  # a dip that the grid has missed
+                    sampled = lower
+                    continue
+        left.pop(0)
     return Proof(proven, sampled, long, cells, time.perf_counter() - start)
 
 
@@ -130,28 +147,33 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
 
 
-def _smallest_ratio(stencil: Stencil, weight: Stencil, group: np.ndarray) -> float:
-    """The smallest Λmin D/w of a grid and of zooms into its minima, where w is not zero."""
-    d = stencil.dimension
+def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
+    """Λmin D/w at k h = `phase`, shape [K]; infinite where w vanishes."""
+    w = bend(phase, weight.steps) @ weight.tensors[:, 0, 0]
+    low = smallest_eigenvalue(stencil.symbol(phase))
+    seen = w > NO_WEIGHT * (phase**2).sum(axis=1)
+    return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
 
-    def ratio(phase: np.ndarray) -> np.ndarray:
-        w = bend(phase, weight.steps) @ weight.tensors[:, 0, 0]
-        low = smallest_eigenvalue(stencil.symbol(phase))
-        seen = w > 1e-9 * (phase**2).sum(axis=1)
-        return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
 
+def _smallest_ratio(ratio: Ratio, group: np.ndarray) -> float:
+    """The smallest ratio of a grid, and of zooms into its lowest waves."""
+    d = group.shape[-1]
     grid = zone_sample(group, d, SAMPLE[d])
     value = in_blocks(ratio, grid, AT_ONCE)
-    smallest = float(value.min())
-    patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=d)))
-    for start in np.argsort(value)[:STARTS]:
-        k, reach = grid[start], np.pi / SAMPLE[d]
-        for _ in range(ZOOMS):
-            near = k + reach * patch
-            near = near[(near**2).sum(axis=1) > 1e-8]  # of k = 0 nothing is asked
-            found = ratio(near)
-            k, smallest = near[found.argmin()], min(smallest, float(found.min()))
-            reach /= 3
+    zoomed = (_zoomed(ratio, grid[n], np.pi / SAMPLE[d]) for n in np.argsort(value)[:STARTS])
+    return min(float(value.min()), *zoomed)
+
+
+def _zoomed(ratio: Ratio, k: np.ndarray, reach: float) -> float:
+    """The smallest ratio of grids about a wave, each finer by a factor of 3 than the last."""
+    patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=len(k))))
+    smallest = np.inf
+    for _ in range(ZOOMS):
+        near = k + reach * patch
+        near = near[(near**2).sum(axis=1) > LEAST_WAVE**2]
+        found = ratio(near)
+        k, smallest = near[found.argmin()], min(smallest, float(found.min()))
+        reach /= 3
     return smallest
 
 
@@ -188,7 +210,7 @@ def _positive(
     slack: float,
     asked: Callable[[np.ndarray, float], np.ndarray],
     most: int,
-) -> tuple[bool, int]:
+) -> tuple[bool, int, np.ndarray | None]:
     """Whether a matrix function is positive definite on cells, which are halved where that fails.
 
     Args:
@@ -200,7 +222,7 @@ def _positive(
         asked: middles and half a side to those cells that must be looked at.
         most: cells after which it is given up.
 
-    Returns whether it is, and how many cells were looked at.
+    Returns whether it is, how many cells were looked at, and a middle where it is not.
     """
     corners, seen = _corners(cells.shape[1]), 0
 
@@ -217,15 +239,15 @@ def _positive(
         cells = cells[asked(cells, half)]
         seen += len(cells)
         if not len(cells):
-            return True, seen
+            return True, seen, None
         if seen > most:
-            return False, seen
+            break
         state = in_blocks(partial(states, half), cells, AT_ONCE)
         if state.max() > 1:
-            return False, seen
+            return False, seen, cells[state.argmax()]
         half /= 2
         cells = (cells[state > 0][:, None] + half * corners).reshape(-1, cells.shape[1])
-    return False, seen
+    return False, seen, None
 
 
 def _first_cells(edge: float, count: int, dimension: int) -> np.ndarray:
@@ -251,8 +273,10 @@ def long_wave_radius(stencil: Stencil, long: float) -> float:
     return float(0.999 * np.sqrt(long / np.linalg.eigvalsh(quartic)[-1]))
 
 
-def _positive_on_zone(stencil: Stencil, group: np.ndarray, long: float) -> tuple[bool, int]:
-    """Whether D(k) > 0 is proven for all k ≠ 0, and the cells that took.
+def _positive_on_zone(
+    stencil: Stencil, group: np.ndarray, long: float
+) -> tuple[bool, int, np.ndarray | None]:
+    """Whether D(k) > 0 is proven for all k ≠ 0, the cells that took, and a wave where it is not.
 
     On cells outside the ball of long waves, where D is at least its value and slope at the middle
     less Σ |C| (η·ξ)².
@@ -323,7 +347,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
             return canonical(np.insert(t, a, 1.0, axis=1), group, half)
 
         cells = _first_cells(1.0, FIRST, d - 1)
-        holds, seen = _positive(affine, cells, 1 / FIRST, rest, slack, asked, MOST_CELLS[d])
+        holds, seen, _ = _positive(affine, cells, 1 / FIRST, rest, slack, asked, MOST_CELLS[d])
         total += seen
         if not holds:
             return 0.0, total

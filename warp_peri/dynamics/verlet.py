@@ -38,9 +38,9 @@ def critical_time_step(
 ) -> float:
     """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (50–51, V6).
 
-    2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.1 % too
-    large, of a crystal some percent (T21). It holds on any set of nodes with displacement given
-    out to 2δ, and on periodic boxes.
+    2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.02 % too
+    large (T21). It holds on any set of nodes with displacement given out to 2δ, and on periodic
+    boxes.
 
     Args:
         model: certified on some lattice, transferred to others: where D(k) is not positive
