@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.errors import InputError
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence
@@ -130,7 +130,6 @@ _on_lattice: Callable[..., torch.Tensor] = _OnLattice.apply
 _by_lu: Callable[..., torch.Tensor] = _ByLU.apply
 
 
-@renamed(**dict.fromkeys(("lam", "mu", "alpha", "D", "D_dilatation"), "part of a Solid(…)"))
 def equilibrium(
     points: PointsLike,
     b: torch.Tensor,

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from examples.flows.closure_error import corrected_run, missing_stress
+from examples.flows.paths import Band, band, draw, varied
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.closure_error import corrected_run, missing_stress
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.gaussian_process import _unlikelihood, curvature_of, fit_process
 from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell
-from warp_peri.flow.paths import Band, band, draw, varied
 from warp_peri.flow.planar import shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
 from warp_peri.flow.protocols import held, simulate
