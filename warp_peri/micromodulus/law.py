@@ -308,9 +308,7 @@ class Crystal:
         nodes = self.fitting(points)
         return Operator(
             nodes,
-            self.spacing,
-            self.steps,
-            self.tensors,
+            self.stencil,
             self.tensor(),
             method=method,
             dtype=dtype,

@@ -16,6 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.models.influence import CANCELLED
 from warp_peri.models.lps import Model
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.quadrature import DEGREE
 
 NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
@@ -120,12 +121,12 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndar
     return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
 
 
-def lps_stencil(model: Model, spacing: float) -> Stencil:
+def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stencil:
     """The LPS on a lattice as a stencil of twice its range, exactly (theory.md, T17).
 
     Raises InputError as `stiffnesses` does, and for a spacing without bonds.
     """
-    classes = bond_classes(spacing, model.horizon, dimension=model.dimension)
+    classes = bond_classes(spacing, model.horizon, dimension=model.dimension, degree=degree)
     return stencil_of(classes, *stiffnesses(model, classes))
 
 
