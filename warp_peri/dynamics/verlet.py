@@ -36,7 +36,7 @@ SAME = 1e-9
 def critical_time_step(
     model: Any, *, spacing: float, density: float, allow_uncertified: bool = False
 ) -> float:
-    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (50–51, V6).
+    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (51, T21).
 
     2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.02 % too
     large (T21). It holds on any set of nodes with displacement given out to 2δ, and on periodic

@@ -1,4 +1,4 @@
-"""A crystal of micromodulus tensors with third-order constants, and its file (theory.md, N22–N27).
+"""A crystal of micromodulus tensors with third-order constants, and its file (theory.md, N22–N25).
 
 Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene.
 """
