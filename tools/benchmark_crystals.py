@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from warp_peri.core.proof import prove
 
 from tools.crystals import force_constants
+from warp_peri.core.proof import prove
 from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.law import Crystal
