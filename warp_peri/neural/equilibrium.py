@@ -61,7 +61,7 @@ class Equilibrium:
         self.placed, self.rows = placed, placed.bonds.rows
         self.unknown = (2 * self.rows[:, None] + [0, 1]).ravel()
         linear = Linear(probed(placed), points)
-        self.inverse = linear.cheapest_inverse(LOADS)
+        self.inverse = linear.cheapest_inverse(LOADS, definite=False)
         straight = lambda u: linear(u[None])[0]  # noqa: E731
         self.way = Equilibria(placed, straight, self.inverse, points.interior)
 

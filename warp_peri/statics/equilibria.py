@@ -35,6 +35,7 @@ MOST_STEPS, PATIENCE = 60, 8
 PARTS = (2, 4, 8)
 """Equal parts that a load and what is given on the collar are applied in, until all are found."""
 
+
 class Correction(Protocol):
     """The step that answers a residual, to a relative residual of its own."""
 

@@ -19,6 +19,7 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product, convolved
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
+from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 from warp_peri.statics.direct import factorised
 from warp_peri.statics.edge import Edge, block
@@ -200,21 +201,25 @@ class Linear:
         z, record = self._inverted(planes, self.method(method), tolerance)
         return self.grid.gather(z[None])[0], record
 
-    def cheapest_inverse(self, loads: int, bonds: float = BONDS) -> Inverse:
+    def cheapest_inverse(
+        self, loads: int, bonds: float = BONDS, *, definite: bool = True
+    ) -> Inverse:
         """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
 
         Few nodes are factorised too where the symbol does not prove L_II definite. Raises
-        InputError as check_definite for more.
+        InputError as check_definite for more, and for factors that show that it is not; with
+        `definite` false, any factors will do.
         """
         nodes, space = len(self.grid.interior), self.grid.dimension == 3
         how = cheapest_method(nodes, box=self.grid.is_box, space=space, loads=loads, bonds=bonds)
-        if how != "lu":
-            try:
-                self.check_definite()
+        try:
+            self.check_definite()
+            if how != "lu":
                 return lambda right, tolerance: self.inverse(right, tolerance)[0]
-            except InputError:
-                if nodes > DIRECT:
-                    raise
+        except InputError:
+            matrix = block(self.stencil, self.grid.mask())
+            if nodes > DIRECT or (definite and definite_factors(matrix) is None):
+                raise
         factors, order = factorised(block(self.stencil, self.grid.mask())), self._order
         axes = self.grid.axes
 
