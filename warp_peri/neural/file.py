@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,50 @@ import h5py
 import numpy as np
 import torch
 
+from warp_peri.core import record
+from warp_peri.core.quantity import Length, Positive
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import read_json, whole_file, write_json
+from warp_peri.files.atomic import whole_file, write_json
 from warp_peri.neural.material import Operator
-from warp_peri.points.unit_names import Units
+from warp_peri.points.unit_names import USUAL, Units
 
-FORMAT, VERSION = "warp_peri.neural", 1
 PRECISIONS = ("float16", "float32", "float64")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NeuralFile(record.Record, format="warp_peri.neural"):
+    """What the JSON says of an operator; the weights, and a hash of them, are beside it."""
+
+    horizon: Length
+    influence: tuple[int, int]
+    state: tuple[int, int]
+    anisotropic: bool
+    proportional: bool
+    strain: Positive
+    scale: float
+    weights: str
+    hash: str
+    provenance: dict[str, Any] = field(default_factory=dict)
+    units: Units = USUAL
+
+    def _read_from(self, path: Path | None) -> Operator:  # type: ignore[override]
+        if path is None or Path(self.weights).name != self.weights:
+            raise InputError("weights: expected a file beside it")
+        material = Operator(
+            self.horizon,
+            self.influence,
+            self.state,
+            anisotropic=self.anisotropic,
+            proportional=self.proportional,
+            strain=self.strain,
+            units=self.units,
+        ).double()
+        material.scale, material.provenance = self.scale, self.provenance
+        weights = _read(beside := path.with_name(self.weights), material.state_dict())
+        if _hash(weights) != self.hash:
+            raise InputError(f"{beside.name}: these are not the weights of it")
+        material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
+        return material
 
 
 def save(material: Operator, path: str | os.PathLike[str], *, precision: str | None = None) -> None:
@@ -43,8 +81,10 @@ def save(material: Operator, path: str | os.PathLike[str], *, precision: str | N
     with whole_file(beside) as temporary, h5py.File(temporary, "w") as file:
         for key, part in weights.items():
             file[key] = part
-    content = {"format": FORMAT, "version": VERSION, **material.content()}
-    write_json(path, content | {"weights": beside.name, "hash": _hash(weights)})
+    own = material.content()
+    units = (own.pop("length_unit"), own.pop("stress_unit"))
+    said = NeuralFile(**own, units=units, weights=beside.name, hash=_hash(weights))
+    write_json(path, said.content())
 
 
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operator:
@@ -53,29 +93,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operato
     Raises InputError for what is no such file, for weights that are missing, of other shapes, not
     finite, or not those that the JSON was written with.
     """
-    path = Path(path)
-    content = read_json(path, FORMAT, VERSION)
-    try:
-        material = Operator(
-            float(content["horizon"]),
-            tuple(content["influence"]),
-            tuple(content["state"]),
-            anisotropic=content["anisotropic"],
-            proportional=content["proportional"],
-            strain=float(content["strain"]),
-            units=(content["length_unit"], content["stress_unit"]),
-        ).double()
-        material.scale = float(content["scale"])
-        material.provenance = dict(content["provenance"])
-        name, expected = str(content["weights"]), content["hash"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {error!r:.100}") from None
-    if not (np.isfinite(material.scale) and Path(name).name == name):
-        raise InputError(f"{path}: expected a finite scale and a file beside it")
-    weights = _read(path.with_name(name), material.state_dict())
-    if _hash(weights) != expected:
-        raise InputError(f"{path.with_name(name)}: these are not the weights of {path.name}")
-    material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
+    material: Operator = record.load(path)
     return material if units is None else material.in_units(units)
 
 

@@ -14,10 +14,11 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE, known_device
+from warp_peri.models.lps_stencil import stiffnesses
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
-from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
