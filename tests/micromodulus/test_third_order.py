@@ -23,9 +23,9 @@ from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.models.nonlinear import energy_density
 from warp_peri.models.smoothing import Smoothing
+from warp_peri.models.uniqueness import proven_kappa
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.stability.uniqueness import proven_kappa
 from warp_peri.statics import linear
 
 LAM, MU = 0.3, 0.7

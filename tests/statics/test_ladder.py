@@ -13,7 +13,6 @@ from tests.support.solving import solve
 from tools.solve_study import TABLE, loads, mask_of, problem
 from warp_peri import InputError, Krylov, Model
 from warp_peri.methods import Solid
-from warp_peri.models.lps import load_model
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import Linear
 from warp_peri.statics.lps import choose_method
@@ -82,7 +81,7 @@ def test_restriction_is_the_transpose_of_interpolation(shape):
 
 @pytest.mark.parametrize("name", ["1/r", "learned"])
 def test_iterations_do_not_grow_with_the_domain(name):
-    model = load_model(TABLE) if name == "learned" else kernel(name, HORIZON)
+    model = Model.load(TABLE) if name == "learned" else kernel(name, HORIZON)
     for method, mask in (("sine", lambda n: np.ones((n, n), bool)), ("multigrid", notched)):
         iterations = []
         for n in (64, 192):
@@ -98,7 +97,7 @@ def test_iterations_do_not_grow_with_the_domain(name):
 )
 def test_near_incompressibility_takes_few_iterations(shape, side):
     """λ = 1000μ, where the other methods take hundreds to thousands."""
-    model = load_model(TABLE)
+    model = Model.load(TABLE)
     model = replace(model, lam=1000 * model.mu)
     points = problem(mask_of(shape, side), model.horizon, model.certified_on[0])
     linear = linear_of(points, model)

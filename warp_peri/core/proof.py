@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.groups import canonical
+from warp_peri.core.quantity import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
+from warp_peri.errors import InputError
 from warp_peri.launch import in_blocks
 
 SAMPLE = {2: 240, 3: 24}
@@ -65,9 +67,9 @@ class Proof:
         seconds: that took.
     """
 
-    proven: float
-    sampled: float
-    long_waves: float
+    proven: Stress
+    sampled: Stress
+    long_waves: Stress
     cells: int
     seconds: float
 
@@ -91,6 +93,20 @@ class Proof:
     def content(self) -> dict[str, Any]:
         """Plain values for a file."""
         return asdict(self)
+
+    def check_of(self, stencil: Stencil, group: np.ndarray) -> None:
+        """Raise InputError unless this is proven of a stencil: the cells are gone through again."""
+        stiff = _lattice_units(stencil)
+        long, _ = _long_waves(stiff, group)
+        believed = 0 <= self.long_waves <= long * (1 + FOUND) and 0 <= self.proven <= self.sampled
+        if believed and self.proven > 0:
+            weight = laplacian_stencil(1.0, stencil.dimension, stencil.tensors.shape[1])
+            left, c = long - self.proven, self.proven
+            believed = left > 0 and _positive_on_zone(stiff.minus(weight, c), group, left)[0]
+        if not believed:
+            raise InputError(
+                f"certificate: D(k) ≥ {self.proven:.6g} s(k) is not proven of these tensors"
+            )
 
 
 def prove(

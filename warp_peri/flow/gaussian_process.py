@@ -57,6 +57,15 @@ class GaussianProcess:
     mean: float
     size: float
 
+    def __post_init__(self) -> None:
+        n, d = self.X.shape if self.X.ndim == 2 else (0, 0)
+        shapes = {"y": (n,), "noise": (n, n)[: self.noise.ndim], "log_lengths": (d,)}
+        shapes |= {"centre": (d,), "scale": (d,)}
+        if wrong := [name for name, shape in shapes.items() if getattr(self, name).shape != shape]:
+            raise InputError(f"process: {', '.join(wrong)} do not fit {n} inputs of {d} numbers")
+        if self.kernel not in KERNELS:
+            raise InputError(f"kernel: expected one of {', '.join(KERNELS)}, got {self.kernel!r}")
+
     def standard(self, X: np.ndarray) -> np.ndarray:
         """Inputs in lengths of the kernel."""
         return np.asarray((X - self.centre) / self.scale / np.exp(self.log_lengths))

@@ -19,12 +19,12 @@ from torch.autograd.function import once_differentiable
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.models.lps_stencil import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
-from warp_peri.operator.symbol import lps_stencil
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE

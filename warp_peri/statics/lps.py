@@ -14,10 +14,10 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
+from warp_peri.models.lps_stencil import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
-from warp_peri.operator.symbol import lps_stencil
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
