@@ -20,9 +20,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.cracks.inclusions import MEANS, Mixed
 from examples.graphene_report import save_figure
-from warp_peri.damage import Cracked, Mixed, box
-from warp_peri.damage.inclusions import MEANS
+from warp_peri.damage import Cracked, box
 from warp_peri.errors import exit_status
 
 RADIUS = 0.5

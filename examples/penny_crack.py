@@ -2,23 +2,27 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.cracks.energy_release import energy_release
 from warp_peri.damage import (
     BrittleSolid,
     Cracked,
     Injected,
     box,
     contour_integral,
-    energy_release,
     penny,
 )
 
-PICTURE = Path(__file__).parent.parent / "runs" / "penny_crack.png"
+PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³
 LAM, MU, DENSITY, TOUGHNESS = 21.0, 26.0, 2.45, 3.8e-6  # 1 J/m² is 1e-6 GPa mm
 NU = LAM / (2 * (LAM + MU))

@@ -27,18 +27,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.exact import poiseuille
+from examples.flows.paths import Band, band
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
 from warp_peri.flow import (
     FENEP,
-    Band,
     ChannelFlow,
     ChannelRecord,
     Dumbbells,
     RateLaw,
     TwistedSpringLaw,
     UpperConvectedMaxwell,
-    band,
     elongation,
     held,
     homogeneous,
@@ -49,7 +49,6 @@ from warp_peri.flow import (
     simulate,
     start_pairs,
 )
-from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import Particles
 
 DE, UNTIL, RECORDS = 1e-2, 0.03, 50
@@ -101,7 +100,7 @@ def channel_study(count: int, seed: int) -> tuple[dict[str, Any], dict[str, Chan
     runs = {name: record for name, (record, _) in outcomes.items()}
     exact = runs["exact law"]
     y = np.linspace(0, 1, 401)
-    profile = series.poiseuille(y, exact.t, DE, flow.Re, flow.force)
+    profile = poiseuille(y, exact.t, DE, flow.Re, flow.force)
     truth = [np.interp(x[:, 1], y, u) for x, u in zip(exact.x, profile)]
     numbers = {
         name: {

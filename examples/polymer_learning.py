@@ -26,19 +26,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.flows.active import LearningClosure, replayed
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.flow import (
     FENEP,
     Dumbbells,
     Ensembles,
-    LearningClosure,
     PlaneFlow,
     TwistedSpringLaw,
     elongation,
     held,
     learn_twisted,
-    replayed,
     shear,
     simulate,
 )

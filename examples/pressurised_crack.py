@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.exact import sneddon_opening
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
@@ -44,9 +45,9 @@ def opening(cells: int, lam: float = 1.0):
     solution = wp.solve(solid, damage.Cracked(points, u=exact, cracks=[crack], pressure=fluid))
     u = solution.u
     row = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < HALF)
-    expected = damage.sneddon_opening(x[row, 0], HALF, 1.0, lam, 1.0)
+    expected = sneddon_opening(x[row, 0], HALF, 1.0, lam, 1.0)
     inner = np.abs(x[row, 0]) < 0.8 * HALF
-    whole = np.pi * HALF * damage.sneddon_opening(0.0, HALF, 1.0, lam, 1.0)
+    whole = np.pi * HALF * sneddon_opening(0.0, HALF, 1.0, lam, 1.0)
     numbers = {
         "opening": float(np.mean((u[row, 1] / expected)[inner])),
         "volume": float(damage.opening_volume(solution) / whole),

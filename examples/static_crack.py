@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.cracks.energy_release import energy_release, tip_shift
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
@@ -39,7 +40,7 @@ def static_crack(cells: int, ratio: float, lam: float) -> tuple[dict[str, float]
     solution = wp.solve(model, crack)
     u = solution.u
     longer, shorter = ([[(-HALF - d, 0), (HALF + d, 0)]] for d in (h, -h))
-    G = damage.energy_release(model, crack, (shorter, longer))
+    G = energy_release(model, crack, (shorter, longer))
     J = damage.contour_integral(solution, (HALF, 0.0), (0.2, 0.4))
     face = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < 0.8 * HALF)
     expected = np.pi * HALF / model.E
@@ -72,7 +73,7 @@ def edge_crack(
     strip = damage.Cracked(wp.Points(x, np.ones(len(x), bool), 1.0, units=REDUCED), b, free=free)
     cracks = [[[(start - width / 2, 0), (n + d - width / 2, 0)]] for d in (-1, 0, 1)]
     shape = np.polyval([30.382, -21.71, 10.55, -0.231, 1.122], share)
-    G = damage.energy_release(model, strip, cracks, shift=shift)
+    G = energy_release(model, strip, cracks, shift=shift)
     return float(G * model.E / (np.pi * n * shape**2))
 
 
@@ -81,7 +82,7 @@ def edge_cracks(lam: float) -> dict[str, dict[str, list[float]]]:
     table: dict[str, dict[str, list[float]]] = {}
     for ratio in (2.0, 3.0, 4.0):
         model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, units=REDUCED)
-        shift = damage.tip_shift(model, 1.0)
+        shift = tip_shift(model, 1.0)
         row = table[f"horizon {ratio:g}h, shift {shift:.3f}h"] = {}
         for n in (6, 13, 26):
             for share in (0.25, 0.5):

@@ -15,6 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
+from examples.cracks.cohesive_zone import HeldCracks, RowLaw
+from examples.cracks.cubic_energy import CubicEnergy
+from examples.cracks.kinked_cracks import KinkedCracks
 from tools.cracked_sheet import (
     EV,
     OPEN,
@@ -25,9 +28,6 @@ from tools.cracked_sheet import (
 from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
-from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
-from warp_peri.damage.cubic_energy import CubicEnergy
-from warp_peri.damage.kinked_cracks import KinkedCracks
 
 STEP = 0.05
 """Between separations [Å]."""

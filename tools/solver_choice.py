@@ -71,7 +71,6 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
             ways: dict[str | None, Any] = {
                 None: None,
                 iterative: Krylov(iterative, tolerance=to),
-                "fft": Krylov("fft", tolerance=to),
             }
             if side <= MOST_LU:
                 ways["lu"] = Direct()

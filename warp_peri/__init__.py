@@ -134,66 +134,12 @@ _MODULES = (
     "transfers",
 )
 
-_NOW = {
-    "BodySolution": "Solution, whose details it is",
-    "Certificate": "what certify(…) returns",
-    "Choice": "what choice.choose_model(…) returns",
-    "Conditions": "methods.Conditions",
-    "Constrained": "methods.Constrained",
-    "Coupling": "statics.body.Coupling, in Body(…, coupling=…)",
-    "Fit": "what fit(…) returns",
-    "InfluenceFunction": "shapes.InfluenceFunction",
-    "Iteration": "Krylov(tolerance=…, device=…), in solve(…, solver=…)",
-    "LPSOperator": "model.on(points)",
-    "Nonlinear": "ThirdOrder(LPS(…), smoothing=…)",
-    "NonlinearModel": "what fit(samples, ThirdOrder(…)).material is",
-    "NonlinearOperator": "material.on(points)",
-    "NonlinearRecord": "solution.details",
-    "Optimum": "methods.Optimum",
-    "PointSet": "Points(x, interior, spacing, box, outside), and with fields Samples(points, u, b)",
-    "Scene": "choice.Scene",
-    "Smoothing": "methods.Smoothing",
-    "Solid": "methods.Solid, in solve(…, parameters=…)",
-    "Sweep": "what methods.sweep(…) returns",
-    "ThroughLattice": "model.on(points) of scattered points",
-    "TwoStage": "methods.TwoStage",
-    "body_gradient": "statics.body_gradient.body_gradient(solution.details, …)",
-    "choose_model": "choice.choose_model",
-    "coarse_grain": "atoms.coarse_grain",
-    "critical_time_step": "proofs.critical_time_step",
-    "dumps": "atoms",
-    "equilibrium": "solve(model, Dirichlet(points, b, u), parameters=…) with torch tensors",
-    "fit_uncertainty": "methods.fit_uncertainty",
-    "load_dataset": "load",
-    "load_mesh": "load",
-    "load_model": "load",
-    "load_nonlinear": "load",
-    "model_for": "material.on(points).model",
-    "on_lattice": "transfers.on_lattice",
-    "one_kernel": "transfers.one_kernel",
-    "onto_lattice": "transfers.onto_lattice",
-    "save_dataset": "save",
-    "set_threads": "launch.set_threads",
-    "smoothing_matrix": "atoms.smoothing_matrix",
-    "solvability": "proofs.solvability",
-    "solve_body": "solve(model, Body(mesh, …))",
-    "solve_nonlinear": "solve(material, Dirichlet(points, b, u))",
-    "solve_periodic": "solve(model, Periodic(points, b))",
-    "stress": "solution.stress(), or operator.stress.node_fields for strain and energy",
-    "sweep": "methods.sweep",
-    "uniqueness": "proofs.uniqueness",
-    "velocity_verlet": "move(model, Dirichlet(points, b, u), v=…, density=…, step=…, steps=…)",
-}
-"""What names of earlier versions became."""
-
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
 
     def __getattr__(name):
         """A public name or module, imported now (PEP 562)."""
         if name in _MODULES:
             return import_module(f"{__name__}.{name}")
-        if name in _NOW:
-            raise AttributeError(f"warp_peri.{name} is now {_NOW[name]}")
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
 
 LAST_WORDS: list[Callable[[str, int], None]] = []
 """What ends all processes of a run that has many, given a line to say and the exit status."""
-Called = TypeVar("Called", bound=Callable[..., Any])
 
 LONGEST = 2000
 """Characters of a message; what a file holds may be repeated in it, and may be long."""
@@ -50,19 +47,3 @@ def _ended(line: str, status: int) -> int:
         last(line, status)
     print(line, file=sys.stderr)
     return status
-
-
-def renamed(**now: str) -> Callable[[Called], Called]:
-    """Keywords that a function had, and what stands in their place: one error names the new."""
-
-    def decorate(function: Called) -> Called:
-        @functools.wraps(function)
-        def call(*arguments: Any, **options: Any) -> Any:
-            for name in options:
-                if name in now:
-                    raise InputError(f"{function.__name__}: {name} is now {now[name]}")
-            return function(*arguments, **options)
-
-        return call  # type: ignore[return-value]
-
-    return decorate

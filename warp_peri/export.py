@@ -226,7 +226,11 @@ def _write_xdmf(
         GridType="Collection",
         CollectionType="Temporal",
     )
-    with whole_file(light) as xml, whole_file(heavy) as hdf, h5py.File(hdf, "w") as arrays:
+    with (
+        whole_file(light) as xml,
+        whole_file(heavy) as hdf,
+        h5py.File(hdf, "w", locking=False) as arrays,
+    ):
 
         def item(parent: Element, name: str, values: np.ndarray) -> None:
             if name not in arrays:

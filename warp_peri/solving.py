@@ -6,16 +6,13 @@ from typing import Any
 
 from warp_peri.contract import offered
 from warp_peri.dynamics.motion import Motion
-from warp_peri.errors import InputError
 from warp_peri.statics.settings import Solver
 from warp_peri.statics.solution import Solution, told
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
 
 
-def solve(
-    material: Any, problem: Any, *were: Any, solver: Solver = None, **options: Any
-) -> Solution:
+def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any) -> Solution:
     """A material at rest.
 
     Args:
@@ -33,8 +30,6 @@ def solve(
 
     Raises InputError for what does not fit, naming what was expected.
     """
-    if were:
-        raise InputError(f"solve: what follows the material is now one value, {PROBLEMS}")
     solved = offered(problem, "solved", "solve", PROBLEMS)
     if _on_ranks(problem):
         from warp_peri.ranks import statics

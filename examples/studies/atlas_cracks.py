@@ -7,10 +7,10 @@ import warnings
 import matplotlib.pyplot as plt
 import numpy as np
 
+from examples.cracks.energy_release import energy_release, tip_shift
 from examples.static_crack import edge_crack
 from examples.studies.atlas_entry import Entry, words
 from warp_peri import Cracked, Model, Points
-from warp_peri.damage import energy_release, tip_shift
 from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, rectangle
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from examples.exact import poiseuille
 from examples.polymer_flow import relative
 from examples.prose import rows_of
 from examples.studies import paper_polymer_pictures as pictures
@@ -30,7 +31,6 @@ from warp_peri.flow import (
     simulate,
     start_pairs,
 )
-from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import Particles
 from warp_peri.flow.channel_run import ChannelRecord, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress
@@ -281,8 +281,8 @@ def channel_at(De: float) -> dict[str, Any]:
         "learned": flow_of(exact_law(1000), De, until, steps),
     }
     t, flow = runs["law"].t, ChannelFlow(De)
-    exact = series.poiseuille(np.array([0.5]), t, De, flow.Re, flow.force)[:, 0]
-    newton = series.poiseuille(np.array([0.5]), t, 1e-7, flow.Re, flow.force)[:, 0]
+    exact = poiseuille(np.array([0.5]), t, De, flow.Re, flow.force)[:, 0]
+    newton = poiseuille(np.array([0.5]), t, 1e-7, flow.Re, flow.force)[:, 0]
     return {
         "t": t,
         "exact": exact,

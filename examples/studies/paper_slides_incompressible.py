@@ -12,10 +12,10 @@ from scipy.spatial import ConvexHull, Voronoi
 
 import warp_peri
 from examples.studies.paper_slides_rates import LENGTH, MU, lattice
+from examples.studies.staggered import derivatives, least_squares, staggered, tensors, thinned
 from warp_peri.operator.matrices import Matrices, matrices
 from warp_peri.points.points import Points
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.staggered import derivatives, least_squares, staggered, tensors, thinned
 
 STIFFER, CELLS, SEEDS = (3.0, 1e2, 1e4, 1e6), (8, 16, 32), range(5)
 """λ/μ, nodes a side, and draws of the nodes."""

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 import warp_peri
 from examples.studies.manufactured import HORIZON, continuum_symbol
 from examples.studies.manufactured import MU as MANUFACTURED_MU
+from examples.studies.staggered import least_squares
 from warp_peri.damage.operator import unit_toughness
 from warp_peri.damage.solid import continuum_stretch
 from warp_peri.errors import InputError
@@ -20,7 +21,6 @@ from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.staggered import least_squares
 
 EXPONENTS = (1.0, 2.0, 2.5, 3.0, 3.5)
 SLOPE = np.array([0.7, -0.4, 0.5])

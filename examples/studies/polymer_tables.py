@@ -27,20 +27,20 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 
+from examples.exact import poiseuille
+from examples.flows.closure_error import corrected_run, missing_stress
+from examples.flows.paths import band
 from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
 from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import Particles
 from warp_peri.flow.channel_run import ChannelFlow, ChannelRecord, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress
-from warp_peri.flow.closure_error import corrected_run, missing_stress
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.gaussian_process import fit_process
 from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
 from warp_peri.flow.pairs import start_pairs, window_pairs
-from warp_peri.flow.paths import band
 from warp_peri.flow.planar import elongation, shear
 from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
 from warp_peri.flow.protocols import Ensembles, held, simulate
@@ -120,7 +120,7 @@ def exact_channel(flow: ChannelFlow, until: float, fraction: float = 0.5) -> dic
 def at_particles(flow: ChannelFlow, run: ChannelRecord) -> np.ndarray:
     """The exact u at the particles' own heights."""
     y = np.linspace(0, 1, 401)
-    exact = series.poiseuille(y, run.t, flow.De, flow.Re, flow.force)
+    exact = poiseuille(y, run.t, flow.De, flow.Re, flow.force)
     return np.array([np.interp(x[:, 1], y, u) for x, u in zip(run.x, exact)])
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
+from examples.cracks.inclusions import Mixed
 from tests.conformance.test_laws import OTHER, near
 from tests.support.bodies import random_breaking
 from tests.support.problems import difference, noise
 from warp_peri import launch
-from warp_peri.damage import BondLaw, BrittleSolid, Cracked, Mixed, SoftSolid, box
+from warp_peri.damage import BondLaw, BrittleSolid, Cracked, SoftSolid, box
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.points.unit_names import factors
 

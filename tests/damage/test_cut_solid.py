@@ -3,20 +3,19 @@
 import numpy as np
 import pytest
 
+from examples.cracks.energy_release import energy_release, tip_shift
+from examples.cracks.inclusions import Mixed
 from examples.static_crack import edge_crack, main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
 from warp_peri import InputError, Model, Points, move, solve
 from warp_peri.damage import (
     Cracked,
-    Mixed,
     apparent_toughness,
     box,
     contour_integral,
-    energy_release,
     lattice_body,
     rectangle,
-    tip_shift,
     westergaard,
 )
 from warp_peri.damage.cut_solid import CutSolid, domain_integral

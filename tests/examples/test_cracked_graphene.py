@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from examples.cracked_graphene import main
+from examples.cracks.cohesive_zone import RowLaw
 from tools.row_separation import Whole
 from warp_peri import InputError
-from warp_peri.damage.cohesive_zone import RowLaw
 
 FITTED = {"24 bonds": {"strain": 0.03152}}
 """What the atoms of the fitted crack were measured at."""

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from examples.exact import poiseuille
 from tests.support.problems import fitted_order
 from warp_peri import InputError
-from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import Particles
 from warp_peri.flow.channel_run import ChannelFlow, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells
@@ -23,7 +23,7 @@ def run(flow, until, fraction=0.9, every=10, **more):
 def error(flow, record):
     """Relative ℓ2 of u at the particles' own heights."""
     y = np.linspace(0, 1, 401)
-    exact = series.poiseuille(y, record.t, flow.De, flow.Re, flow.force, modes=400)
+    exact = poiseuille(y, record.t, flow.De, flow.Re, flow.force, modes=400)
     u = np.array([np.interp(x[:, 1], y, row) for x, row in zip(record.x, exact)])
     return np.linalg.norm(record.v[..., 0] - u) / np.linalg.norm(u)
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from examples.exact import couette, oscillation, poiseuille
 from tests.support.problems import fitted_order
 from warp_peri import InputError, move
 from warp_peri.flow import ChannelFlow
-from warp_peri.flow import exact_maxwell as series
 from warp_peri.flow.channel import Particles
 from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
@@ -26,7 +26,7 @@ def channel(De, cells, until, force, every=1):
 
 def test_start_up_of_a_channel_against_the_exact_series():
     flow, profiles = channel(1e-3, 128, 0.05, lambda t: 12.0, every=16)
-    exact = series.poiseuille(flow.faces, profiles.t, 1e-3, 1e-2, 12.0)
+    exact = poiseuille(flow.faces, profiles.t, 1e-3, 1e-2, 12.0)
     assert np.linalg.norm(profiles.u - exact) < 5e-4 * np.linalg.norm(exact)
 
 
@@ -36,15 +36,15 @@ def test_second_order_under_a_force_that_starts_smoothly(De):
     for cells in sizes:
         force = lambda t: 12 * (1 - np.cos(omega * t))
         flow, profiles = channel(De, cells, 0.05, force, every=cells // 8)
-        exact = series.poiseuille(flow.faces, profiles.t, De, 1e-2, 12.0)
-        exact -= series.oscillation(flow.faces, profiles.t, De, 1e-2, 12.0, omega)
+        exact = poiseuille(flow.faces, profiles.t, De, 1e-2, 12.0)
+        exact -= oscillation(flow.faces, profiles.t, De, 1e-2, 12.0, omega)
         errors.append(np.linalg.norm(profiles.u - exact) / np.linalg.norm(exact))
     assert 1.85 < fitted_order(1 / np.array(sizes), errors) < 2.15
 
 
 def test_the_exact_overshoot_of_the_channel():
     t = np.linspace(0, 0.3, 3001)
-    u = series.poiseuille(np.array([0.5]), t, 1e-2, 1e-2, 12.0)
+    u = poiseuille(np.array([0.5]), t, 1e-2, 1e-2, 12.0)
     assert u.max() == pytest.approx(6.0, abs=0.05)  # four times the steady 1.5
     assert u.min() == pytest.approx(-1.20, abs=0.02)
 
@@ -54,7 +54,7 @@ def test_a_moving_wall_against_the_exact_series():
     profiles = run_plane(
         flow, Closure(UpperConvectedMaxwell(), 1.0, 64), until=20.0, dt=0.02, every=50
     )
-    exact = series.couette(flow.faces, profiles.t, 1.0, 10.0)
+    exact = couette(flow.faces, profiles.t, 1.0, 10.0)
     late = profiles.t > 8  # the front has faded
     assert np.abs(profiles.u - exact)[late].max() < 0.01
 

@@ -12,6 +12,7 @@ from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.nonlinear import psi
 from tests.support.problems import lattice, smooth
 from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import ThirdOrder, fit
@@ -19,7 +20,6 @@ from warp_peri.learning.methods import Bernstein
 from warp_peri.micromodulus import third_order_operator
 from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.laws import Micromodulus
-from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.models.nonlinear import energy_density
@@ -230,4 +230,4 @@ def test_what_does_not_fit_is_refused(law):
     with pytest.raises(InputError, match="one set"):
         fit([samples, samples], ThirdOrder(Micromodulus(REACH), Smoothing(2.0)))
     assert law.certified().proven["strain"] == law.proven["strain"]
-    assert lay_out(points, law.linear.steps).reach == 3
+    assert grid_of(points, law.linear.steps).reach == 3

@@ -1,7 +1,10 @@
 """The neural operator: what its form guarantees, its derivatives, its files."""
 
+import base64
 import copy
 import json
+import shutil
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -10,6 +13,7 @@ import torch
 
 import warp_peri as wp
 from tests.support.problems import ell, lattice
+from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
 from warp_peri.neural.file import load, save
@@ -26,6 +30,7 @@ FORMS = {
     "proportional": {"anisotropic": True, "proportional": True},
 }
 ROUNDING = 1e-11
+WEIGHTS = Path(__file__).parent.parent.parent / "examples" / "neural_weights"
 
 
 def small(form="isotropic", **other):
@@ -311,36 +316,82 @@ def test_a_file_holds_everything(tmp_path, precision):
     assert load(tmp_path / "m.json", units=("m", "Pa")).horizon == pytest.approx(0.003)
 
 
+def test_a_file_touches_nothing_beside_it(tmp_path):
+    points = lattice(3, HORIZON)
+    u = random_field(points)[None]
+    wp.save(tmp_path / "m.h5", wp.Dataset({"a": wp.Samples(points, u, 0 * u)}, 3.35, 2200.0))
+    wp.save(tmp_path / "m.json", small())
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["m.h5", "m.json"]
+    np.testing.assert_array_equal(wp.load(tmp_path / "m.h5")["a"].u, u)
+    assert wp.load(tmp_path / "m.json").numbers() == small().numbers()
+
+
 def test_files_that_are_not_believed(tmp_path):
     path = tmp_path / "m.json"
     save(small(), path)
     content = json.loads(path.read_text())
-    with h5py.File(tmp_path / "m.h5", "r+") as file:
-        file["state.0.weight"][0, 0] += 1
-    with pytest.raises(InputError, match="not the weights"):
-        load(path)
-    with h5py.File(tmp_path / "m.h5", "r+") as file:
-        file["state.0.weight"][0, 0] = np.nan
+    weights = content["weights"]
+    first = weights["state.0.weight"]
+    kept = ("A" if first[0] != "A" else "B") + first[1:]
+    wrong = {
+        "not what was written": {"weights": weights | {"state.0.weight": kept}},
+        "reshape": hashed(content | {"state": [10, 13]}),
+        "base64-encoded": hashed(content | {"weights": weights | {"state.0.weight": first[:-3]}}),
+        "KeyError": hashed(content | {"weights": {}}),
+        "precision|tuple": hashed(content | {"precision": "object"}),
+        "version: expected 2, got 3": {"version": 3},
+        "format": {"format": "x"},
+    }
+    for words, change in wrong.items():
+        path.write_text(json.dumps(content | change))
+        with pytest.raises(InputError, match=words):
+            load(path)
+    spoilt = small()
+    with torch.no_grad():
+        spoilt.state[0].weight[0, 0] = torch.nan
     with pytest.raises(InputError, match="finite"):
-        load(path)
-    with h5py.File(tmp_path / "m.h5", "r+") as file:
-        file["state.0.weight"][0, 0] = 0.0
-    bare = {key: value for key, value in content.items() if key != "sha256"}
-    path.write_text(json.dumps(bare | {"state": [10, 13]}))
-    with pytest.raises(InputError, match="expected shape"):
-        load(path)
-    path.write_text(json.dumps(bare | {"weights": "../m.h5"}))
-    with pytest.raises(InputError, match="beside"):
-        load(path)
-    (tmp_path / "m.h5").unlink()
-    path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match="weights"):
-        load(path)
-    path.write_text("{}")
-    with pytest.raises(InputError, match="format"):
+        save(spoilt, path)
+    nan = base64.b64encode(np.full(small().state[0].weight.shape, np.nan).tobytes()).decode()
+    path.write_text(json.dumps(hashed(content | {"weights": weights | {"state.0.weight": nan}})))
+    with pytest.raises(InputError, match="finite"):
         load(path)
     with pytest.raises(InputError, match="json"):
         save(small(), tmp_path / "m.h5")
+    wide = Operator(3.0, (4, 4), (2600, 2600)).double()
+    with pytest.raises(InputError, match="at most .* bytes of weights"):
+        save(wide, path)
+    save(wide, path, precision="float32")
+    assert load(path).numbers() == wide.numbers()
+
+
+def hashed(content):
+    return content | {"sha256": content_hash(content)}
+
+
+def test_files_of_before_are_read_with_their_weights_beside_them(tmp_path):
+    for name in ("leaflet.json", "leaflet.h5"):
+        shutil.copy(WEIGHTS / name, tmp_path)
+    path, beside = tmp_path / "leaflet.json", tmp_path / "leaflet.h5"
+    content = json.loads(path.read_text())
+    old = load(path)
+    save(old, tmp_path / "new.json")
+    assert load(tmp_path / "new.json").content() == old.content()
+    for mine, theirs in zip(old.parameters(), load(tmp_path / "new.json").parameters()):
+        torch.testing.assert_close(theirs, mine, rtol=0, atol=0)
+    path.write_text(json.dumps(content | {"weights": "../leaflet.h5"}))
+    with pytest.raises(InputError, match="beside"):
+        load(path)
+    path.write_text(json.dumps(content | {"state": [10, 13]}))
+    with pytest.raises(InputError, match="expected shape"):
+        load(path)
+    path.write_text(json.dumps(content))
+    with h5py.File(beside, "r+") as file:
+        file["state.0.weight"][0, 0] += 1
+    with pytest.raises(InputError, match="not the weights"):
+        load(path)
+    beside.unlink()
+    with pytest.raises(InputError, match=r"leaflet\.h5"):
+        load(path)
 
 
 def test_what_a_material_says_of_itself():

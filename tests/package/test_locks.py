@@ -10,7 +10,7 @@ import tools.make_graphene as tool
 from examples import train_graphene
 from tests.support.jobs import problem
 from warp_peri import Bernstein, InputError
-from warp_peri.files.atomic import PART, locked, whole_file
+from warp_peri.files.atomic import PART, locked, whole_file, write_text
 from warp_peri.learning.fit import learn as fit
 from warp_peri.methods import TwoStage, sweep
 
@@ -109,3 +109,37 @@ def test_half_written_files_of_a_killed_job_are_removed(tmp_path):
         pass
     assert not any(path.exists() for path in parts)
     assert all(path.exists() for path in others)
+
+
+SAVES = """
+import sys
+from warp_peri.files.atomic import whole_file
+with whole_file(sys.argv[1]) as part:
+    part.write_text("half")
+    print(part, flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.mark.parametrize("name", ["m.json", "a[b]*.h5"])
+def test_the_next_save_clears_what_killed_ones_left_and_harms_none_that_lives(tmp_path, name):
+    target, saves = tmp_path / name, []
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", SAVES, str(target)],
+            cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        saves.append((process, Path(process.stdout.readline().strip())))
+    saves[1][0].kill()
+    saves[1][0].communicate()
+    other = tmp_path / f".{name}x{PART}abc"
+    other.write_text("of another file")
+    parts = [part for _, part in saves]
+    assert all(part.exists() for part in parts)
+    write_text(target, "mine")
+    assert [part.exists() for part in parts] == [True, False, True]
+    for process, _ in (saves[0], saves[2]):
+        process.communicate("\n")
+        assert process.returncode == 0
+        assert target.read_text() == "half"
+    assert sorted(tmp_path.iterdir()) == sorted([other, target])

@@ -8,11 +8,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 51_561,
-    "files of warp_peri": 336,
-    "lines of kernels": 5_803,
-    "lines of examples and tools": 27_709,
-    "lines of tests": 29_322,
+    "lines of warp_peri": 48_961,
+    "files of warp_peri": 318,
+    "lines of kernels": 5_766,
+    "lines of examples and tools": 29_580,
+    "lines of tests": 29_694,
     "names of classes that stand twice": 16,
     "imports of warp_peri inside functions": 45,
     "asserts in warp_peri": 22,

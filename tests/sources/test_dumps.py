@@ -190,8 +190,6 @@ def test_dumps_of_one_call_have_one_set_of_ids(tmp_path):
     points = lattice(2, 1.0, 3.0)
     omega = smoothing_matrix(REFERENCE, points.x, radius=4.0, box=BOX, spacing=3.0)
     options = {"node_area": 9.0, "thickness": 3.35}
-    with pytest.raises(InputError, match="coarse_grain_dumps: skip is now part of average"):
-        coarse_grain_dumps([path], omega, points, Atoms(REFERENCE), force=[], skip=1, **options)
     for dumps, more in (
         ([path, other], {}),
         ([path], {"unloaded": [other]}),

@@ -5,12 +5,12 @@ import pytest
 
 from examples import diffusion, pressurised_crack, static_crack
 from examples import inclusion as inclusions
+from examples.cracks.inclusions import Mixed, ball_excess, bond_modulus
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
 from warp_peri import InputError, Model, Points, move, save, solve
-from warp_peri.damage import Cracked, Injected, Mixed, box, opening_volume, rectangle
+from warp_peri.damage import Cracked, Injected, box, opening_volume, rectangle
 from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.inclusions import ball_excess, bond_modulus
 from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.damage.pressurised import crack_load

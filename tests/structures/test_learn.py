@@ -1,12 +1,14 @@
 """Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
 
 import json
+import sys
 from dataclasses import replace
 
 import ase.build
 import ase.io
 import numpy as np
 import pytest
+import tomli_w
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 
@@ -328,8 +330,171 @@ def test_what_lammps_refuses_is_said_in_its_words():
         ("lammps:tersoff", "--potential FILE"),
         ("lammps:", "--potential FILE"),
         ("ase.calculators.emt:EMT(open('x'))", "malformed"),
+        ("ase.calculators.emt:EMT()()", "name of a class"),
+        ("ase.calculators.emt:EMT.__init__", "name of a class"),
+        ("ase.calculators.emt:EMT.calculate", "no class of an ASE calculator"),
+        ("os:system('touch ran')", "Python itself"),
+        ("subprocess:check_output(['touch', 'ran'])", "Python itself"),
+        ("subprocess:Popen(['touch', 'ran'])", "Python itself"),
+        ('builtins:eval(\'open("ran", "w")\')', "Python itself"),
+        ("functools:partial", "Python itself"),
+        ("ase.calculators.calculator:os.system('touch ran')", "os is a module"),
+        ("ase.calculators.genericfileio:read_stdout(['touch', 'ran'])", "nor a function"),
+        ("numpy:savetxt('ran', [1])", "nor a function"),
+        ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
+        ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; log ran", "log ran"),
+        ("lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3", "line break"),
+        ("lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3", "could run code"),
+        ("lammps:python 5.0; pair_coeff * * ran.Law lj", "could run code"),
+        ("lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3", "could run code"),
+        ("lammps:mliap unified ran.pt; pair_coeff * * Cu", "could run code"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; plugin load ran.so", "plugin load"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; include ran", "include ran"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; variable x getenv HOME", "variable x"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f", "fix"),
     ],
 )
-def test_calculators_that_are_none_are_named(name, what):
+def test_calculators_that_are_none_are_named(tmp_path, monkeypatch, name, what):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(wp.InputError, match=what):
         wp.atoms.named_calculator(name, ["Cu"])
+    assert not list(tmp_path.iterdir())  # nothing ran
+
+
+OWN = """
+from ase.calculators.lj import LennardJones
+
+class Mine(LennardJones):
+    pass
+
+def says(sigma) -> LennardJones:
+    return Mine(sigma=sigma)
+
+def uses(sigma):
+    return Mine(sigma=sigma)
+
+def imports(sigma):
+    from ase.calculators.morse import MorsePotential
+    return MorsePotential(r0=sigma)
+"""
+
+
+def test_own_classes_and_functions_that_return_calculators_are_taken_from_the_line(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "own_laws.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    for call in ("Mine(sigma=2.5)", "says(2.5)", "uses(2.5)", "imports(2.5)"):
+        parameters = wp.atoms.named_calculator(f"own_laws:{call}", ["Cu"]).parameters
+        assert 2.5 in (parameters.get("sigma"), parameters.get("r0"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "Si.tersoff").write_text(TERSOFF_OF_SILICON)
+    name = "ase.calculators.tersoff:Tersoff.from_lammps('Si.tersoff')"
+    assert wp.atoms.named_calculator(name, ["Si"]).parameters
+
+
+TERSOFF_OF_SILICON = """Si Si Si 3.0 1.0 1.3258 4.8381 2.0417 0.0000 22.956
+0.33675 1.3258 95.373 3.0 0.2 3.2394 3264.7
+"""
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """A package among the installed ones, with a calculator of its own and one that runs."""
+    folder = tmp_path / "installed"
+    folder.mkdir()
+    for name in ("their_laws", "here"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    (folder / "their_laws.py").write_text(
+        "from ase.calculators.calculator import FileIOCalculator\n"
+        "from ase.calculators.lammpsrun import LAMMPS\n"
+        "from ase.calculators.lj import LennardJones\n"
+        "class Theirs(LennardJones):\n"
+        "    def __init__(self, model='small', sigma=1.0, run_command=None):\n"
+        "        super().__init__(sigma=sigma)\n"
+        "class Runs(FileIOCalculator):\n"
+        "    implemented_properties = ['forces']\n"
+        "def make() -> LennardJones:\n"
+        "    return LennardJones()\n"
+    )
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr("site.getusersitepackages", lambda: str(folder))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model").write_text("")
+    (tmp_path / "here.py").write_text(OWN + "open('ran', 'w')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("here:Mine(sigma=2.5)", "no installed package"),
+        ("their_laws:make()", "no class"),
+        ("their_laws:Runs(command='touch ran')", "could run a program"),
+        ("their_laws:LAMMPS()", "could run a program"),
+        ("their_laws:Theirs(model='evil.pt')", "load a file"),
+        ("their_laws:Theirs('model')", "load a file"),
+        ("their_laws:Theirs(run_command='reboot')", "could run a program"),
+        ("ase.calculators.calculator:FileIOCalculator(command='touch ran')", "run a program"),
+        ("ase.calculators.dftb:Dftb(command='touch ran')", "run a program"),
+        ("ase.calculators.lammpsrun:LAMMPS(command='touch ran')", "run a program"),
+        ("ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])", "run a program"),
+        ("ase.calculators.kim:KIM('x')", "no class"),
+        ("ase.calculators.cp2k:CP2K(command='touch ran')", "run a program"),
+        ("ase.calculators.subprocesscalculator:PythonSubProcessCalculator(1, ['sh'])", "program"),
+        ("ase:Atoms('Cu')", "no class"),
+        ("os:system('touch ran')", "Python itself"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
+    ],
+)
+def test_a_file_of_settings_runs_nothing(installed, capsys, name, what):
+    there = {*installed.iterdir()}
+    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
+    settings = {"structure": "cu.xyz", "out": "out", "calculator": name}
+    (installed / "evil.toml").write_text(tomli_w.dumps({"learn": settings}))
+    assert main(["learn", "--config", "evil.toml"]) == 2
+    error = capsys.readouterr().err
+    assert what in error
+    assert len(error.splitlines()) == 1
+    assert {*installed.iterdir()} - there == {installed / "cu.xyz", installed / "evil.toml"}
+    settings["trust"] = True
+    (installed / "evil.toml").write_text(tomli_w.dumps({"learn": settings}))
+    assert main(["learn", "--config", "evil.toml"]) == 2
+    assert "no option 'trust'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "their_laws:Theirs(sigma=2.5)",
+        "their_laws:Theirs('medium-v2', 2.5)",
+        "ase.calculators.lj:LennardJones(sigma=2.5, epsilon=0.4, rc=7.0)",
+        "ase.calculators.emt:EMT",
+        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; pair_modify shift yes",
+        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all qeq/shielded 1 8 1e-4 9 param.qeq",
+    ],
+)
+def test_what_computes_by_itself_may_stand_in_a_file(installed, name):
+    assert wp.atoms.named_calculator(name, ["Cu"], trusted=False) is not None
+
+
+def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):
+    seen = []
+
+    def from_atoms(structure, calculator, **_):
+        seen.append(calculator)
+        raise wp.InputError("enough")
+
+    monkeypatch.setattr(wp, "from_atoms", from_atoms)
+    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
+    table = {"structure": "cu.xyz", "out": "out", "calculator": "here:Mine(sigma=2.5)"}
+    (installed / "own.toml").write_text(tomli_w.dumps({"learn": table}))
+    line = ["learn", "--config", "own.toml"]
+    assert main(line) == 2
+    assert "--trust, or the calculator on the line" in capsys.readouterr().err
+    assert not seen
+    main([*line, "--trust"])
+    main([*line, "--calculator", "here:Mine(sigma=1.5)"])
+    main([*line, "--calc", "here:Mine(sigma=0.5)"])
+    assert [law.parameters["sigma"] for law in seen] == [2.5, 1.5, 0.5]

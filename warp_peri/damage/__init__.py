@@ -1,10 +1,8 @@
 """Cracks: bonds that are cut, break or soften, at rest and in motion (theory.md, C)."""
 
 from warp_peri.damage.cut_solid import contour_integral, westergaard
-from warp_peri.damage.energy_release import energy_release, tip_shift
-from warp_peri.damage.inclusions import Mixed
 from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, penny, rectangle
-from warp_peri.damage.pressurised import opening_volume, sneddon_opening
+from warp_peri.damage.pressurised import opening_volume
 from warp_peri.damage.problems import Cracked, Injected
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.softening import BondLaw, SoftSolid
@@ -16,19 +14,15 @@ __all__ = [
     "Cracked",
     "Injected",
     "LatticeBody",
-    "Mixed",
     "SoftSolid",
     "apparent_toughness",
     "box",
     "continuum_stretch",
     "contour_integral",
-    "energy_release",
     "lattice_body",
     "opening_volume",
     "penny",
     "positive_kernel",
     "rectangle",
-    "sneddon_opening",
-    "tip_shift",
     "westergaard",
 ]

@@ -26,7 +26,7 @@ class CutSolid:
 
     Args:
         material: with one influence function; one that changes sign is checked by inertia, and so
-            is a Mixed.
+            is one with `moduli(body, weights)`, μ of bonds and λ − μ of nodes.
         body: nodes and bonds.
         held: components of the displacement that are given, shape [N] or [N, d] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.

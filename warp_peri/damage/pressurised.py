@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.operator import bond_weights, cut_matrix
@@ -78,12 +77,3 @@ def _columns(
         raise InputError("body: expected a lattice along the axes, got a turned one")
     node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
     return node, body.neighbour[node, step], along
-
-
-def sneddon_opening(
-    x: ArrayLike, half: float, pressure: float, lam: float, mu: float
-) -> np.ndarray:
-    """Half the opening of a crack |x| < half under pressure in a plane; I. N. Sneddon, 1946."""
-    inside = np.sqrt(np.maximum(half**2 - np.square(x), 0.0))
-    opening: np.ndarray = pressure * (lam + 2 * mu) / (2 * mu * (lam + mu)) * inside
-    return opening

@@ -79,7 +79,7 @@ class Cracked:
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
-        """The body at rest, of a solid with a linear part, or of a Mixed."""
+        """The body at rest, of a solid with a linear part, or of one with several moduli."""
         refuse_solver(solver, (Direct,), "a body with cracks")
         taken(options, "solve")
         body = self.body(material, "solve")

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.core.grid import Grid, grid_of
 from warp_peri.dressed.bases import composed, half, spread
 from warp_peri.dressed.broken import key, pairs
 from warp_peri.dressed.grains import Grains, grains_of
@@ -18,7 +19,6 @@ from warp_peri.dressed.outline import cut_elements
 from warp_peri.dressed.rest import at_rest
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
@@ -263,12 +263,12 @@ class Body:
         return [self._dressing(g) for g in np.stack([law.tensors for law in self.laws], axis=1)]
 
     @cached_property
-    def _sweep(self) -> tuple[Nodes, ByLayers] | None:
+    def _sweep(self) -> tuple[Grid, ByLayers] | None:
         """L by rows, of sheets that nothing cuts."""
         law = self.model
         if not (self._even and law.layered and law.dimension == 2):
             return None
-        nodes = lay_out(self.points, law.crystal.steps)
+        nodes = grid_of(self.points, law.crystal.steps)
         factors = np.ones((len(self.factors), int(np.prod(nodes.shape))))
         factors[:, nodes.place] = self.factors[:, nodes.near]
         factors = factors.reshape(-1, *nodes.shape)
@@ -306,7 +306,7 @@ class Body:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
         if self._sweep is not None:
             nodes, sweep = self._sweep
-            found = nodes.take_up(sweep(nodes.lay_out(self.fields(u), self.dtype)))
+            found = nodes.gather(sweep(nodes.scatter(self.fields(u), self.dtype)))
             return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
         flat = self.flat(u)
         force = (self.L @ flat.T).T.reshape(*np.shape(u)) @ self.axes.T

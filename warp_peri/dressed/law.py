@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.core.elastic import from_voigt, voigt
+from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry
 from warp_peri.core.proof import Proof
-from warp_peri.core.quantity import Length, Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.nodes import Nodes
 from warp_peri.models.lps import Model
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -210,7 +209,7 @@ class DressedSolid(Record, format="warp_peri.dressed"):
             )
         law = self.crystal
 
-        def layers(nodes: Nodes, dtype: Any) -> ByLayers:
+        def layers(nodes: Grid, dtype: Any) -> ByLayers:
             return ByLayers(
                 nodes, self.steps, self.tensors[0], self.parts, self.spacing, dtype=dtype
             )
@@ -219,7 +218,7 @@ class DressedSolid(Record, format="warp_peri.dressed"):
             f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
         )
         return Operator(
-            law.fitting(points), law.spacing, law.steps, law.tensors, self.tensor(), why=why,
+            law.fitting(points), law.stencil, self.tensor(), why=why,
             model=self, dtype=dtype, product=layers if self.layered else None,
         )  # fmt: skip
 

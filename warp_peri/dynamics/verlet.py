@@ -18,7 +18,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import lps_stencil
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
@@ -36,7 +36,7 @@ SAME = 1e-9
 def critical_time_step(
     model: Any, *, spacing: float, density: float, allow_uncertified: bool = False
 ) -> float:
-    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (50–51, V6).
+    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (51, T21).
 
     2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.02 % too
     large (T21). It holds on any set of nodes with displacement given out to 2δ, and on periodic

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ def _no_place(path: Path) -> Iterator[None]:
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error.
 
+    The temporary file is locked meanwhile, so HDF5 must write it with `locking=False`.
+
     The folder is created if it is missing. A reader therefore sees the old file, the new file or
     none, never half of one. A link stays, and what it points at is replaced.
 
@@ -68,11 +71,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     path = destination(path)
     with _no_place(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.name}{PART}", suffix=path.suffix, dir=path.parent
-        )
-    os.close(handle)
-    temporary = Path(name)
+        handle, temporary = _begun(path)
     try:
         yield temporary
         with open(temporary, "rb") as written:
@@ -83,6 +82,46 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _begun(path: Path) -> tuple[int, Path]:
+    """A new half-written file, locked by this process; those of killed saves are removed.
+
+    The lock is the operating system's and ends with the process: what nobody holds nobody writes.
+    """
+    while True:
+        handle, name = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
+        if _held(handle) is not False and os.fstat(handle).st_nlink:
+            break
+        os.close(handle)  # another save found it before it was locked, and takes it away
+    with suppress(PermissionError):
+        for left in os.listdir(path.parent):
+            if left.startswith(f".{path.name}{PART}") and left != Path(name).name:
+                _remove_left(path.with_name(left))
+    return handle, Path(name)
+
+
+def _held(handle: int) -> bool | None:
+    """Lock an open file: False where another process holds it, None where there are no locks."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def _remove_left(path: Path) -> None:
+    """Remove a half-written file that no process holds."""
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:  # finished meanwhile, or not a file of ours
+        return
+    if stat.S_ISREG(os.fstat(handle).st_mode) and _held(handle):
+        path.unlink(missing_ok=True)
+    os.close(handle)
 
 
 @contextmanager

@@ -1,15 +1,11 @@
 """Polymer flow with memory: dumbbells, laws named and learned, plane flows and a channel."""
 
-from warp_peri.flow.active import LearningClosure, replayed
 from warp_peri.flow.channel_run import ChannelFlow, ChannelRecord
 from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
-from warp_peri.flow.closure_error import corrected_run, missing_stress
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.gradients import fit_velocities
 from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell
 from warp_peri.flow.log_conformation import LogConformation
 from warp_peri.flow.pairs import start_pairs
-from warp_peri.flow.paths import Band, band
 from warp_peri.flow.planar import elongation, shear
 from warp_peri.flow.plane import PlaneFlow, Profiles
 from warp_peri.flow.protocols import Ensembles, held, mixed, read_trajectory, simulate
@@ -20,7 +16,6 @@ from warp_peri.flow.twins import Twins
 from warp_peri.flow.twisted_law import TwistedSpringLaw, learn_twisted
 
 __all__ = [
-    "Band",
     "ChannelFlow",
     "ChannelRecord",
     "Closure",
@@ -29,7 +24,6 @@ __all__ = [
     "Ensembles",
     "FENEP",
     "Giesekus",
-    "LearningClosure",
     "LogConformation",
     "PlaneFlow",
     "Profiles",
@@ -39,20 +33,15 @@ __all__ = [
     "Twins",
     "TwistedSpringLaw",
     "UpperConvectedMaxwell",
-    "band",
-    "corrected_run",
     "elongation",
-    "fit_velocities",
     "held",
     "homogeneous",
     "learn_rate",
     "learn_shear",
     "learn_spring",
     "learn_twisted",
-    "missing_stress",
     "mixed",
     "read_trajectory",
-    "replayed",
     "shear",
     "simulate",
     "start_pairs",

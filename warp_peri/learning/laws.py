@@ -15,7 +15,6 @@ from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed
 from warp_peri.models.smoothing import Smoothing
-from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.regression.settings import Optimum
@@ -140,7 +139,7 @@ def fit(samples: Sets, law: LPS, **options: Any) -> Fit: ...
 def fit(samples: Sets, law: ThirdOrder, **options: Any) -> Any: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
-def fit(samples: Any, law: Any = None, *were: Any, **options: Any) -> Any:
+def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     """Learn a law from samples.
 
     Args:
@@ -155,11 +154,6 @@ def fit(samples: Any, law: Any = None, *were: Any, **options: Any) -> Any:
 
     Raises InputError for input that cannot be used, RuntimeError where a search fails.
     """
-    for name in ("horizon", "kernel", "method", "conditions", "loss", "normalise"):
-        if name in options:
-            raise InputError(f"fit: {name} is now part of the law, as LPS(horizon, kernel, …)")
-    if were or is_number(law):
-        raise InputError("fit: what follows the samples is now a law, as LPS(horizon, kernel, …)")
     learned = offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)

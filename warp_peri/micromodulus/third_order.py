@@ -1,4 +1,4 @@
-"""A crystal of micromodulus tensors with third-order constants, and its file (theory.md, N22–N27).
+"""A crystal of micromodulus tensors with third-order constants, and its file (theory.md, N22–N25).
 
 Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene.
 """
@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.core.quantity import Length, Stress
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Record, Stress
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import SAME_SPACING, Crystal
 from warp_peri.models.nonlinear import CUBIC

@@ -1,4 +1,4 @@
-"""Up to which gradient a nonlinear solid has one solution, proven (theory.md, N13–N19).
+"""Up to which gradient a nonlinear solid has one solution, proven (theory.md, N13–N17).
 
 With stresses of gradients projected to |H| ≤ ε, u ← u + L_LPS⁻¹ (b − L u) contracts in the energy
 norm of the linear solid by C(ε) κ_in κ_out. C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to
@@ -17,7 +17,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import lps_stencil
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import USUAL, Units, symbols

@@ -137,7 +137,7 @@ class Operator(torch.nn.Module):
         return AtRest(self, Bonds(points, self.horizon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file and the weights beside it; see file.save for their precision."""
+        """Write a JSON file with the weights in it; see file.save for their precision."""
         from warp_peri.neural.file import save
 
         save(self, path)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.points.families import families_of
@@ -32,7 +32,6 @@ class NodeFields:
     energy: np.ndarray
 
 
-@renamed(box="part of Points(…, box=…)")
 def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
 

@@ -52,7 +52,10 @@ def save_dataset(
         provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"provenance: expected plain JSON values ({error})") from None
-    with whole_file(path) as temporary, h5py.File(temporary, "w", libver=LAYOUT) as file:
+    with (
+        whole_file(path) as temporary,
+        h5py.File(temporary, "w", libver=LAYOUT, locking=False) as file,
+    ):
         names = {"format": FORMAT, "length_unit": length, "stress_unit": stress}
         for key, text in names.items():
             file.attrs[key] = _fixed(text)

@@ -43,7 +43,7 @@ def write_arrays(
 
     with agreed(comm):
         path = destination(path)
-    part, offsets = path.with_name(f".{path.name}{PART}ranks"), None
+    part, offsets = path.with_name(f".{path.name}.ranks{PART}"), None
     with agreed(comm):
         if comm.rank == 0:
             offsets = _laid_out(part, arrays, attributes or {})

@@ -31,7 +31,7 @@ from warp_peri.statics.nonlinear import (
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
     from warp_peri.ranks.pieces import Piece
-    from warp_peri.statics.equilibrium import Inverse
+    from warp_peri.statics.linear import Inverse
 
 __all__ = ["RowNonlinear", "warn_beyond"]
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, renamed
+from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
 from warp_peri.points.interpolation import interpolation, mean_spacing
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
@@ -153,10 +153,6 @@ class Average:
     iota: float | None = None
 
 
-@renamed(
-    **dict.fromkeys(("reference", "mass", "ids", "box"), "part of Atoms(…)"),
-    **dict.fromkeys(("skip", "iota"), "part of average=Average(skip, iota)"),
-)
 def coarse_grain_dumps(
     dumps: Sequence[str | os.PathLike[str]],
     omega: sp.csr_array,

@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from warp_peri.errors import renamed
 from warp_peri.models.lps import Model
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.families import families_of
@@ -38,7 +37,6 @@ class Solvability:
     negative_weights: float
 
 
-@renamed(box="part of Points(…, box=…)", outside="part of Points(…, outside=…)")
 def solvability(
     model: Model, points: PointsLike, *, quadrature_degree: int = DEGREE
 ) -> Solvability:

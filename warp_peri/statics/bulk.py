@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from scipy.ndimage import distance_transform_edt
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.models.lps import Model, lps_stencil
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stencil import stencil
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
@@ -20,9 +18,7 @@ from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.dirichlet import Dirichlet
-from warp_peri.statics.domain import domain
-from warp_peri.statics.settings import Krylov
+from warp_peri.statics.equilibrium import lps_linear
 
 DIRECT = 4_000
 """Most unknown nodes whose operator is factorised."""
@@ -100,38 +96,34 @@ class Bulk:
         if len(self.inside) <= DIRECT:
             parts = matrices(model, points)
             self.problem = MatrixProblem(parts.operator(model.lam, model.mu), points.interior)
-            refuse_indefinite(points, model.horizon, model.solid, self.problem.stiffness)
+            refuse_indefinite(
+                points, self.problem.stiffness, lambda: lps_stencil(model, points.spacing)
+            )
             return
-        self.domain = domain(
-            points, model.horizon, bond_based=model.bond_based, device=torch.device("cpu")
-        )
-        with torch.no_grad():
-            A = stencil(self.domain.classes, model.solid)
-            self.system = Dirichlet(self.domain, A, "multigrid")
+        self.linear = lps_linear(points, model.solid, model.horizon)
+        self.linear.check_definite()
 
     def pull(self, collar: np.ndarray) -> np.ndarray:
         """L of what the collar moves, shape [C, 2], on the unknown nodes [TPa/Å], shape [I, 2]."""
         if self.problem is not None:
             return np.asarray(self.problem.collar @ collar.ravel()).reshape(-1, 2)
-        field = torch.zeros(len(self.points.x), 2, dtype=torch.float64)
-        field[self.collar] = torch.from_numpy(np.ascontiguousarray(collar))
-        pulled = self.system.pull(self.domain.gather_near(field) * self.domain.collar)
-        return self.domain.scatter_free(pulled).numpy()
+        field = np.zeros_like(self.points.x)
+        field[self.collar] = collar
+        return np.asarray(self.linear(field[None])[0])
 
     def push(self, inner: np.ndarray) -> np.ndarray:
         """The transpose of pull: [I, 2] to [C, 2]."""
         if self.problem is not None:
             return np.asarray(self.problem.collar.T @ inner.ravel()).reshape(-1, 2)
-        wide = self.domain.widen(self.domain.gather_free(torch.from_numpy(inner)))
-        pulled = self.domain.torus.product(self.system.symbol, wide)
-        return self.domain.scatter_near(pulled, len(self.points.x)).numpy()[self.collar]
+        return self.linear.push(inner)[self.collar]
 
     def apply(self, inner: np.ndarray) -> np.ndarray:
         """L_II of displacements of the unknown nodes, shape [I, 2]."""
         if self.problem is not None:
             return np.asarray(self.problem.stiffness @ inner.ravel()).reshape(-1, 2)
-        field = self.domain.gather_free(torch.from_numpy(inner))
-        return self.domain.scatter_free(self.system.product(field)).numpy()
+        field = np.zeros_like(self.points.x)
+        field[self.inside] = inner
+        return np.asarray(self.linear(field[None])[0])
 
     def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """L_II⁻¹ of a right-hand side [TPa/Å], shape [I, 2], well within a tolerance."""
@@ -140,9 +132,7 @@ class Bulk:
             solution = self.problem.factors.solve(flat)
             self.problem.check(solution, flat)
             return np.asarray(solution).reshape(-1, 2)
-        field = self.domain.gather_free(torch.from_numpy(np.ascontiguousarray(right)))
-        solution, _ = self.system.solve(field, min(LOOSEST, SHARE * tolerance))
-        return self.domain.scatter_free(solution).numpy()
+        return self.linear.inverse(right, min(LOOSEST, SHARE * tolerance), "multigrid")[0]
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """σ [TPa] at the unknown nodes, shape [I, 2, 2]."""
@@ -172,15 +162,11 @@ class PlacedBulk:
 
     def push(self, inner: np.ndarray) -> np.ndarray:
         """The transpose of pull: [I, d] to [C, d]."""
-        rows = self.placed.matrix().T @ inner.ravel()
-        return np.asarray(rows.reshape(self.points.x.shape)[self.collar])
+        return np.asarray(self.placed.linear.push(inner)[self.collar])
 
     def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """L_II⁻¹ of a right-hand side, shape [I, d], well within a tolerance."""
-        b = np.zeros(self.points.x.shape)
-        b[self.inside] = right
-        asked = Krylov(tolerance=min(LOOSEST, SHARE * tolerance))
-        return np.asarray(self.placed.rest(b, np.zeros_like(b), asked).u[self.inside])
+        return np.asarray(self.placed.linear.inverse(right, min(LOOSEST, SHARE * tolerance))[0])
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """σ at the unknown nodes, shape [I, d, d]."""

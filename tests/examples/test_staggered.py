@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from examples.studies.staggered import derivatives, staggered, thinned
 from tests.support import clouds
 from tests.support.problems import fitted_order
 from warp_peri import InputError, Points
-from warp_peri.statics.staggered import derivatives, staggered, thinned
 
 LENGTH, MU = 2.0, 0.8
 NUMBERS = np.array([8, 16, 32])

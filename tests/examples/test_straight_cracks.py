@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from examples.cracks.energy_release import energy_release
+from examples.cracks.straight_cracks import CrackedRectangle
 from warp_peri import InputError, Model, Points
-from warp_peri.damage.energy_release import energy_release
 from warp_peri.damage.lattice_body import rectangle
 from warp_peri.damage.problems import Cracked
-from warp_peri.damage.straight_cracks import CrackedRectangle
 
 LAM, MU = 1.0, 0.8
 PULL = np.array([[0.3, 0.2], [0.0, 1.0]])

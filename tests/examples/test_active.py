@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from examples.flows.active import LearningClosure, replayed
 from warp_peri import InputError
-from warp_peri.flow.active import LearningClosure, replayed
 from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.planar import elongation, shear

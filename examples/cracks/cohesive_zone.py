@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from warp_peri.damage.cubic_energy import CubicEnergy, check_lengths
-from warp_peri.damage.straight_cracks import CrackedRectangle
+from examples.cracks.cubic_energy import CubicEnergy, check_lengths
+from examples.cracks.straight_cracks import CrackedRectangle
 from warp_peri.errors import InputError
 
 ROUNDS = 60

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from examples.cracks.cohesive_zone import HeldCracks, RowLaw
+from examples.cracks.cubic_energy import CubicEnergy
+from examples.cracks.kinked_cracks import KinkedCracks
 from warp_peri import InputError
-from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
-from warp_peri.damage.cubic_energy import CubicEnergy
-from warp_peri.damage.kinked_cracks import KinkedCracks
 
 LAM, MU, HALF = 1.0, 0.8, (16.0, 14.0)
 SHEET = CubicEnergy((LAM + MU, MU), -0.7, -6.0, 1.1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from examples.cracks.cohesive_zone import HeldCracks, RowLaw
+from examples.cracks.straight_cracks import CrackedRectangle
 from warp_peri import InputError
-from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
-from warp_peri.damage.straight_cracks import CrackedRectangle
 
 LAM, MU, HALF = 1.0, 0.8, (16.0, 14.0)
 SEPARATION = np.linspace(0, 1, 41)

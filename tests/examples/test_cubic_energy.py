@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from examples.cracks.cohesive_zone import HeldCracks, RowLaw
+from examples.cracks.cubic_energy import CubicEnergy, squares
+from examples.cracks.straight_cracks import CrackedRectangle
 from warp_peri import InputError
-from warp_peri.damage.cohesive_zone import HeldCracks, RowLaw
-from warp_peri.damage.cubic_energy import CubicEnergy, squares
-from warp_peri.damage.straight_cracks import CrackedRectangle
 
 LAM, MU, HALF = 1.0, 0.8, (16.0, 14.0)
 SHEET = CubicEnergy((LAM + MU, MU), -0.7, -6.0, 1.1)

@@ -13,9 +13,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.cohesive_zone import HeldCracks
-from warp_peri.damage.cubic_energy import CubicEnergy, check_lengths
-from warp_peri.damage.straight_cracks import CrackedRectangle, meet
+from examples.cracks.cohesive_zone import HeldCracks
+from examples.cracks.cubic_energy import CubicEnergy, check_lengths
+from examples.cracks.straight_cracks import CrackedRectangle, meet
 from warp_peri.errors import InputError
 
 Potentials: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
