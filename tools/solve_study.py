@@ -22,7 +22,7 @@ from warp_peri.core.grid import Grid
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force

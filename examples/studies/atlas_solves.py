@@ -16,8 +16,7 @@ from examples.studies.atlas_conditions import unconstrained
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
-from warp_peri.models.lps import Model
-from warp_peri.models.lps_stencil import stiffnesses
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force

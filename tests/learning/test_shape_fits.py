@@ -12,8 +12,7 @@ from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.uncertainty import fit_uncertainty
 from warp_peri.methods import Conditions, Optimum, TwoStage
-from warp_peri.models.lps import Model
-from warp_peri.models.lps_stencil import stiffnesses
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.models.shapes import gaussian, named, table
 from warp_peri.points.families import bond_classes
 from warp_peri.shapes import InfluenceFunction

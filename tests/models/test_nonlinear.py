@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.nonlinear import FORMS, solid
 from warp_peri import InputError, Model, load
-from warp_peri.models.lps_stencil import stiffnesses
+from warp_peri.models.lps import stiffnesses
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.families import bond_classes

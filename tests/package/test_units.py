@@ -25,8 +25,7 @@ from warp_peri.methods import (
     fit_uncertainty,
     sweep,
 )
-from warp_peri.models.lps import Model
-from warp_peri.models.lps_stencil import stiffnesses
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh

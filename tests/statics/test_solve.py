@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Model, Periodic, Points
-from warp_peri.models.lps_stencil import stiffnesses
+from warp_peri.models.lps import stiffnesses
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.solving import solve as at_rest

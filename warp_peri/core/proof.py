@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.groups import canonical
-from warp_peri.core.quantity import Stress
+from warp_peri.core.record import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
 from warp_peri.errors import InputError
 from warp_peri.launch import in_blocks

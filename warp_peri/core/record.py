@@ -28,6 +28,7 @@ from typing import (
     Any,
     ClassVar,
     Self,
+    TypeAlias,
     Union,
     get_args,
     get_origin,
@@ -36,7 +37,6 @@ from typing import (
 
 import numpy as np
 
-from warp_peri.core.quantity import Quantity
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.points.arrays import checked, is_number
@@ -65,6 +65,37 @@ HOMES = {
     "warp_peri.family": "prediction.members",
 }
 """Modules below warp_peri that a format's reader is in; those of others are loaded already."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Of a field, as ``Annotated[float, Quantity(stress=1)]``.
+
+    Attributes:
+        length, stress: powers of the units that it is in.
+        volume: power of length^d, beside that of the length.
+        positive: whether a number is to be above zero.
+        key: in the file, where that is not the field's name.
+        omit: whether a file leaves it out where it has its default.
+        later: whether files of before may lack it.
+        flat: whether the fields of its value stand in the file in its place.
+        kept: whether it is in the file at all.
+    """
+
+    length: int = 0
+    stress: int = 0
+    volume: int = 0
+    positive: bool = False
+    key: str = ""
+    omit: bool = False
+    later: bool = False
+    flat: bool = False
+    kept: bool = True
+
+
+Positive: TypeAlias = Annotated[float, Quantity(positive=True)]
+Length: TypeAlias = Annotated[float, Quantity(length=1, positive=True)]
+Stress: TypeAlias = Annotated[float, Quantity(stress=1)]
 
 
 @dataclass(frozen=True)
@@ -136,8 +167,9 @@ class Record:
         """What a file holds, plain values; the last is a hash of the others."""
         found: dict[str, Any] = {"format": self.FORMAT, "version": self.VERSION}
         found |= {"kind": self.KIND} if self.KIND else {}
-        found |= dict(zip(UNITS, self.units)) if _has_units(self) else {}
-        own = _entries(self) | self.derived()
+        units = dict(zip(UNITS, self.units)) if _has_units(self) else {}
+        found |= {} if UNITS[0] in self.ORDER else units
+        own = _entries(self) | self.derived() | units
         found |= {key: own[key] for key in self.ORDER or own if key in own}
         return found | {"sha256": content_hash(found)}
 
@@ -168,7 +200,7 @@ class Record:
             if missing := [key for key in UNITS if key not in content]:
                 raise InputError(f"missing keys: {', '.join(missing)}")
             values["units"] = check_units([content[key] for key in UNITS])
-        values |= _values(cls, own, cls.ORDER)
+        values |= _values(cls, own, tuple(key for key in cls.ORDER if key not in HEAD))
         made = cls(**values)
         for key, value in made.derived().items():
             if key in own and own[key] != plain(value):
@@ -230,10 +262,11 @@ class Record:
             hint, says = get_args(hint)[:2]
         if isinstance(value, Record):
             return value.in_units(units)
-        if is_dataclass(value):
-            parts = {e.name: self._scaled(e.hint, getattr(value, e.name), by, units)
-                     for e in fields_of(value)}  # fmt: skip
-            return replace(value, **parts)  # type: ignore[type-var]
+        if hasattr(value, "__dataclass_fields__"):
+            parts = (
+                self._scaled(e.hint, getattr(value, e.name), by, units) for e in fields_of(value)
+            )
+            return replace(value, **dict(zip((e.name for e in fields_of(value)), parts)))
         if isinstance(value, tuple):
             inner = next(iter(_members(hint)), Any)
             return tuple(self._scaled(inner, one, by, units, says) for one in value)

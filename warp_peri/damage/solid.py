@@ -12,8 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warp_peri.core.quantity import Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Quantity, Record
 from warp_peri.damage.stability import breaking_time_step
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from warp_peri.core.quantity import Length, Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.errors import InputError
 from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.samples import PointsLike

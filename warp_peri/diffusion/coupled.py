@@ -11,8 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
-from warp_peri.core.quantity import Stress
-from warp_peri.core.record import Record
+from warp_peri.core.record import Record, Stress
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.stability import check_cut

@@ -14,8 +14,7 @@ from warp_peri.core.elastic import from_voigt, voigt
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry
 from warp_peri.core.proof import Proof
-from warp_peri.core.quantity import Length, Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
 from warp_peri.errors import InputError

@@ -18,7 +18,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import lps_stencil
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import brentq
 
-from warp_peri.core.quantity import Quantity
+from warp_peri.core.record import Quantity
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud, Gradients
 from warp_peri.flow.gaussian_process import GaussianProcess, condensed

@@ -16,8 +16,7 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.core.proof import Proof, largest, prove
-from warp_peri.core.quantity import Length, Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.operator import Operator

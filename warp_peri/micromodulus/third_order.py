@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.core.quantity import Length, Stress
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Record, Stress
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import SAME_SPACING, Crystal
 from warp_peri.models.nonlinear import CUBIC

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from warp_peri.core.quantity import Quantity, Stress
-from warp_peri.core.record import Record
+from warp_peri.core.record import Quantity, Record, Stress
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, by_spacing
 from warp_peri.models.smoothing import Smoothing

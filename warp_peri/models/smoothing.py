@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import j0
 
-from warp_peri.core.quantity import Length
+from warp_peri.core.record import Length
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number, is_positive
 

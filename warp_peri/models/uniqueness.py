@@ -17,7 +17,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import lps_stencil
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import USUAL, Units, symbols

@@ -5,20 +5,19 @@ from __future__ import annotations
 import binascii
 import hashlib
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import h5py
 import numpy as np
 import torch
 
 from warp_peri.core import record
-from warp_peri.core.quantity import Length, Positive, Quantity
+from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
 from warp_peri.neural.material import Operator
-from warp_peri.points.unit_names import USUAL, Units
+from warp_peri.points.unit_names import Units
 
 PRECISIONS = ("float16", "float32", "float64")
 FITS = record.LARGEST_FILE * 3 // 4 - 2**16
@@ -27,7 +26,14 @@ FITS = record.LARGEST_FILE * 3 // 4 - 2**16
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NeuralFile(record.Record, format="warp_peri.neural", version=2):
-    """What a file says of an operator; in version 1 the weights were a file beside it."""
+    """What a file says of an operator.
+
+    Attributes:
+        horizon, influence, state, anisotropic, proportional, strain, scale, units, provenance: of
+            the operator.
+        precision: of the weights.
+        weights: by name, in base 64; of files of version 1 the name and hash of a file beside.
+    """
 
     horizon: Length
     influence: tuple[int, int]
@@ -36,15 +42,20 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     proportional: bool
     strain: Positive
     scale: float
-    provenance: dict[str, Any] = field(default_factory=dict)
-    precision: Annotated[str, Quantity(later=True)] = "float64"
-    weights: Any = None
-    hash: Annotated[str, Quantity(omit=True, later=True)] = ""
-    units: Units = USUAL
+    provenance: dict[str, Any]
+    precision: str
+    weights: dict[str, str]
+    units: Units
+    ORDER = ("horizon", "influence", "state", "anisotropic", "proportional", "strain", "scale",
+             *record.UNITS, "provenance", "precision", "weights")  # fmt: skip
 
     @classmethod
     def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        return content | {"version": 2} if content.get("version") == 1 else content
+        """Files of version 1 have weights in HDF5 beside them, of any precision."""
+        if content.get("version") != 1:
+            return content
+        beside = {"beside": content.get("weights"), "hash": content.pop("hash", None)}
+        return content | {"version": 2, "precision": PRECISIONS[-1], "weights": beside}
 
     def _read_from(self, path: Path | None) -> Operator:  # type: ignore[override]
         material = Operator(
@@ -59,39 +70,26 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         material.scale, material.provenance = self.scale, self.provenance
         wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
         try:
-            found = self._inside(wanted) if not self.hash else self._beside(path, wanted)
-        except (OSError, KeyError, AttributeError, TypeError, ValueError) as error:
-            raise InputError(f"weights: not those of a neural operator ({error!r:.200})") from None
-        _check_finite(found)
-        material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in found.items()})
+            if "beside" in self.weights:
+                weights = _beside(path, self.weights, wanted)
+            else:
+                raw = {key: binascii.a2b_base64(self.weights[key]) for key in wanted}
+                flat = {key: np.frombuffer(each, self.dtype) for key, each in raw.items()}
+                weights = {key: flat[key].reshape(shape) for key, shape in wanted.items()}
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
+            raise InputError(f"not a readable neural operator ({error!r:.400})") from None
+        _check_finite(weights)
+        material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
         return material
 
-    def _inside(self, wanted: dict[str, Any]) -> dict[str, np.ndarray]:
-        """The weights of a file of version 2."""
-        dtype = np.dtype(PRECISIONS[PRECISIONS.index(self.precision)]).newbyteorder("<")
-        return {
-            key: np.frombuffer(binascii.a2b_base64(self.weights[key]), dtype).reshape(shape)
-            for key, shape in wanted.items()
-        }
-
-    def _beside(self, path: Path | None, wanted: dict[str, Any]) -> dict[str, np.ndarray]:
-        """The weights of a file of version 1."""
-        name, found, whole = str(self.weights), {}, hashlib.sha256()
-        if path is None or Path(name).name != name:
-            raise InputError("weights: expected a file beside it")
-        with h5py.File(path.with_name(name), "r") as file:
-            for key, shape in sorted(wanted.items()):
-                stored = file[key]
-                if stored.shape != shape or stored.dtype.name not in PRECISIONS:
-                    raise InputError(
-                        f"weights: {key}: expected shape {[*shape]}, got {[*stored.shape]} of "
-                        f"{stored.dtype}"
-                    )
-                found[key] = np.asarray(stored[:])
-                whole.update(key.encode() + np.ascontiguousarray(found[key]).tobytes())
-        if whole.hexdigest() != self.hash:
-            raise InputError(f"{name}: these are not the weights of it")
-        return found
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the weights; InputError for a precision that is none."""
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
+        return np.dtype(self.precision).newbyteorder("<")
 
 
 def save(material: Operator, path: str | os.PathLike[str], *, precision: str | None = None) -> None:
@@ -111,10 +109,9 @@ def save(material: Operator, path: str | os.PathLike[str], *, precision: str | N
         raise InputError(f"{path}: expected a name that ends in .json")
     weights = {key: part.detach().numpy() for key, part in material.state_dict().items()}
     precision = precision or next(iter(weights.values())).dtype.name
-    if precision not in PRECISIONS:
-        raise InputError(f"precision: expected one of {PRECISIONS}, got {precision!r}")
-    dtype = np.dtype(precision).newbyteorder("<")
-    written = {key: part.astype(dtype) for key, part in weights.items()}
+    own = {key: value for key, value in material.content().items() if key not in record.UNITS}
+    said = NeuralFile(**own, precision=precision, weights={}, units=material.units)
+    written = {key: part.astype(said.dtype) for key, part in weights.items()}
     _check_finite(written)
     size = sum(part.nbytes for part in written.values())
     if size > FITS:
@@ -123,10 +120,7 @@ def save(material: Operator, path: str | os.PathLike[str], *, precision: str | N
         key: binascii.b2a_base64(part.tobytes(), newline=False).decode()
         for key, part in written.items()
     }
-    own = material.content()
-    units = (own.pop("length_unit"), own.pop("stress_unit"))
-    said = NeuralFile(**own, units=units, precision=precision, weights=coded)
-    write_json(path, said.content())
+    replace(said, weights=coded).save(path)
 
 
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operator:
@@ -141,7 +135,28 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operato
     return material if units is None else material.in_units(units)
 
 
+def _beside(
+    path: Path | None, said: dict[str, Any], wanted: dict[str, Any]
+) -> dict[str, np.ndarray]:
+    """The weights of a file of version 1."""
+    name, found, whole = str(said["beside"]), {}, hashlib.sha256()
+    if path is None or Path(name).name != name:
+        raise InputError("weights: expected a file beside it")
+    with h5py.File(path.with_name(name), "r") as file:
+        for key, shape in sorted(wanted.items()):
+            stored = file[key]
+            if stored.shape != shape or stored.dtype.name not in PRECISIONS:
+                raise InputError(
+                    f"{key}: expected shape {[*shape]}, got {[*stored.shape]} of {stored.dtype}"
+                )
+            found[key] = np.asarray(stored[:])
+            whole.update(key.encode() + np.ascontiguousarray(found[key]).tobytes())
+    if whole.hexdigest() != said["hash"]:
+        raise InputError(f"{name}: these are not the weights of {path.name}")
+    return found
+
+
 def _check_finite(weights: dict[str, np.ndarray]) -> None:
     for key, part in weights.items():
         if not np.isfinite(part).all():
-            raise InputError(f"weights: {key}: expected finite numbers")
+            raise InputError(f"{key}: expected finite numbers")

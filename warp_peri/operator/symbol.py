@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_peri.models.lps import Model
-from warp_peri.models.lps_stencil import stiffnesses
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.points.families import BondClasses
 
 

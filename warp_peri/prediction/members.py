@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
-from warp_peri.core.quantity import Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Quantity, Record
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
 from warp_peri.points.unit_names import Units

@@ -10,7 +10,7 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.core.quantity import Quantity
+from warp_peri.core.record import Quantity
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
 

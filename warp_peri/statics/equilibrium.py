@@ -18,8 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import Model, lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence

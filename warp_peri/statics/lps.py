@@ -14,7 +14,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
-from warp_peri.models.lps_stencil import lps_stencil
+from warp_peri.models.lps import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from warp_peri.core.quantity import Length, Quantity
-from warp_peri.core.record import Record
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
