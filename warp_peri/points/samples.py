@@ -39,17 +39,16 @@ class Samples:
         if not isinstance(self.points, Points):
             raise InputError(f"points: expected Points, got {type(self.points).__name__}")
         for name in ("u", "b") if self.b is not None else ("u",):
-            object.__setattr__(self, name, checked(name, getattr(self, name), float))
-            shape, (n, d) = getattr(self, name).shape, self.x.shape
-            if len(shape) != 3 or shape[1:] != (n, d) or shape[0] != len(self.u):
-                raise InputError(
-                    f"{name}: expected shape [{len(self.u)}, {n}, {d}], got {list(shape)}"
-                )
+            count: int | str = "S" if name == "u" else len(self.u)
+            field = checked(name, getattr(self, name), shape=(count, *self.x.shape))
+            object.__setattr__(self, name, field)
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")
             if np.ndim(value) == 0 or len(value) != len(self.u):
                 raise InputError(f"{name}: expected one entry for each of {len(self.u)} samples")
+            if np.ma.is_masked(value):
+                raise InputError(f"{name}: expected values everywhere, got some that are masked")
 
     def __len__(self) -> int:
         """Number of samples."""
