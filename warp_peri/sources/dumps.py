@@ -21,7 +21,7 @@ from warp_peri.points.arrays import checked
 from warp_peri.points.interpolation import interpolation, mean_spacing
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.sources.coarse_graining import coarse_grain
-from warp_peri.sources.dump_files import Frame, dump_frames
+from warp_peri.sources.dump_files import Frame, dump_frames, jumps
 
 BOX_TOLERANCE = 1e-5
 """Relative difference of a given period from that of a dump's header."""
@@ -100,7 +100,7 @@ def dump_displacement(
         u = x - reference
         if box is not None:
             u -= box * np.rint(u / box)
-        elif frame.box is not None and (np.abs(u) > np.divide(frame.box, 2)).any():
+        elif jumps(frame, reference):
             raise InputError(f"{path}: box: atoms moved beyond half the box; are they wrapped?")
         total += u if iota is None else iota * (u - total)
     if frames <= skip:
