@@ -39,7 +39,7 @@ def checked(
             f"{name}: expected values everywhere, got {np.count_nonzero(masked.mask)} of "
             f"{value.size} masked, the first at index {first}"
         )
-    value = np.require(value, {float: np.float64, bool: bool}.get(kind), ["C", "W"])
+    value = np.require(value, np.float64 if kind is float else value.dtype, ["C", "W"])
     if kind is float and not np.isfinite(value).all():
         bad = np.argwhere(~np.isfinite(value))[0].tolist()
         raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
@@ -56,7 +56,7 @@ def checked(
         raise InputError(
             f"{name}: expected shape [{', '.join(map(str, shape))}], got {list(value.shape)}"
         )
-    return value
+    return np.asarray(value)
 
 
 def is_number(value: Any) -> bool:
