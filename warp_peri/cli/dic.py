@@ -33,7 +33,13 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     if given.stress is not None and not 0 < given.stress < np.inf:
         raise InputError(f"stress: expected a number > 0 [MPa], got {given.stress}")
 
-    frames = frames_of_folder(given.folder, given.count, pixel=given.pixel, radius=given.smooth)
+    frames = frames_of_folder(
+        given.folder,
+        given.count,
+        pixel=given.pixel,
+        radius=given.smooth,
+        positions=given.positions,
+    )
     length_known = frames.points.units != USUAL  # what frames without a unit are taken for
     if given.stress is not None and not length_known:
         raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
