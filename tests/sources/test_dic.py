@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
+from warp_peri.points.samples import SEEN
 from warp_peri.sources.dic import frames_of_folder, frames_on_lattice, noise_of, read_frame
 
 X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
@@ -81,13 +82,40 @@ def test_a_missing_point_takes_its_surroundings_from_the_interior(tmp_path):
     (tmp_path / "a.csv").write_text(plain(big, field(big)))
     kept = (big != [240.0, 240.0]).any(axis=1)
     (tmp_path / "b.csv").write_text(plain(big[kept], field(big[kept])))
-    frames = [read_frame(tmp_path / name) for name in ("a.csv", "b.csv")]
-    samples = frames_on_lattice(frames)
-    assert len(samples) == 2
-    assert len(samples.x) == 25**2 - 1
-    near = np.linalg.norm(samples.x - 240.0, axis=1) <= 2.5 * 20
-    assert not samples.interior[near].any()
-    assert samples.interior.any()
+    once, always = (
+        frames_on_lattice([read_frame(tmp_path / name) for name in names])
+        for names in (("a.csv", "b.csv"), ("b.csv", "b.csv"))
+    )
+    assert len(once.x) == 25**2
+    np.testing.assert_array_equal(once.arrays[SEEN], [25**2 * [True], kept])
+    np.testing.assert_allclose(once.u[1], field(once.x), atol=1e-6)  # quadratic: filled in exactly
+    assert once.interior.sum() == 13**2
+    assert len(always.x) == 25**2 - 1
+    assert SEEN not in always.arrays
+    near = np.linalg.norm(always.x - 240.0, axis=1) <= 2.5 * 20
+    assert not always.interior[near].any()
+    assert always.interior.any()
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.5])
+def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
+    """With a hole, at edges, smoothed or not, no node leaves the sheet for good."""
+    hole = np.linalg.norm(BIG - BIG[12 * 25 + 4], axis=1) < 6
+    rng = np.random.default_rng(5)
+    losses = [rng.uniform(size=len(BIG)) < 0.03 for _ in range(7)]
+    frames = []
+    for part, lost in enumerate(losses, 1):
+        u = part * BIG @ GRADIENT.T + 1e-3 * part * (BIG - 20) ** 2
+        (tmp_path / "a.csv").write_text(plain(BIG[~lost & ~hole], u[~lost & ~hole]))
+        frames.append(read_frame(tmp_path / "a.csv"))
+    samples = frames_on_lattice(frames, spacing=2.5, radius=radius)
+    np.testing.assert_array_equal(samples.x, BIG[~hole])
+    unseen = ~samples.arrays[SEEN] if radius == 0 else np.array(losses)[:, ~hole]
+    np.testing.assert_array_equal(unseen, np.array(losses)[:, ~hole])
+    assert samples.interior.sum() > 10 * 13
+    for part, u in enumerate(samples.u, 1):
+        true = part * samples.x @ GRADIENT.T + 1e-3 * part * (samples.x - 20) ** 2
+        np.testing.assert_allclose(u, true, atol=1e-6)
 
 
 def test_scattered_points_are_fitted_locally(tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,6 +13,9 @@ from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.shown import as_table, in_rows
 
+SEEN = "seen"
+"""Array of frames that were measured: nodes whose displacement was, shape [S, N] bool; that of the
+others is filled in."""
 FIELDS = ("x", "u", "b", "interior", "outside")
 """Names that no array of samples may bear."""
 
@@ -129,6 +132,18 @@ class Samples:
         places: dict[str, Any] = {"x": (("node", "component"), self.x, {"units": length})}
         places["interior"] = ("node", self.interior)
         return xarray.Dataset(held, coords=places, attrs={"spacing": self.spacing})
+
+
+def part(samples: Samples, which: Any) -> Samples:
+    """Some of the samples, with what belongs to them."""
+    arrays = {name: values[which] for name, values in samples.arrays.items()}
+    b = None if samples.b is None else samples.b[which]
+    return replace(samples, u=samples.u[which], b=b, arrays=arrays)
+
+
+def seen_of(samples: Samples) -> np.ndarray:
+    """Nodes whose displacement was seen, shape [S, N] bool: all where nothing says otherwise."""
+    return checked(SEEN, samples.arrays.get(SEEN, np.ones(samples.u.shape[:2], bool)), bool)
 
 
 PointsLike: TypeAlias = Points | Samples

@@ -20,8 +20,9 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
 from warp_peri.sources.tables import factors, read_table
 
@@ -33,6 +34,10 @@ ON_LATTICE = 0.02
 """Points this near to lattice nodes, in spacings, are taken as those nodes."""
 APART = 0.1
 """How far, in spacings, points of two frames may lie apart that are the same."""
+OFTEN = 0.5
+"""Part of the frames that see a node of the sheet; the others may have lost it."""
+OWN, FILLED, AROUND = 0.75, 2.5, 12
+"""How near a node, in spacings, its own point is, and points that fill it in; so many do."""
 FOURTH = 70**0.5
 """Standard deviation of a fourth difference of independent noise of one."""
 
@@ -102,7 +107,10 @@ def frames_on_lattice(
     units: Units | str | None = None,
     positions: str | None = None,
 ) -> Samples:
-    """All frames on the nodes that every frame has, with the collar that a model needs.
+    """All frames on the nodes that most of them have, with the collar that a model needs.
+
+    A node that a frame lost is filled in there from the points around, which the array SEEN tells:
+    fits do not look at it.
 
     Args:
         frames: of one sheet.
@@ -142,25 +150,29 @@ def frames_on_lattice(
         )
     nodes = np.argwhere(np.ones(counts, bool))
     x = origin + step * nodes
-    fields = np.stack([on_nodes(frame, x, step, radius) for frame in frames])
-    there = np.isfinite(fields).all(axis=(0, 2))
+    each = [on_nodes(frame, x, step, radius) for frame in frames]
+    fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])
+    there = np.isfinite(fields).all(axis=(0, 2)) & (seen.mean(axis=0) >= OFTEN)
     if mask is not None:
         from matplotlib.path import Path as Polygon
 
-        there &= Polygon(np.asarray(mask, float)).contains_points(x, radius=1e-9 * step)
+        there &= Polygon(checked("mask", mask, shape=("M", 2))).contains_points(
+            x, radius=1e-9 * step
+        )
     grid = there.reshape(counts)
     a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
     ball = a**2 + b**2 <= reach**2
     interior = binary_erosion(binary_erosion(grid, ball), ball).ravel()[there]
     if not interior.any():
-        seen = np.isfinite(fields).all(axis=2).sum(axis=1)
+        count = seen.sum(axis=1)
         raise InputError(
-            f"frames: expected nodes with all nodes within {2 * reach} spacings around them in "
-            f"every frame, got none; {frames[seen.argmin()].name} has {seen.min()} nodes of "
-            f"{len(x)}, {frames[seen.argmax()].name} has {seen.max()}"
+            f"frames: expected nodes with all nodes within {2 * reach} spacings around them, got "
+            f"none; {frames[count.argmin()].name} has {count.min()} nodes of {len(x)}, "
+            f"{frames[count.argmax()].name} has {count.max()}"
         )
     points = Points(x[there], interior, step, units=named)
-    return Samples(points, fields[:, there])
+    seen = seen[:, there]
+    return Samples(points, fields[:, there], arrays={} if seen.all() else {SEEN: seen})
 
 
 def frames_of_folder(
@@ -255,29 +267,44 @@ def spacing_of(x: np.ndarray) -> float:
     return step
 
 
-def on_nodes(frame: SheetFrame, x: np.ndarray, step: float, radius: float) -> np.ndarray:
-    """Displacement on nodes, NaN where there are too few points, shape [N, 2]."""
+def on_nodes(
+    frame: SheetFrame, x: np.ndarray, step: float, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement on nodes, shape [N, 2], and where it was seen, [N].
+
+    What was not is filled in from the points around; NaN where they are too few.
+    """
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)
     fitted = np.full(x.shape, np.nan)
-    near = distance <= ON_LATTICE * step
-    if radius <= 0:
-        fitted[near] = frame.u[nearest[near]]
-        if near.sum() >= 0.5 * len(frame.x):
-            return fitted
-        radius = 1.6
-    for n, members in enumerate(tree.query_ball_point(x, radius * step * (1 + 1e-9))):
-        if len(members) < 8:
-            continue
-        local = (frame.x[members] - x[n]) / step
-        weight = np.exp(-(local**2).sum(axis=1) / radius**2)
-        p, q = local.T
-        design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1)
-        scaled = design * weight[:, None]
-        if np.linalg.matrix_rank(scaled, tol=1e-6) == 6:
-            surface, *_ = np.linalg.lstsq(scaled, frame.u[members] * weight[:, None], rcond=None)
-            fitted[n] = surface[0]
-    return fitted
+    seen = distance <= ON_LATTICE * step
+    points = radius <= 0 and seen.sum() >= 0.5 * len(frame.x)
+    if points:
+        fitted[seen] = frame.u[nearest[seen]]
+    radius = radius or 1.6
+    for n in np.flatnonzero(np.isnan(fitted[:, 0]) & (distance <= FILLED * step)):
+        around = tree.query_ball_point(x[n], radius * step * (1 + 1e-9))
+        value = surface(frame, around, x[n], step, radius) if len(around) >= 8 else None
+        if not points:
+            seen[n] = value is not None or distance[n] <= OWN * step
+        if value is None:
+            far, more = tree.query(x[n], min(AROUND, len(frame.x)))
+            value = surface(frame, more, x[n], step, max(radius, far.max() / step))
+        if value is not None:
+            fitted[n] = value
+    return fitted, seen & np.isfinite(fitted[:, 0])
+
+
+def surface(
+    frame: SheetFrame, members: Sequence[int], x: np.ndarray, step: float, radius: float
+) -> np.ndarray | None:
+    """Displacement at a place by a quadratic surface through points; None where they tell none."""
+    p, q = local = (frame.x[members] - x).T / step
+    weight = np.exp(-(local**2).sum(axis=0) / radius**2)
+    design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) * weight[:, None]
+    if np.linalg.matrix_rank(design, tol=1e-6) < 6:
+        return None
+    return np.asarray(np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=None)[0][0])
 
 
 def noise_of(samples: Samples) -> np.ndarray:
