@@ -2,14 +2,20 @@
 
 import dataclasses
 import json
+from argparse import ArgumentParser
 
 import meshio
 import numpy as np
 import pytest
 
+import warp_peri as wp
+from tests.conformance.test_laws import finite, hyperelastic, third_order
 from tests.support.plates import plate
 from tests.support.problems import kernel
+from warp_peri.cli.arguments import solve
+from warp_peri.cli.commands import _solver
 from warp_peri.cli.main import main
+from warp_peri.statics.settings import PRECONDITIONERS
 
 
 @pytest.fixture
@@ -62,6 +68,12 @@ def test_a_plate_is_pulled(files, capsys):
         (["--hold", "up=0,0"], "part 'up': the outline has"),
         (["--hold", "left"], "hold: expected PART=number,number"),
         (["--hold", "left=0,0", "--out", "x.h5"], "expected a .vtu file"),
+        (["--hold", "left=0,0", "--hold", "left=1,0"], "hold: expected each part once"),
+        (["--hold", "left=0,0", "--method", "lu"], "method: expected with loads of a data file"),
+        (["--hold", "left=0,0", "--axis", "0"], "axis: expected with loads of a data file"),
+        (["--hold", "left=0,0", "--set", "val"], "set: expected with loads of a data file"),
+        (["--hold", "left=0,0", "--no-transfer"], "no-transfer: expected with loads"),
+        (["--hold", "left=0,0", "--units", "mm", "stone"], "stress_unit: expected one of"),
     ],
 )
 def test_bad_input_writes_nothing(files, capsys, words, message):
@@ -71,3 +83,41 @@ def test_bad_input_writes_nothing(files, capsys, words, message):
     assert main([str(word) for word in [*base, *out, *words]]) == 2
     assert message in capsys.readouterr().err
     assert {path for path in files.iterdir() if path.suffix != ".lock"} == before
+
+
+def test_a_second_option_adds_to_the_first_and_units_are_told(files, capsys):
+    base = ["solve", files / "model.json", "--body", files / "plate.msh", "--json"]
+    held = ["--hold", "left=0,0", "--hold", "right=0.1,-"]
+    found = []
+    for n, units in enumerate([[], ["--units", "angstrom", "GPa"]]):
+        words = [*base, *held, *units, "--out", files / f"{n}.vtu"]
+        assert main([str(word) for word in words]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert [one["units"] for one in found] == [["angstrom", "TPa"], ["angstrom", "GPa"]]
+    assert found[0]["largest_displacement"] >= 0.1
+    assert found[1]["largest_stress"] == pytest.approx(1e3 * found[0]["largest_stress"], rel=1e-6)
+    assert found[1]["largest_displacement"] == pytest.approx(found[0]["largest_displacement"])
+
+
+def test_a_material_that_bodies_are_not_of_is_refused(files, capsys):
+    for material in (hyperelastic(), finite()):
+        material.save(files / "other.json")
+        words = ["solve", files / "other.json", "--body", files / "plate.msh", "--hold", "left=0,0"]
+        assert main([str(word) for word in [*words, "--out", files / "new.vtu"]]) == 2
+        assert "error: solve: expected a linear material for a Body" in capsys.readouterr().err
+
+
+def test_a_method_is_of_linear_solids_and_body_options_are_of_bodies(files, capsys):
+    third_order(None)().save(files / "bent.json")
+    data = ["solve", files / "bent.json", files / "data.h5", "--out", files / "new.h5"]
+    with pytest.raises(SystemExit):
+        main([str(word) for word in [*data, "--method", "nonsense"]])
+    assert "invalid choice: 'nonsense'" in capsys.readouterr().err
+    assert main([str(word) for word in [*data, "--pull", "right=1,0"]]) == 2
+    assert "pull: expected with --body MESH" in capsys.readouterr().err
+    with pytest.raises(wp.InputError, match="expected auto for a NonlinearModel"):
+        _solver("lu", third_order(None)())
+    parser = ArgumentParser()
+    solve(parser)
+    (method,) = (action for action in parser._actions if action.dest == "method")
+    assert set(method.choices) == {"auto", "lu", "gmres", *PRECONDITIONERS}

@@ -227,7 +227,7 @@ def test_runs_that_would_record_nothing_are_refused():
     body = pulled()
     dt = 0.4 * body.longest_step
     for options, words in (
-        ({"every": 0}, "every: expected a whole number > 0"),
+        ({"every": 0}, "every: expected a whole number ≥ 1"),
         ({"checkpoint_every": -1}, "checkpoint_every: expected"),
         ({"regions": {"far": body.body.x[:, 0] > 1e3}}, "'far' of shape .* with 0"),
         ({"regions": {"few": np.ones(3, bool)}}, "'few' of shape"),

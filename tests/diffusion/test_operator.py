@@ -177,8 +177,13 @@ def test_fields_that_do_not_fit_are_refused():
     ):
         with pytest.raises(InputError, match="expected finite values"):
             call()
-    for step, steps in ((np.inf, 1), (0.0, 1), (0.1, -1)):
-        with pytest.raises(InputError, match="step: expected a number > 0"):
+    for step, steps, words in (
+        (np.inf, 1, "step: expected a number > 0"),
+        (0.0, 1, "step: expected a number > 0"),
+        (0.1, -1, "steps: expected a whole number ≥ 0"),
+        (0.1, 1.5, "steps: expected a whole number ≥ 0"),
+    ):
+        with pytest.raises(InputError, match=words):
             transient(operator, phi, step, steps)
 
 

@@ -143,7 +143,7 @@ def test_bad_input_is_refused():
             run_channel(flow, fluid, until=until, dt=1e-4, every=every)
     with pytest.raises(InputError, match="velocity gradient: expected shape"):
         fluid.advance(np.zeros((3, 4)), 1e-4)
-    with pytest.raises(InputError, match="check_every: expected 1"):
+    with pytest.raises(InputError, match="check_every: expected a whole number ≥ 1"):
         Closure(UpperConvectedMaxwell(), 1e-2, 3, check_every=0)
     particles = Particles(flow)
     x = particles._x.numpy()

@@ -9,7 +9,7 @@ from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.dumbbells import Dumbbells, propagator, rest_moment, stretched_rest
 from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
 from warp_peri.flow.planar import IDENTITY, elongation, shear
-from warp_peri.flow.protocols import held, mixed, read_trajectory, simulate
+from warp_peri.flow.protocols import Ensembles, held, mixed, read_trajectory, simulate
 from warp_peri.flow.twins import Twins
 from warp_peri.launch import set_threads, threads
 
@@ -101,6 +101,35 @@ def test_bad_input_is_refused():
         simulate(Dumbbells(2, 10), held(shear(np.ones(3)), 4), 0.1)
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"interval": 0.0}, "interval: expected a number > 0, got 0.0"),
+        ({"interval": -0.1}, "interval: expected a number > 0"),
+        ({"interval": np.nan}, "interval: expected a number > 0"),
+        ({"steps": -1}, "steps: expected a whole number ≥ 1, got -1"),
+        ({"steps": 1.5}, "steps: expected a whole number ≥ 1"),
+    ],
+)
+def test_a_protocol_without_time_or_steps_is_refused(given, words):
+    K = held(shear(np.ones(2)), 4)
+    with pytest.raises(InputError, match=words):
+        simulate(Dumbbells(2, 10), K, **({"interval": 0.1} | given))
+
+
+def test_records_that_are_none_are_refused():
+    K, C = np.zeros((3, 1, 4)), np.ones((4, 1, 4))
+    Ensembles(0.1, K, C, C, 0)
+    for wrong, words in (
+        ((0.0, K, C, C, 10), "interval"),
+        ((0.1, K, C, C, -1), "count: expected a whole number ≥ 0"),
+        ((0.1, K, C[:3], C, 10), r"C: expected shape \[4, 1, 4\]"),
+        ((0.1, K, C, np.nan * C, 10), "S: expected finite values"),
+    ):
+        with pytest.raises(InputError, match=words):
+            Ensembles(*wrong)
+
+
 def test_a_stress_trajectory_of_another_simulator(tmp_path):
     tau, modulus = 2.0, 5.0
     t = np.arange(0, 8, 0.4)
@@ -115,6 +144,10 @@ def test_a_stress_trajectory_of_another_simulator(tmp_path):
     np.savetxt(tmp_path / "run.csv", table[:, :4], delimiter=",")
     with pytest.raises(InputError, match="9 columns"):
         read_trajectory(tmp_path / "run.csv", tau, modulus, 1000)
+    for n, name in enumerate(("relaxation_time", "modulus", "count")):
+        wrong = [0 if n == m else value for m, value in enumerate((tau, modulus, 1000))]
+        with pytest.raises(InputError, match=f"{name}: expected"):
+            read_trajectory(tmp_path / "run.csv", *wrong)
 
 
 @pytest.mark.parametrize(("K", "cut"), [(shear(0.5), 40), (elongation(0.3), 30), (shear(8.0), 3)])

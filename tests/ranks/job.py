@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 
 import warp_peri as wp
+from tests.conformance.test_laws import dressed
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.models.nonlinear import NonlinearModel
@@ -191,6 +192,51 @@ def carried():
     return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
 
 
+def unfit(checkpoint):
+    """Of what no number of processes may take, what each is told; None where it is solved."""
+    x = H * np.argwhere(np.ones((52, 52)))
+    away = np.abs(x - 8)
+    law, turned = solid(2), wp.micromodulus.tensors_of(solid(2), H)
+    near = fields(x)
+    gap, wild = np.array(near[0]), np.array(near[1])
+    gap[26 * 16] = np.nan
+    wild[0] = np.nan
+    whole = np.ones(len(x), bool)
+    cases = {
+        "missing": (law, away.max(axis=1) > H / 2, *near),
+        "slot": (law, ~((away[:, 0] < H / 2) & (away[:, 1] < 2)), *near),
+        "hole": (turned, (away**2).sum(axis=1) > (4 * H) ** 2, *near),
+        "of third order": (nonlinear(), away.max(axis=1) > H / 2, *near),
+        "doubled": (law, np.append(np.arange(len(x)), 400), *near),
+        "load": (law, whole, np.where(inside(x)[:, None], np.nan, near[0]), near[1]),
+        "displacement": (nonlinear(), whole, near[0], wild),
+        "uncertified": (replace(law, certified_on=()), whole, *near),
+        "axis": (turned, whole, *near),
+        "tolerance": (law, whole, *near),
+    }
+    told = {}
+    for name, (material, kept, b, u) in cases.items():
+        try:
+            axis = 17.0 if name == "axis" else 0.0
+            points = spread(wp.Points(x[kept], inside(x[kept]), H, axis=axis))
+            mine = points.number if hasattr(points, "number") else slice(None)
+            problem = wp.Dirichlet(points, b[kept][mine], u[kept][mine])
+            at = {"solver": wp.Krylov(tolerance=1e-17)} if name == "tolerance" else {}
+            kept_at = {"checkpoint": checkpoint} if at and hasattr(points, "number") else {}
+            wp.solve(material, problem, **at, **kept_at)
+            told[name] = None
+        except wp.InputError as error:
+            told[name] = str(error)
+    return told
+
+
+def transferred():
+    """A solid on a lattice other than its own, and which material has no rows on ranks."""
+    points = spread(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
+    law = wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=1.5, certified_on=(0.6,))
+    return whole(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
+
+
 def waves(points, folder):
     """A solid that swings: 15 steps, or 25 of which others have taken some."""
     b, u = fields(points.x)
@@ -284,6 +330,10 @@ def rest(folder):
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
+    found["unfit"] = unfit(folder / "unfit.h5")
+    there = transferred()
+    if comm.rank == 0:
+        np.save(folder / f"transferred_{comm.size}.npy", there)
     found["refused"] = []
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     for wrong in (
@@ -293,6 +343,7 @@ def rest(folder):
             solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
+        lambda: wp.solve(dressed(), wp.Dirichlet(sheet, *fields(sheet.x))),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
     ):
         try:

@@ -31,7 +31,9 @@ from tests.ranks.job import (
     scattered,
     small,
     solid,
+    transferred,
     uneven,
+    unfit,
     wide,
 )
 from warp_peri.ranks.tiles import cut
@@ -285,12 +287,32 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    one, edge, long, none, many = jobs[2]["refused"]
+    one, edge, long, none, rows, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
     assert edge.startswith("points: expected 4 nodes around the interior")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
+    assert rows.endswith("with third-order constants on ranks, got DressedSolid")
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_ranks_refuse_what_one_process_refuses(jobs, told_alone, count):
+    assert None not in told_alone.values()
+    assert [name for name, words in jobs[count]["unfit"].items() if words is None] == []
+
+
+@pytest.fixture(scope="module")
+def told_alone(folder):
+    return unfit(folder / "alone.h5")
+
+
+def test_a_solid_is_transferred_as_by_one_process(jobs, folder):
+    with pytest.warns(UserWarning, match="transferred from 0.6"):
+        alone = transferred()
+    for count in jobs:
+        there = np.load(folder / f"transferred_{count}.npy")
+        assert np.abs(there - alone).max() < 1e-7 * np.abs(alone).max()
 
 
 def test_a_crack_has_the_bits_of_one_process_and_goes_on_with_another_number(

@@ -16,11 +16,16 @@ def coarse_grain(command: ArgumentParser) -> None:
         "--force",
         required=True,
         nargs="+",
+        action="extend",
         type=Path,
         help="external forces on the atoms of each load [eV/Å], by id: .npz or .csv",
     )
     command.add_argument(
-        "--unloaded", nargs="+", type=Path, help="dump without load, one or one each"
+        "--unloaded",
+        nargs="+",
+        action="extend",
+        type=Path,
+        help="dump without load, one or one each",
     )
     command.add_argument("--out", required=True, type=Path, metavar="DATA.h5")
     command.add_argument("--set", default="train", help="name of the set in the file")
@@ -32,7 +37,11 @@ def coarse_grain(command: ArgumentParser) -> None:
     )
     command.add_argument("--box", type=float, nargs=2, help="periods of the atoms [Å]")
     command.add_argument(
-        "--mass", type=float, nargs="+", help="of atom types 1, 2, …; default: equal"
+        "--mass",
+        type=float,
+        nargs="+",
+        action="extend",
+        help="of atom types 1, 2, …; default: equal",
     )
     command.add_argument(
         "--thickness", type=float, help="of the sheet [Å]; default: the file's, or 3.35"
@@ -129,6 +138,7 @@ def learn(command: ArgumentParser) -> None:
     command.add_argument(
         "--hold",
         nargs="+",
+        action="extend",
         default=[],
         metavar="STRAIN",
         help="strains that are not relaxed, of xx yy zz yz xz xy, or all",
@@ -174,7 +184,9 @@ def dic(command: ArgumentParser) -> None:
 def certify(command: ArgumentParser) -> None:
     """A model, and lattices."""
     command.add_argument("model", type=Path, metavar="MODEL.json")
-    command.add_argument("--spacing", type=float, nargs="+", help="of the lattices [Å]")
+    command.add_argument(
+        "--spacing", type=float, nargs="+", action="extend", help="of the lattices [Å]"
+    )
 
 
 def evaluate(command: ArgumentParser) -> None:
@@ -226,18 +238,35 @@ def solve(command: ArgumentParser) -> None:
     )
     command.add_argument("--set", default="test")
     command.add_argument("--out", required=True, type=Path, help="SOLVED.h5; of a body SOLVED.vtu")
-    command.add_argument("--method", default="auto", help="of the solver")
+    command.add_argument(
+        "--method",
+        default="auto",
+        choices=("auto", "lu", "gmres", "multigrid", "sine", "strip"),
+        help="of the solver, for linear solids",
+    )
     _axis(command)
     body = command.add_argument_group("a body with an outline, in place of DATA.h5")
-    body.add_argument("--body", type=Path, metavar="MESH", help="a plane mesh in Å, as of Gmsh")
+    body.add_argument("--body", type=Path, metavar="MESH", help="a mesh, as of Gmsh")
     body.add_argument(
-        "--hold", nargs="+", default=[], metavar="PART=ux,uy", help="in Å; - leaves one free"
+        "--units",
+        nargs=2,
+        metavar=("LENGTH", "STRESS"),
+        help="of the mesh, what holds and pulls it, and of the answer; default: the model's, which "
+        "`info MODEL.json` says",
     )
-    body.add_argument("--pull", nargs="+", default=[], metavar="PART=tx,ty", help="in TPa")
+    for name, what in (("hold", "ux,uy"), ("pull", "tx,ty")):
+        body.add_argument(
+            f"--{name}",
+            nargs="+",
+            action="extend",
+            default=[],
+            metavar=f"PART={what}",
+            help="displacement; - leaves one free" if name == "hold" else "force per area",
+        )
     body.add_argument(
-        "--spacing", type=float, help="of the lattice inside [Å]; by default the coarsest that does"
+        "--spacing", type=float, help="of the lattice inside; by default the coarsest that does"
     )
-    body.add_argument("--overlap", type=float, help="of the elements and the lattice [Å]")
+    body.add_argument("--overlap", type=float, help="width that elements and lattice share")
     _uncertified(command)
 
 
@@ -276,8 +305,14 @@ def sweep(command: ArgumentParser) -> None:
     command.add_argument("--test", help="reported; takes no part in the choice")
     command.add_argument("--noise", help="set with fields of noise alone")
     units(command)
-    command.add_argument("--horizons", type=float, nargs="+", default=list(HORIZONS), help="δ [Å]")
-    command.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES), help="M")
+    for name, kind, default, what in (
+        ("--horizons", float, HORIZONS, "δ [Å]"),
+        ("--degrees", int, DEGREES, "M"),
+    ):
+        shown = " ".join(map(str, default))
+        command.add_argument(
+            name, type=kind, nargs="+", action="extend", help=f"{what}; default: {shown}"
+        )
     command.add_argument("--conditions", choices=("direct", "paper"), default="direct")
     command.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
 

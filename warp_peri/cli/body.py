@@ -8,32 +8,42 @@ from typing import Any
 
 import numpy as np
 
+import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
 from warp_peri.storage import load
 
+OF_DATA = {"method": "auto", "axis": None, "set": "test", "transfer": True}
+OF_BODY = {"hold": [], "pull": [], "spacing": None, "overlap": None, "units": None}
+"""Options of the two kinds of problem that mean nothing to the other, and their defaults."""
+
 
 def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     """A body in equilibrium: a VTU file of its mesh.
 
-    Raises InputError for a data file beside the body, or neither, and another ending than .vtu.
+    Raises InputError for a data file beside the body, or neither, options of a data file, a
+    material that bodies are not of, and another ending than .vtu.
     """
     from warp_peri.export import write_body
-    from warp_peri.statics.body import Coupling, solve_body
+    from warp_peri.statics.settings import Coupling  # loads Warp
 
     if given.body is None or given.data is not None:
         raise InputError("data, body: expected one of DATA.h5 and --body MESH")
+    refuse_options(given, OF_DATA, "loads of a data file, not of a body")
     if given.out.suffix != ".vtu":
         raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
-    solution = solve_body(
-        load(given.model),
+    material = load(given.model)
+    if given.units is not None:
+        material = material.in_units(tuple(given.units))
+    problem = warp_peri.Body(
         load(given.body),
-        displacement=_vectors("hold", given.hold),
-        traction=_vectors("pull", given.pull),
+        _vectors("hold", given.hold),
+        _vectors("pull", given.pull),
         coupling=Coupling(spacing=given.spacing, overlap=given.overlap),
-        allow_uncertified=given.allow_uncertified,
     )
+    asked = {"allow_uncertified": True} if given.allow_uncertified else {}
+    solution = warp_peri.solve(material, problem, **asked).details
     with locked(given.out):
         largest = write_body(given.out, solution)
         keep(given, given.out.with_suffix(".solve.toml"))
@@ -41,6 +51,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     return {
         "file": str(given.out),
         **largest,
+        "units": list(material.units),
         "spacing": solution.spacing,
         "horizon": solution.model.horizon,
         "lattice_nodes": 0 if solution.points is None else int(solution.points.interior.sum()),
@@ -52,9 +63,16 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def refuse_options(given: argparse.Namespace, of: dict[str, Any], whose: str) -> None:
+    """InputError for options that are set, apart from their defaults, and would do nothing."""
+    if idle := [name for name, default in of.items() if getattr(given, name) != default]:
+        words = ", ".join("no-transfer" if name == "transfer" else name for name in idle)
+        raise InputError(f"{words}: expected with {whose}")
+
+
 def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
     """PART=a,b or PART=a,b,c as vectors by part; "-" is no number."""
-    vectors = {}
+    vectors: dict[str, np.ndarray] = {}
     for word in words:
         name, _, numbers = word.rpartition("=")
         try:
@@ -65,5 +83,7 @@ def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
             raise InputError(
                 f"{option}: expected PART=number,number (,number in space), got {word!r}"
             )
+        if name in vectors:
+            raise InputError(f"{option}: expected each part once, got {name!r} twice")
         vectors[name] = np.array(pair)
     return vectors

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri.cli.body import run_solve_body
+from warp_peri.cli.body import OF_BODY, refuse_options, run_solve_body
 from warp_peri.cli.dic import run_dic as run_dic
 from warp_peri.cli.inputs import data_for
 from warp_peri.cli.learn import run_learn as run_learn
@@ -128,6 +128,7 @@ def run_solve(given: argparse.Namespace) -> Result:
     """Displacement under the loads of a set, or of a body with an outline, in a file."""
     if given.body is not None or given.data is None:
         return run_solve_body(given)
+    refuse_options(given, OF_BODY, "--body MESH, not a data file")
     model = load(given.model)
     data = data_for(given, model)
     points = data[given.set]
@@ -159,8 +160,11 @@ def _solver(name: str, material: Any) -> Any:
     """Settings of a solver by the name they have on the command line; nonlinear laws have one."""
     from warp_peri.statics.settings import Direct, Krylov  # loads Warp
 
-    if name == "auto" or linear_of(material) is not material:
+    if name == "auto":
         return None
+    if not hasattr(material, "linear") or material.linear is not material:
+        kind = type(material).__name__
+        raise InputError(f"method: expected auto for a {kind}, which has one, got {name!r}")
     return Direct(name == "gmres") if name in ("lu", "gmres") else Krylov(name)
 
 

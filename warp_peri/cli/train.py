@@ -17,6 +17,7 @@ from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
+from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
@@ -218,8 +219,8 @@ def run_sweep(given: argparse.Namespace) -> Result:
         given.out,
         test=data[given.test] if given.test else None,
         noise=data[given.noise] if given.noise else None,
-        horizons=given.horizons,
-        degrees=given.degrees,
+        horizons=given.horizons or list(HORIZONS),
+        degrees=given.degrees or list(DEGREES),
         conditions=given.conditions,
         jobs=given.jobs,
         progress=not given.json,

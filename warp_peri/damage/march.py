@@ -21,6 +21,7 @@ from warp_peri.damage.paraview import Series
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
+from warp_peri.points.arrays import check_whole
 
 _ARRAYS = ("u", "v", "links", "force", "energy", "work")
 LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
@@ -153,9 +154,8 @@ class CrackRun:
         allow_unstable: bool = False,
     ) -> None:
         check_step(body, step, allow_unstable=allow_unstable)
-        for name, count in (("every", every), ("checkpoint_every", checkpoint_every)):
-            if not (isinstance(count, (int, np.integer)) and count > 0):
-                raise InputError(f"{name}: expected a whole number > 0, got {count!r}")
+        check_whole("every", every, 1)
+        check_whole("checkpoint_every", checkpoint_every, 1)
         self.body, self.dt, self.every = body, float(step), int(every)
         self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
         for name, mask in self.regions.items():

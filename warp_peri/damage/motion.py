@@ -28,6 +28,7 @@ from warp_peri.damage.stability import (
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
+from warp_peri.points.arrays import check_positive
 
 
 @dataclass(eq=False)
@@ -245,8 +246,7 @@ def energy_of_toughness(toughness: float, body: LatticeBody) -> float:
 
 def check_step(body: BreakingBody, dt: float, *, allow_unstable: bool = False) -> None:
     """Refuse, or warn about, a step beyond what is proven stable under any breaking."""
-    if not (isinstance(dt, (int, float, np.number)) and 0 < dt < np.inf):
-        raise InputError(f"step: expected a number > 0, got {dt!r}")
+    check_positive("step", dt)
     if dt <= body.longest_step:
         return
     message = (

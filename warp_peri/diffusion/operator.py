@@ -18,6 +18,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
+from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.series import mean_inverse
@@ -269,11 +270,8 @@ class DiffusionOperator:
 
 def check_steps(step: float, steps: int) -> None:
     """Raise InputError for what is no step of time, or no number of them."""
-    if not (0 < step < np.inf and isinstance(steps, (int, np.integer)) and steps >= 0):
-        raise InputError(
-            f"step: expected a number > 0 and a whole number of steps ≥ 0, got {step} and {steps}; "
-            "`solve` finds the state at rest"
-        )
+    check_positive("step", step)
+    check_whole("steps", steps, 0)
 
 
 def _bonds_of(families: Families) -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.models.lps import lps_stencil
+from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
@@ -52,7 +53,7 @@ def critical_time_step(
     Raises InputError for a model certified on no lattice, a horizon below one spacing, a
     density not > 0.
     """
-    _positive("density", density)
+    check_positive("density", density)
     if hasattr(model, "stiffest_wave"):
         heavy = inertia(density, model.units)
         return float(2 * np.sqrt(heavy / _of_tensors(model, spacing, allow_uncertified)))
@@ -240,10 +241,9 @@ def checked(
             raise InputError(
                 f"{name}: expected finite values of shape {list(shape)}, got {list(field.shape)}"
             )
-    _positive("step", step)
-    for name, number in (("steps", steps), ("every", every)):
-        if not (isinstance(number, (int, np.integer)) and number >= 1):
-            raise InputError(f"{name}: expected a whole number ≥ 1, got {number!r}")
+    check_positive("step", step)
+    check_whole("steps", steps, 1)
+    check_whole("every", every, 1)
     return arrays
 
 
@@ -267,8 +267,3 @@ def refuse_longer(step: float, longest: float) -> None:
             f"step: expected at most {longest:.6g} ps (2/ω of the stiffest wave), got {step:.6g} "
             "ps, at which waves may grow without bound"
         )
-
-
-def _positive(name: str, value: float) -> None:
-    if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
-        raise InputError(f"{name}: expected a number > 0, got {value!r}")

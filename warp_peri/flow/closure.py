@@ -18,6 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import Law
 from warp_peri.flow.planar import IDENTITY
+from warp_peri.points.arrays import check_positive, check_whole
 
 March = Callable[[np.ndarray, np.ndarray, float, int], np.ndarray]
 """C after some steps of Heun's rule: of K [n, 4], C [n, 4], relaxation times a step, steps."""
@@ -71,10 +72,8 @@ class Closure:
     """
 
     def __init__(self, law: Law, De: float, n: int, *, check_every: int = 10) -> None:
-        if not (math.isfinite(De) and De > 0):
-            raise InputError(f"De: expected a number above 0, got {De}")
-        if check_every < 1:
-            raise InputError(f"check_every: expected 1 step or more, got {check_every}")
+        check_positive("De", De)
+        check_whole("check_every", check_every, 1)
         self.law, self.De, self.check_every = law, De, check_every
         self.C = np.tile(law.rest, (n, 1))
         self.steps = 0

@@ -20,6 +20,7 @@ from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.planar import IDENTITY
+from warp_peri.points.arrays import check_positive, check_whole, checked
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,9 @@ class Ensembles:
         C: ⟨q q⟩, shape [T + 1, m, 4].
         S: ⟨q q f⟩, the same for Hookean dumbbells; the stress is S − I.
         count: dumbbells in an ensemble, 0 for exact moments.
+
+    Raises InputError for an interval that is not positive, a count below 0, and moments of other
+    shapes or that are not finite.
     """
 
     interval: float
@@ -39,6 +43,13 @@ class Ensembles:
     C: np.ndarray
     S: np.ndarray
     count: int
+
+    def __post_init__(self) -> None:
+        check_positive("interval", self.interval)
+        check_whole("count", self.count, 0)
+        T, m, _ = checked("K", self.K, float, ("T", "m", 4)).shape
+        for name in ("C", "S"):
+            checked(name, getattr(self, name), float, (T + 1, m, 4))
 
     @property
     def stress(self) -> np.ndarray:
@@ -70,8 +81,7 @@ def mixed(m: int, intervals: int, largest: float, *, hold: int = 10, seed: int =
 
     Raises InputError for a `largest` that is not positive.
     """
-    if not (np.isfinite(largest) and largest > 0):
-        raise InputError(f"largest gradient: expected a number above 0, got {largest}")
+    check_positive("largest gradient", largest)
     random = np.random.default_rng(seed)
     pieces = -(-intervals // hold)
     drawn = random_planar(pieces * m, largest, random).reshape(pieces, m, 4)
@@ -98,8 +108,11 @@ def simulate(
             with the same bits.
         progress: whether to show a bar.
 
-    Raises InputError for a protocol of another shape, or a checkpoint of another run.
+    Raises InputError for a protocol of another shape, an interval that is not positive, steps below
+    1, or a checkpoint of another run.
     """
+    check_positive("interval", interval)
+    check_whole("steps", steps, 1)
     K = np.asarray(K, dtype=float)
     if K.ndim != 3 or K.shape[1:] != (dumbbells.ensembles, 4):
         raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
@@ -163,8 +176,12 @@ def read_trajectory(
         count: molecules, which set the noise.
 
     C is given as S: a stress trajectory does not know the conformation. Raises InputError for a
-    file that cannot be read, other columns, or times that are not equally spaced.
+    file that cannot be read, other columns, times that are not equally spaced, a time or modulus
+    that is not positive, and a count below 1.
     """
+    check_positive("relaxation_time", relaxation_time)
+    check_positive("modulus", modulus)
+    check_whole("count", count, 1)
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:

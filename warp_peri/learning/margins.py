@@ -18,6 +18,7 @@ import warp as wp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
+from warp_peri.core.once import differentiable_once
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import assemble
 from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
@@ -43,10 +44,12 @@ class _Values(torch.autograd.Function):
         numbers = [tensor.detach().numpy() for tensor in inputs]
         values, slopes = evaluate(*numbers)
         ctx.slopes = torch.from_numpy(slopes)
+        ctx.save_for_backward(*inputs)
         ctx.sizes = [tensor.numel() for tensor in inputs]
         return torch.from_numpy(values)
 
     @staticmethod
+    @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         kappa, *rest = torch.split(upstream[0] @ ctx.slopes, ctx.sizes)
         return None, kappa.reshape(()), *rest

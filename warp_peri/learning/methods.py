@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from warp_peri.errors import InputError
 from warp_peri.learning.options import METHODS
 from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.points.arrays import check_whole
 from warp_peri.regression.settings import Optimum
 
 PARAMETRISATIONS = ("projected", "relu")
@@ -33,7 +32,7 @@ class Bernstein:
     two_functions: bool = False
 
     def __post_init__(self) -> None:
-        _check_whole("degree", self.degree)
+        check_whole("degree", self.degree, 0)
 
 
 Kernel: TypeAlias = Bernstein | InfluenceFunction | Sequence[InfluenceFunction]
@@ -77,7 +76,7 @@ class TwoStage:
                     f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"
                 )
         for name in ("seed", "epochs", "inner_epochs", "outer_iterations"):
-            _check_whole(name, getattr(self, name))
+            check_whole(name, getattr(self, name), 0)
         if self.lattice_spacing is not None and self.constraints == "dense":
             raise InputError("lattice_spacing: goes with constraints='symbol', got 'dense'")
 
@@ -106,8 +105,3 @@ def named(name: str, **settings: Any) -> Method:
         return Optimum()
     first = TwoStage(**settings)
     return first if name == "two-stage" else Constrained(first)
-
-
-def _check_whole(name: str, value: Any) -> None:
-    if not (isinstance(value, (int, np.integer)) and value >= 0):
-        raise InputError(f"{name}: expected a whole number ≥ 0, got {value!r}")

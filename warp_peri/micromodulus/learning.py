@@ -22,7 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus import fields
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import law_of, solved
-from warp_peri.points.arrays import is_positive
+from warp_peri.points.arrays import check_positive
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
@@ -71,8 +71,7 @@ def fit(
     axes = lattice_steps(samples.points)[1]
     d = len(axes)
     turn = np.eye(d) if orientation is None else axes.T @ checked_orientation(orientation, d)
-    if not is_positive(horizon):
-        raise InputError(f"horizon: expected a number > 0, got {horizon!r:.60}")
+    check_positive("horizon", horizon)
     if not (moduli is None or isinstance(moduli, str)):
         moduli = from_voigt(moduli)
         if len(moduli) != d:

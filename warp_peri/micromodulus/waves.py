@@ -31,7 +31,7 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.regression import Learned, compressed, learn
-from warp_peri.points.arrays import is_positive
+from warp_peri.points.arrays import check_positive
 from warp_peri.points.unit_names import USUAL, Units, factors, symbols
 
 FLOOR = 0.3
@@ -154,9 +154,8 @@ def from_phonons(
 
     Returns a law with its certificate. Raises InputError for a crystal that is not stable.
     """
-    for what, value in (("spacing", spacing), ("horizon", horizon)):
-        if not is_positive(value):
-            raise InputError(f"{what}: expected a number > 0, got {value!r}")
+    check_positive("spacing", spacing)
+    check_positive("horizon", horizon)
     d = atoms.dimension
     length, stress = factors(units, USUAL)
     turn = checked_orientation(orientation, d)
@@ -271,9 +270,9 @@ def transferred(
 
     Returns a law with its certificate. Raises InputError where the symbol is not positive.
     """
-    for what, value in (("spacing", spacing), ("horizon", horizon)):
-        if not (is_positive(value) or (value is None and what == "horizon")):
-            raise InputError(f"{what}: expected a number > 0, got {value!r:.60}")
+    check_positive("spacing", spacing)
+    if horizon is not None:
+        check_positive("horizon", horizon)
     d = law.dimension
     turn = checked_orientation(rotation, d)
     orientation = turn @ law.orientation

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.special import comb
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import check_whole
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -26,8 +27,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
         horizon: δ [Å].
         degree: M from 0 to LARGEST_DEGREE.
     """
-    if not (isinstance(degree, (int, np.integer)) and degree >= 0):
-        raise InputError(f"degree: expected a whole number ≥ 0, got {degree}")
+    check_whole("degree", degree, 0)
     if degree > LARGEST_DEGREE:
         raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
     t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from warp_peri.errors import InputError
+
 
 @dataclass(frozen=True, eq=False)
 class Solid:
@@ -20,6 +24,8 @@ class Solid:
         D: Bernstein coefficients, shape [M + 1].
         D_dilatation: those of the dilatation's own influence function, of any degree; None when it
             shares that of D.
+
+    Raises InputError where λ, μ or α is no single number.
     """
 
     lam: Any
@@ -27,6 +33,13 @@ class Solid:
     alpha: Any
     D: Any
     D_dilatation: Any = None
+
+    def __post_init__(self) -> None:
+        for name in ("lam", "mu", "alpha"):
+            if np.prod(shape := np.shape(getattr(self, name))) != 1:
+                raise InputError(
+                    f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
+                )
 
     @property
     def dilatation(self) -> Any:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from torch.autograd.function import once_differentiable
 
+from warp_peri.core.once import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.kernels.neural.sweeps import sweeps
 from warp_peri.launch import floats, ints, launch_slices
@@ -205,7 +205,7 @@ class Gather(torch.autograd.Function):
         return e[:, : bonds.acting].contiguous(), bonds.average(e, share)
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(
         context: Any, by_e: torch.Tensor, by_theta: torch.Tensor
     ) -> tuple[torch.Tensor | None, torch.Tensor | None, None]:
@@ -231,7 +231,7 @@ class Scatter(torch.autograd.Function):
         return bonds.area * bonds.pull(u, tension, "rows")
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(
         context: Any, seed: torch.Tensor
     ) -> tuple[torch.Tensor | None, torch.Tensor | None, None]:

@@ -14,7 +14,7 @@ import torch
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Bonds
 from warp_peri.neural.networks import evaluate, network
-from warp_peri.points.arrays import is_positive
+from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 from warp_peri.shown import as_table, in_rows
@@ -90,9 +90,8 @@ class Operator(torch.nn.Module):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        for name, value in (("horizon", horizon), ("strain", strain)):
-            if not is_positive(value):
-                raise InputError(f"{name}: expected a number > 0, got {value!r}")
+        check_positive("horizon", horizon)
+        check_positive("strain", strain)
         for name, widths in (("influence", influence), ("state", state)):
             whole = np.shape(widths) == (2,) and all(is_positive(w) and w % 1 == 0 for w in widths)
             if not (whole and max(widths) <= WIDEST):
@@ -186,12 +185,8 @@ class Operator(torch.nn.Module):
 
         Raises InputError for a stretch that is none, and lengths below 1.
         """
-        for name, value in (
-            ("strain", self.strain if strain is None else strain),
-            ("lengths", lengths),
-        ):
-            if not is_positive(value):
-                raise InputError(f"{name}: expected a number > 0, got {value!r}")
+        check_positive("strain", self.strain if strain is None else strain)
+        check_positive("lengths", lengths)
         line = torch.linspace(0, self.horizon, COUNT + 1, dtype=torch.float64)[1:]
         grid = torch.cat([-line.flip(0), line])
         exact = copy.deepcopy(self).double()

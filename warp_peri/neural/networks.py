@@ -6,7 +6,8 @@ import itertools
 from typing import Any
 
 import torch
-from torch.autograd.function import once_differentiable
+
+from warp_peri.core.once import differentiable_once
 
 CHUNK = 2048
 """Bonds at once: their hidden layers stay in a processor's cache."""
@@ -47,7 +48,7 @@ class _Chunks(torch.autograd.Function):
         return torch.cat(out).add_(numbers[5])
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(context: Any, seed: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         x, W1, b1, W2, b2, W3, _, *hidden = context.saved_tensors
         learns = any(context.needs_input_grad[1:])

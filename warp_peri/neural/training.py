@@ -20,7 +20,7 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.neural.frames import RENEWED, Frames
 from warp_peri.neural.interpolation import CELLS, interpolated_force
 from warp_peri.neural.material import Operator
-from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.samples import Samples
 
 FIRST = 7
@@ -53,11 +53,8 @@ class Training:
 
     def __post_init__(self) -> None:
         for name, least in (("epochs", 1), ("batch", 1), ("cells", 0), ("seed", 0)):
-            value = getattr(self, name)
-            if not (is_number(value) and value >= least and value % 1 == 0):
-                raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r}")
-        if not is_positive(self.rate):
-            raise InputError(f"rate: expected a number > 0, got {self.rate!r}")
+            check_whole(name, getattr(self, name), least)
+        check_positive("rate", self.rate)
 
 
 @dataclass

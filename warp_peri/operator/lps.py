@@ -9,8 +9,8 @@ from typing import Any, overload
 import numpy as np
 import torch
 import warp as wp
-from torch.autograd.function import once_differentiable
 
+from warp_peri.core.once import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.models.lps import Model
@@ -45,7 +45,7 @@ class _Force(torch.autograd.Function):
         return Lu
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         inputs = ctx.saved_tensors  # an error where one was changed in place since
         seed = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.bonds.vec)
@@ -158,6 +158,7 @@ class NodeOperator:
             Lu = lps_force(self.bonds, tensor, solid)
         else:
             check_field(self.bonds, tensor)
+            refuse_tangents(tensor)
             fields = tensor.detach().reshape(-1, *tensor.shape[-2:]).contiguous()
             vectors: Any = wp.from_torch(fields, dtype=self.bonds.vec)
             made = self._tabulated(vectors, solid)
@@ -179,6 +180,7 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
     derivative to λ is zero: (42) is a function of μ.
     """
     check_field(bonds, u)
+    refuse_tangents(u, *solid.values())
     numbers = [
         torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1)
         for value in solid.values()

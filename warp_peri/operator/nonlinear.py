@@ -10,8 +10,8 @@ import scipy.sparse as sp
 import torch
 import warp as wp
 from numpy.typing import ArrayLike
-from torch.autograd.function import once_differentiable
 
+from warp_peri.core.once import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.models.influence import bernstein_basis
@@ -50,7 +50,7 @@ class _Force(torch.autograd.Function):
         return force
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         _ = ctx.saved_tensors  # an error where one was changed in place since
         g = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.sweeps.kernels.vec)

@@ -70,6 +70,18 @@ def is_positive(value: Any) -> bool:
     return is_number(value) and 0 < value < np.inf
 
 
+def check_positive(name: str, value: Any) -> None:
+    """Raise InputError for what is no number above zero, and finite."""
+    if not is_positive(value):
+        raise InputError(f"{name}: expected a number > 0, got {value!r:.60}")
+
+
+def check_whole(name: str, value: Any, least: int) -> None:
+    """Raise InputError for what is no whole number from `least` on."""
+    if not (is_number(value) and value >= least and value % 1 == 0):
+        raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r:.60}")
+
+
 def is_name(name: Any) -> bool:
     """Whether HDF5 takes it as the name of one thing."""
     return isinstance(name, str) and name not in ("", ".") and "/" not in name

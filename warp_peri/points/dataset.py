@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import is_name, is_positive
+from warp_peri.points.arrays import check_positive, is_name
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols
 from warp_peri.shown import as_table, in_rows
@@ -33,9 +33,7 @@ class Dataset:
 
     def __post_init__(self) -> None:
         for name in ("thickness", "density"):
-            value = getattr(self, name)
-            if not is_positive(value):
-                raise InputError(f"{name}: expected a number > 0, got {value!r}")
+            check_positive(name, getattr(self, name))
         if not self.sets:
             raise InputError("expected at least one point set, got none")
         for name in self.sets:

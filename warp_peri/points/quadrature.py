@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import beta
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import check_whole
 
 DEGREE = 5
 SINGULARITY = 3
@@ -82,8 +83,7 @@ def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.n
 
     Raises InputError for a degree that is no whole number ≥ 2.
     """
-    if not (isinstance(degree, (int, np.integer)) and degree >= SINGULARITY - 1):
-        raise InputError(f"quadrature degree: expected a whole number ≥ 2, got {degree!r}")
+    check_whole("quadrature degree", degree, SINGULARITY - 1)
     lowest = SINGULARITY + 1 - dimension
     powers = [p for n in range(lowest, degree + 1) for p in _monomials(n, dimension)]
     return powers, np.array([ball_integral(p, SINGULARITY) for p in powers])

@@ -14,14 +14,16 @@ from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.states import tensors_of
+from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.petsc import PetscCycle
-from warp_peri.ranks.processes import agreed, build
+from warp_peri.ranks.processes import agreed, build, in_turn
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.multigrid import coarser
+from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
@@ -57,6 +59,7 @@ class RowOperator:
         self.mask.flat[self._place[piece.interior]] = True
         with agreed(comm):
             self._check()
+        self._check_whole()
         build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
         tensors = law.tensors * law.spacing**2
         scale = law.spacing**-2
@@ -82,16 +85,29 @@ class RowOperator:
         check_same(law.units, piece.units)
         if self.proven is None:
             raise InputError("material: expected one that is proven stable on the lattice")
-        if abs(law.spacing / piece.spacing - 1) > 1e-6:
-            raise InputError(
-                f"spacing: the law is for {law.spacing:g}, the points have {piece.spacing:g}"
-            )
         inside = piece.grid[piece.interior]
         most = np.array(self._tiles.shape) - 1
         if len(inside) and min(inside.min(), (most - inside).min()) < self.reach:
             raise InputError(
                 f"points: expected {self.reach} nodes around the interior, whose displacement is "
                 f"given, in a box of {self._tiles.shape}"
+            )
+
+    def _check_whole(self) -> None:
+        """InputError where nodes are missing within the law's reach of an unknown one."""
+        piece, law, d = self.points, self.model, self.dimension
+        if piece.count == np.prod(self._tiles.shape):
+            return
+        bonds = np.broadcast_to(np.eye(d), (len(law.steps), d, d))
+        count = Convolution(
+            piece.comm, self._tiles, self.reach, lambda torus: torus_symbol(torus, law.steps, bonds)
+        )
+        there = self.take_up(count(self.lay_out(np.ones_like(piece.x))))
+        cut = int(np.abs(there[piece.interior, 0]).round().astype(bool).sum())
+        if cut := sum(piece.comm.allgather(cut)):
+            raise InputError(
+                f"points: expected all bonds of every interior node on ranks, got {cut} nodes with "
+                "cut bonds"
             )
 
     @property
@@ -161,9 +177,16 @@ class RowOperator:
             found, record = self.inverted(right, tolerance)
             return given + self.take_up(found), record
         start, norm, record = kept.start(), self.inner().norm, SolveRecord()
+        last = np.inf
         inside, size = self.points.interior[:, None], norm(right)
         found = self.lay_out(np.where(inside, 0.0 if start is None else start, 0.0))
         while (left := norm(rest := right - self.product(found))) > tolerance * size:
+            if not left < last:
+                raise InputError(
+                    f"tolerance: {tolerance:.1e} of the load was asked for, the residual stays at "
+                    f"{last / size:.1e}, which is rounding"
+                )
+            last = left
             more, part = self.inverted(rest, max(tolerance * size / left, STAGE))
             found += more
             record.iterations += part.iterations
@@ -199,8 +222,23 @@ class RowOperator:
 
 
 def tensors_at(linear: Any, piece: Piece) -> Crystal:
-    """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks."""
+    """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks.
+
+    A linear solid is transferred as `model_at` does. Raises InputError as that, and for a crystal
+    as Crystal.fitting does.
+    """
+    if isinstance(linear, Crystal):
+        x, inside = one_node(piece.dimension, piece.spacing, linear.horizon)
+        with agreed(piece.comm):
+            linear.fitting(Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis))
+        return linear
+    here = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
     with shared_by(piece.comm):
-        law = linear if hasattr(linear, "tensors") else tensors_of(linear, piece.spacing)
-    assert isinstance(law, Crystal)
-    return law
+        return tensors_of(here, piece.spacing)
+
+
+def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """A cube of nodes to a distance around one that is unknown: positions and which it is."""
+    steps = int(np.ceil(reach / spacing))
+    grid = np.argwhere(np.ones((2 * steps + 1,) * dimension)) - steps
+    return spacing * grid, np.asarray((grid == 0).all(axis=1))

@@ -16,8 +16,8 @@ from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.linear import RowOperator, tensors_at
-from warp_peri.ranks.processes import agreed
+from warp_peri.ranks.linear import RowOperator, one_node, tensors_at
+from warp_peri.ranks.processes import agreed, in_turn
 from warp_peri.ranks.sums import total
 from warp_peri.statics.equilibria import ROUGH, NonlinearRecord, balanced, warn_beyond
 
@@ -48,16 +48,13 @@ class RowNonlinear:
         inside[halo.own] = piece.interior
         self._asked = bool(inside.any())
         if not self._asked:  # the law needs an unknown node: one of a body of its own, at rest
-            x, inside = _one_node(piece.spacing, reach)
+            x, inside = one_node(2, piece.spacing, reach)
         self._rest = np.zeros_like(x)
         with agreed(comm):
             here = Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis)
             self.placed = material.on(here)
         self._law = tensors_at(self.placed.model.linear, piece)  # all ranks prove it together
-        for turn in (comm.rank == 0, comm.rank != 0):  # one compiles
-            if turn:
-                self.placed(self._rest)
-            comm.Barrier()
+        in_turn(comm, lambda: self.placed(self._rest))  # one compiles
         self.model = self.placed.model
         self.strain = float(self.placed.model.proven_strain(piece.spacing))
         self.proven = f"no other solution has |H| ≤ {self.strain:.2%}" if self.strain > 0 else None
@@ -164,10 +161,3 @@ class RowNonlinear:
         record.largest_gradient = self.largest_gradient(answer)
         record.unique = record.largest_gradient <= self.strain
         return answer, record
-
-
-def _one_node(spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """A square of nodes to a distance around one that is unknown: positions and which it is."""
-    steps = int(np.ceil(reach / spacing))
-    grid = np.argwhere(np.ones((2 * steps + 1,) * 2)) - steps
-    return spacing * grid, np.asarray((grid == 0).all(axis=1))

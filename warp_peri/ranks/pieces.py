@@ -237,6 +237,8 @@ def spread(points: Points, by: str = "rows") -> Any:
     grid = np.rint(place).astype(np.int32)
     if np.abs(place - grid).max() > LATTICE_TOLERANCE:
         raise InputError("points: expected a lattice along the axes for ranks, got a turned one")
+    if (twice := len(grid) - len(np.unique(grid, axis=0))) > 0:
+        raise InputError(f"points: expected each node once, got {twice} duplicates")
     tiles = None
     if by == "rows":
         tiles = _slabs(comm, grid.max(axis=0) + 1)

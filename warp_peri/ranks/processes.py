@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -107,9 +107,19 @@ def agreed(comm: Comm) -> Iterator[None]:
         raise mine or InputError(told[0])
 
 
+def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
+    """What `make` gives, first on one rank, which keeps in files what the others then find there.
+
+    Raises InputError on all, where it does on any.
+    """
+    found = None
+    for turn in (comm.rank == 0, comm.rank != 0):
+        with agreed(comm):
+            if turn:
+                found = make()
+    return found
+
+
 def build(comm: Comm, *kernels: Any) -> None:
     """Load kernels, which one rank compiles and the others then find in Warp's cache."""
-    for turn in (comm.rank == 0, comm.rank != 0):
-        for kernel in kernels if turn else ():
-            kernel.module.load(DEVICE)
-        comm.Barrier()
+    in_turn(comm, lambda: [kernel.module.load(DEVICE) for kernel in kernels])

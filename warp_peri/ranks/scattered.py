@@ -21,7 +21,7 @@ from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
 from warp_peri.ranks.petsc import PetscCycle
-from warp_peri.ranks.processes import agreed
+from warp_peri.ranks.processes import agreed, in_turn
 from warp_peri.ranks.sums import inner
 from warp_peri.ranks.tiles import Halo
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
@@ -63,13 +63,11 @@ class ScatteredOperator:
         inside = np.zeros(len(halo.x), bool)
         inside[halo.own] = piece.interior
         self.through: ThroughLattice | None = None  # where no node is unknown
-        for turn in (comm.rank == 0, comm.rank != 0):  # one transfers, the others read
-            with agreed(comm):
-                if turn:
-                    self.model = model_at(model, carrier)
-                    if inside.any():
-                        here = Points(halo.x, inside, 0.0, units=piece.units, axis=piece.axis)
-                        self.through = ThroughLattice(self.model, here, spacing=carrier)
+        self.model = in_turn(comm, lambda: model_at(model, carrier))
+        with agreed(comm):
+            if inside.any():
+                here = Points(halo.x, inside, 0.0, units=piece.units, axis=piece.axis)
+                self.through = ThroughLattice(self.model, here, spacing=carrier)
         self._diagonal = np.zeros((0, 2))
         if self.through is not None:
             A = self.through.problem.stiffness

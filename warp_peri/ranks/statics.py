@@ -9,6 +9,9 @@ import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
+from warp_peri.micromodulus.law import Crystal
+from warp_peri.models.lps import Model
+from warp_peri.points.arrays import checked
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.processes import agreed
 from warp_peri.statics.settings import PETSC, TOLERANCE, Krylov, Newton, Solver, refuse_solver
@@ -42,6 +45,9 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
                 f"b, u: expected shape {list(piece.x.shape)} of this rank's nodes, or of samples, "
                 f"got {list(b.shape)} and {list(u.shape)}"
             )
+        inside = piece.interior
+        checked("b", b[..., inside, :])
+        checked("u of the collar", u[..., ~inside, :])
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
         petsc = _by_petsc(getattr(solver, "preconditioner", None))
@@ -101,13 +107,12 @@ def operator_on(material: Any, piece: Piece, petsc: bool = False) -> Any:
     bends = hasattr(material, "proven_strain")
     with agreed(piece.comm):
         linear = getattr(material, "linear", material)
-        known = hasattr(linear, "tensors") or hasattr(linear, "influence")
-        if not known or not (bends or linear is material):
+        if not isinstance(linear, (Crystal, Model)) or not (bends or linear is material):
             raise InputError(
                 "material: expected a linear solid, a crystal, or one with third-order constants "
-                "on ranks"
+                f"on ranks, got {type(material).__name__}"
             )
-        if piece.carrier and (bends or not hasattr(linear, "influence")):
+        if piece.carrier and (bends or isinstance(linear, Crystal)):
             raise InputError("material: expected a linear solid on scattered points on ranks")
         law = None if bends or piece.carrier else tensors_at(linear, piece)
     if law is not None:
@@ -115,7 +120,7 @@ def operator_on(material: Any, piece: Piece, petsc: bool = False) -> Any:
     if piece.carrier:
         from warp_peri.ranks.scattered import ScatteredOperator
 
-        return ScatteredOperator(linear, piece, petsc)
+        return ScatteredOperator(linear, piece, petsc)  # type: ignore[arg-type]  # checked above
     from warp_peri.ranks.nonlinear import RowNonlinear
 
     return RowNonlinear(material, piece)

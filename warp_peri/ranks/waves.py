@@ -18,6 +18,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import Inert, State, check_step, checked, marched
 from warp_peri.errors import InputError
 from warp_peri.launch import shared_by
+from warp_peri.points.arrays import check_whole
 from warp_peri.ranks.files import Series, as_text, read_arrays, read_text, write_arrays
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import fingerprint
@@ -86,10 +87,7 @@ class Kept:
         checkpoint_every: int = 10,
         series: str | os.PathLike[str] | None = None,
     ) -> None:
-        if not (isinstance(checkpoint_every, (int, np.integer)) and checkpoint_every > 0):
-            raise InputError(
-                f"checkpoint_every: expected a whole number > 0, got {checkpoint_every!r}"
-            )
+        check_whole("checkpoint_every", checkpoint_every, 1)
         self.piece, self.step, self.often = piece, step, int(checkpoint_every)
         self.every = int(every)
         self.path = None if checkpoint is None else Path(checkpoint)

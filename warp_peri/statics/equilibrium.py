@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
+from warp_peri.core.once import differentiable_once
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, lps_stencil
@@ -111,7 +111,7 @@ class _AtRest(torch.autograd.Function):
         return solved
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         (g,), (solved, *parameters) = upstream, ctx.saved_tensors
         w, pushed = ctx.system.adjoint(g.numpy()[:, ctx.interior])

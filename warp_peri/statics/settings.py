@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arrays import check_whole, is_number
 from warp_peri.points.quadrature import DEGREE
 
 TOLERANCE = 1e-8
@@ -102,8 +102,7 @@ class PolakRibiere:
 
     def __post_init__(self) -> None:
         check_tolerance(self.tolerance)
-        if not (is_number(self.most) and self.most == int(self.most) >= 1):
-            raise InputError(f"most: expected a whole number ≥ 1, got {self.most!r}")
+        check_whole("most", self.most, 1)
         if isinstance(self.start, str) and self.start != "previous":
             raise InputError(f"start: expected 'previous' or a displacement, got {self.start!r}")
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from torch.autograd.function import once_differentiable
 
+from warp_peri.core.once import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
 from warp_peri.kernels.hyperelastic.corners import corners
@@ -389,7 +389,7 @@ class _Everywhere(torch.autograd.Function):
         return torch.from_numpy(op.everywhere(u.detach().numpy(), c.detach().numpy())).to(u.dtype)
 
     @staticmethod
-    @once_differentiable
+    @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         u, c = ctx.saved_tensors
         seed = upstream[0].detach().numpy()
