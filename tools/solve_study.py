@@ -28,8 +28,7 @@ from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.points.points import Points
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
-from warp_peri.statics.linear import Linear
-from warp_peri.statics.lps import STIFF
+from warp_peri.statics.linear import STIFF, Linear
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
 TOLERANCE = 1e-8

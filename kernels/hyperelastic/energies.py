@@ -150,6 +150,9 @@ def _value(scalar):
         if kind == 17:
             D = area(E)
             return D + two * (one + E[0] + E[1]) / D - scalar(3.0)
+        if kind == 18:
+            over = wp.max(two * (one + E[0] + E[1]) + one / area(E) - scalar(3.0), scalar(0.0))
+            return wp.pow(over, p)
         if kind == 12 or kind == 13:
             return of_fibre(kind, p, wp.dot(direction(angle), E))[0]
         if kind == 16:
@@ -179,6 +182,10 @@ def _slope(scalar):
             D = area(E)
             by_area = one - two * (one + E[0] + E[1]) / (D * D)
             return by_area * area_slope(E) + vec(two / D, two / D, zero)
+        if kind == 18:
+            D = area(E)
+            over = wp.max(two * (one + E[0] + E[1]) + one / D - scalar(3.0), zero)
+            return p * wp.pow(over, p - one) * (vec(two, two, zero) - area_slope(E) / (D * D))
         if kind == 12 or kind == 13:
             m = direction(angle)
             return of_fibre(kind, p, wp.dot(m, E))[1] * m
@@ -210,6 +217,12 @@ def _curve(scalar):
             mixed = (wp.outer(d, e) + wp.outer(e, d)) / (D * D)
             own = two * T / (D * D * D) * wp.outer(d, d) + (one - T / (D * D)) * area_curve()
             return own - mixed
+        if kind == 18:
+            D, d = area(E), area_slope(E)
+            over = wp.max(two * (one + E[0] + E[1]) + one / D - scalar(3.0), zero)
+            e = vec(two, two, zero) - d / (D * D)
+            bent = two / (D * D * D) * wp.outer(d, d) - area_curve() / (D * D)
+            return p * wp.pow(over, p - two) * ((p - one) * wp.outer(e, e) + over * bent)
         if kind == 12 or kind == 13:
             m = direction(angle)
             return of_fibre(kind, p, wp.dot(m, E))[2] * wp.outer(m, m)

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import warp_peri as wp
+from tests.support.nonlinear import rotation
 from tests.support.problems import ell, lattice
 from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError
@@ -63,7 +64,8 @@ def slow_force(material, points, u):
     def bonds(i):
         xi = x[family[i]] - x[i]
         r = np.linalg.norm(xi, axis=1)
-        inputs = xi if material.anisotropic else r[:, None]
+        along = xi @ rotation(np.radians(points.axis))  # directions are those of the material
+        inputs = along if material.anisotropic else r[:, None]
         omega = net(material.influence, inputs / delta)
         Y = xi + u[family[i]] - u[i]
         length = np.linalg.norm(Y, axis=1)

@@ -131,7 +131,7 @@ BAD_FILES = {
     "x NaN": (with_value("x", np.nan), r"set 'train': x: expected finite .* nan at index \[1, 1\]"),
     "u NaN": (with_value("u", np.nan), r"set 'train': u: .* got nan at index \[1, 1, 1\]"),
     "b infinite": (with_value("b", -np.inf), r"set 'train': b: .* got -inf at index \[1, 1, 1\]"),
-    "u flat": (array("u", np.ones((3, N))), rf"u: expected shape \[3, {N}, 2\], got \[3, {N}\]"),
+    "u flat": (array("u", np.ones((3, N))), rf"u: expected shape \[S, {N}, 2\], got \[3, {N}\]"),
     "u short": (array("u", np.ones((3, N - 1, 2))), rf"u: .* got \[3, {N - 1}, 2\]"),
     "b of two samples": (array("b", np.ones((2, N, 2))), rf"b: .* got \[2, {N}, 2\]"),
     "u complex": (array("u", LOADS.u * 1j), "u: expected float values, got complex128"),
@@ -185,7 +185,8 @@ def test_a_set_that_is_not_there_is_named():
         ({"x": [[1.0, 2.0], [3.0]]}, "x: expected an array"),
         ({"x": GRID.x[:-1]}, "interior: expected shape"),
         ({"interior": np.ones(N)}, "interior: expected bool values"),
-        ({"outside": np.ones(N)}, "outside: expected shape"),
+        ({"outside": np.ones(N)}, "outside: expected bool values"),
+        ({"outside": np.ones(N - 1, bool)}, "outside: expected shape"),
         ({"outside": np.ones(N, bool)}, "true for no interior node"),
     ],
 )
@@ -198,7 +199,7 @@ def test_wrong_points_are_refused_in_memory(change, words):
     ("change", "words"),
     [
         ({"points": LOADS}, "points: expected Points, got Samples"),
-        ({"u": LOADS.u[:, 1:]}, rf"u: expected shape \[3, {N}, 2\]"),
+        ({"u": LOADS.u[:, 1:]}, rf"u: expected shape \[S, {N}, 2\]"),
         ({"b": LOADS.b[1:]}, rf"b: expected shape \[3, {N}, 2\]"),
         ({"arrays": {"u": np.ones(3)}}, "arrays: 'u' cannot be the name of an array"),
         ({"arrays": {"a/b": np.ones(3)}}, "arrays: 'a/b' cannot be the name of an array"),
@@ -208,6 +209,28 @@ def test_wrong_points_are_refused_in_memory(change, words):
 def test_wrong_samples_are_refused_in_memory(change, words):
     with pytest.raises(InputError, match=words):
         replace(LOADS, **change)
+
+
+def test_what_is_masked_or_complex_is_no_field():
+    """An array that hides values says that they are no data; one that hides none is an array."""
+    hides = np.ma.masked_array(LOADS.u, mask=np.zeros(LOADS.u.shape, bool))
+    shown = replace(LOADS, u=hides)
+    assert type(shown.u) is np.ndarray
+    hides = hides.copy()
+    hides[0, 3] = np.ma.masked
+    for wrong in (hides, list(hides)):
+        with pytest.raises(InputError, match=r"u: .* got 2 of .* masked, .* index \[0, 3, 0\]"):
+            replace(LOADS, u=wrong)
+    for name, value in {
+        "x": np.ma.masked_equal(GRID.x, GRID.x[2, 0]),
+        "outside": hides[0, :, 0],
+    }.items():
+        with pytest.raises(InputError, match=f"{name}: expected"):
+            replace(GRID, **{name: value})
+    with pytest.raises(InputError, match="k: expected values everywhere"):
+        replace(LOADS, arrays={"k": hides[:, :, 0]})
+    with pytest.raises(InputError, match="u: expected float values, got complex128"):
+        replace(LOADS, u=LOADS.u + 0j)
 
 
 @pytest.mark.parametrize(

@@ -87,10 +87,12 @@ def test_quadrilaterals_are_cut_in_two(tmp_path):
 @pytest.mark.parametrize(
     ("triangles", "message"),
     [
+        ([[0, 1, 2], [0, 2, 1]], "triangles: 0 and 1 lie on one side of their edge"),
         ([[0, 1, 1]], "number 0 has no area"),
         ([[0, 1, 9]], "expected corners 0 to 3"),
         ([[0, 1, 2], [0, 1, 3], [0, 1, 2]], "some edge has more"),
-        ([[0.0, 1, 2]], "expected corners"),
+        ([[0.0, 1, 2]], "triangles: expected int values"),
+        ([[0, 1, 2, 3]], r"triangles: expected shape \[T, 3\]"),
     ],
 )
 def test_bad_triangles_are_named(triangles, message):
@@ -105,9 +107,11 @@ def test_bad_files_and_outlines_are_named(tmp_path):
     with pytest.raises(InputError, match="not a mesh that meshio reads"):
         load_mesh(tmp_path / "text.msh")
     meshio.Mesh(SQUARE, [("line", [[0, 1]])]).write(tmp_path / "line.vtu")
-    with pytest.raises(InputError, match="expected triangles or quadrilaterals, got line"):
+    with pytest.raises(InputError, match="or tetrahedra, and no other cells, got line"):
         load_mesh(tmp_path / "line.vtu")
-    with pytest.raises(InputError, match="not of the outline|edges of the outline"):
+    with pytest.raises(
+        InputError, match="part 'across': expected edges of the outline, 1 of 1 are not"
+    ):
         make_mesh(SQUARE, np.array([[0, 1, 2], [0, 2, 3]]), {"across": np.array([[0, 2]])})
     with pytest.raises(InputError, match="sizes > 0"):
         mesh_outline(box(10, 10), size=-1)

@@ -7,8 +7,8 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
+from warp_peri.points.samples import part
 from warp_peri.prediction import design_loads, next_load
-from warp_peri.prediction.learning import part
 from warp_peri.prediction.solid_numbers import of_solid
 
 HORIZON = 2.5

@@ -28,7 +28,7 @@ from warp_peri.proofs import uniqueness
 from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
-from warp_peri.statics import nonlinear as fixed_point
+from warp_peri.statics import equilibria as fixed_point
 
 H = 0.5
 

@@ -17,6 +17,12 @@ ATOMS = RANDOM.uniform(0, 1, (40, 2)) * BOX
 H = 2.5
 
 
+HIDDEN = np.ma.masked_array(
+    np.ones((1, 40, 2)), mask=np.arange(40)[None, :, None].repeat(2, 2) == 7
+)
+"""Atom 7 is no data."""
+
+
 def nodes(low, high):
     return H * np.stack(np.meshgrid(*2 * [np.arange(low, high)], indexing="ij"), -1).reshape(-1, 2)
 
@@ -153,11 +159,18 @@ def test_bad_input_is_refused(change, words):
     ("change", "words"),
     [
         ({"displacement": np.ones((40, 2))}, r"displacement: expected shape \[S, 40, 2\]"),
-        ({"force": np.ones((1, 39, 2))}, r"force: expected shape \[S, 40, 2\], got \[1, 39, 2\]"),
+        ({"force": np.ones((1, 39, 2))}, r"force: expected shape \[1, 40, 2\], got \[1, 39, 2\]"),
         ({"force": np.full((1, 40, 2), np.nan)}, "force: expected finite values"),
         ({"displacement": np.full((1, 40, 2), np.inf)}, "displacement: expected finite values"),
-        ({"mass": np.ones(3)}, r"mass: expected one number or shape \[40\]"),
-        ({"mass": np.nan}, "mass: expected values > 0"),
+        ({"force": np.ones((2, 40, 2))}, r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]"),
+        (
+            {"displacement": np.ones((1, 40, 2)) * 1j},
+            "displacement: expected float values, got comp",
+        ),
+        ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
+        ({"mass": HIDDEN[0, :, 0]}, r"mass: .* got 1 of 40 masked, the first at index \[7\]"),
+        ({"mass": np.ones(3)}, r"mass: expected shape \[40\], got \[3\]"),
+        ({"mass": np.nan}, "mass: expected finite values"),
         ({"mass": -np.ones(40)}, "mass: expected values > 0"),
         ({"node_area": 0.0}, "node_area: expected a number > 0"),
         ({"thickness": np.nan}, "thickness: expected a number > 0"),

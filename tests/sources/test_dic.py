@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
+from warp_peri.points.samples import SEEN
 from warp_peri.sources.dic import frames_of_folder, frames_on_lattice, noise_of, read_frame
 
 X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
@@ -81,13 +82,40 @@ def test_a_missing_point_takes_its_surroundings_from_the_interior(tmp_path):
     (tmp_path / "a.csv").write_text(plain(big, field(big)))
     kept = (big != [240.0, 240.0]).any(axis=1)
     (tmp_path / "b.csv").write_text(plain(big[kept], field(big[kept])))
-    frames = [read_frame(tmp_path / name) for name in ("a.csv", "b.csv")]
-    samples = frames_on_lattice(frames)
-    assert len(samples) == 2
-    assert len(samples.x) == 25**2 - 1
-    near = np.linalg.norm(samples.x - 240.0, axis=1) <= 2.5 * 20
-    assert not samples.interior[near].any()
-    assert samples.interior.any()
+    once, always = (
+        frames_on_lattice([read_frame(tmp_path / name) for name in names])
+        for names in (("a.csv", "b.csv"), ("b.csv", "b.csv"))
+    )
+    assert len(once.x) == 25**2
+    np.testing.assert_array_equal(once.arrays[SEEN], [25**2 * [True], kept])
+    np.testing.assert_allclose(once.u[1], field(once.x), atol=1e-6)  # quadratic: filled in exactly
+    assert once.interior.sum() == 13**2
+    assert len(always.x) == 25**2 - 1
+    assert SEEN not in always.arrays
+    near = np.linalg.norm(always.x - 240.0, axis=1) <= 2.5 * 20
+    assert not always.interior[near].any()
+    assert always.interior.any()
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.5])
+def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
+    """With a hole, at edges, smoothed or not, no node leaves the sheet for good."""
+    hole = np.linalg.norm(BIG - BIG[12 * 25 + 4], axis=1) < 6
+    rng = np.random.default_rng(5)
+    losses = [rng.uniform(size=len(BIG)) < 0.03 for _ in range(7)]
+    frames = []
+    for part, lost in enumerate(losses, 1):
+        u = part * BIG @ GRADIENT.T + 1e-3 * part * (BIG - 20) ** 2
+        (tmp_path / "a.csv").write_text(plain(BIG[~lost & ~hole], u[~lost & ~hole]))
+        frames.append(read_frame(tmp_path / "a.csv"))
+    samples = frames_on_lattice(frames, spacing=2.5, radius=radius)
+    np.testing.assert_array_equal(samples.x, BIG[~hole])
+    unseen = ~samples.arrays[SEEN] if radius == 0 else np.array(losses)[:, ~hole]
+    np.testing.assert_array_equal(unseen, np.array(losses)[:, ~hole])
+    assert samples.interior.sum() > 10 * 13
+    for part, u in enumerate(samples.u, 1):
+        true = part * samples.x @ GRADIENT.T + 1e-3 * part * (samples.x - 20) ** 2
+        np.testing.assert_allclose(u, true, atol=1e-6)
 
 
 def test_scattered_points_are_fitted_locally(tmp_path):
@@ -189,6 +217,193 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             frames_of_folder(unequal, **{"count": 7, "radius": 0.0} | wrong)
+
+
+BIG = np.argwhere(np.ones((30, 25), bool)) * 2.5 + 0.125
+GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
+
+
+def gradient(samples):
+    """That of a displacement that is linear, [displacement, position]."""
+    design = np.c_[np.ones(len(samples.x)), samples.x]
+    return np.linalg.lstsq(design, samples.u[0], rcond=None)[0][1:].T
+
+
+def told(path, header, columns, *, rows="", encoding="utf-8", **options):
+    """The gradient that a table tells; `columns` are numbers of x, y, u, v and text."""
+    table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
+    path.write_bytes((header + "\n" + rows + table).encode(encoding))
+    return frames_on_lattice([read_frame(path, **options)])
+
+
+def linear(x=BIG):
+    return x[:, 0], x[:, 1], *(x @ GRADIENT.T).T
+
+
+@pytest.mark.parametrize("comment", ["", "# ", "#", "% "])
+@pytest.mark.parametrize(
+    ("header", "holds"),
+    [
+        ("x,y,u,v,exx", "xyuv."),
+        ("id,x,y,u,v,sigma,eyy", ".xyuv.."),
+        ("X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234"),
+        ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv.."),
+        ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
+         "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv."),
+        ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
+         "disp.Vertical Displacement V [mm]", "xyuv"),
+        ("v,y,u,x,x_def", "vyux."),
+    ],
+)  # fmt: skip
+def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path, comment, header, holds):
+    """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
+    meant = dict(zip("xyuv", linear()))
+    meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
+    meant["."] = np.arange(len(BIG)) % 7 + 1.0
+    samples = told(tmp_path / "a.csv", comment + header, [meant[one] for one in holds])
+    np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12)
+
+
+def test_columns_that_contradict_each_other_are_refused(tmp_path):
+    x, y, u, v = linear()
+    for header, columns, words in (
+        ("x,y,u,ux,v", (x, y, u, u, v), "one column of a kind, got 'u' and 'ux'"),
+        (
+            "x [mm],y [mm],u [furlong],v",
+            (x, y, u, v),
+            "expected units of angstrom, .* got 'furlong'",
+        ),
+        ("x,y,u [mm],v [mm]", (x, y, u, v), "the size of a pixel with one, got x in no unit"),
+        ("x [px],y [px],u [mm],v [mm]", (x, y, u, v), "got x in px, y in px, u in mm"),
+        ("x,y,u,v", (x, y, u, v, v), "expected 4 fields, as in its header, got"),
+        ("# 1,2,3,4,5,6", (x, y, u, v, u, v), "expected columns x, y, u and v"),
+        ("x,y,u,v", (x, y, u, ["one"] * len(x)), "expected a number, got 'one'"),
+        ("x,y,u,v", (x[[0, 0]], y[[0, 0]], u[:2], v[:2]), "one displacement for each point"),
+    ):
+        with pytest.raises(InputError, match=words):
+            told(tmp_path / "a.csv", header, columns)
+    with pytest.raises(InputError, match="is in mm, expected that alone, got 0.012"):
+        told(tmp_path / "a.csv", "x [mm],y,u,v", (x, y, u, v), pixel="0.012mm")
+
+
+@pytest.mark.parametrize(
+    ("units", "length", "scale", "options"),
+    [
+        (("mm", "mm", "um", "um"), "mm", 1.0, {}),
+        (("inch", "inch", "um", "um"), "mm", 25.4, {}),
+        (("\N{MICRO SIGN}m", "\N{MICRO SIGN}m", "nm", "nm"), "um", 1.0, {}),
+        (("\N{GREEK SMALL LETTER MU}m", "", "", ""), "um", 1.0, {}),
+        (("px", "px", "mm", "mm"), "mm", 0.5, {"pixel": "0.5mm"}),
+        (("mm", "cm", "mm", "mm"), "mm", 1.0, {}),
+        (("", "", "", ""), "um", 3.0, {"pixel": "3um"}),
+    ],
+)
+@pytest.mark.parametrize("how", ["brackets", "line", "behind"])
+def test_every_column_has_its_unit(tmp_path, units, length, scale, options, how):
+    """x in mm beside u in µm: a strain of one hundredth is not ten."""
+    sizes = {"mm": 1.0, "inch": 25.4, "um": 1e-3, "nm": 1e-6, "cm": 10.0, "px": 0.5, "": None}
+    plain = ["um" if ord(unit[:1] or "a") > 127 else unit for unit in units]
+    size = [sizes[one or plain[0]] or 3e-3 for one in plain]
+    columns = [values * size[0] / one for values, one in zip(linear(), size)]
+    columns = [np.round(values, 9) for values in columns]
+    names = list("xyuv")
+    if how == "brackets":
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units)]
+    if how == "behind":
+        names = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units)]
+    for encoding in ("utf-8", "latin-1", "utf-16"):
+        try:
+            ",".join(units).encode(encoding)
+        except UnicodeEncodeError:
+            continue
+        samples = told(
+            tmp_path / "a.csv",
+            ",".join(names),
+            columns,
+            rows=",".join(units) + "\n" if how == "line" and all(units) else "",
+            encoding=encoding,
+            **options,
+        )
+        if how == "line" and any(units) and not all(units):
+            continue  # a line of units that is not one
+        assert samples.points.units[0] == length
+        assert samples.spacing == pytest.approx(2.5 * scale)
+        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6)
+
+
+@pytest.mark.parametrize("column", ["MATCH", "corrcoef", "converged", "valid", "none", "other"])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
+    """By a column, or as rows of 0, 0 or another number that fills in."""
+    rng = np.random.default_rng(3)
+    x, y, u, v = linear()
+    u, v = (values + noise * rng.standard_normal(len(x)) for values in (u, v))
+    lost = rng.uniform(size=len(x)) < 0.1
+    lost[:3] = [False, True, True]
+    fill = {"other": -999.0, "converged": u, "valid": v}.get(column, 0.0)
+    mark = {
+        "MATCH": (0, -1),
+        "corrcoef": (0.02, -1),
+        "converged": ("True", "False"),
+        "valid": (1, 0),
+    }
+    columns = [x, y, np.where(lost, fill, u), np.where(lost, fill, v)]
+    if column in mark:
+        columns.append(np.where(lost, *mark[column][::-1]))
+    header = ",".join([*"xyuv", column][: len(columns)])
+    table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
+    (tmp_path / "a.csv").write_text(header + "\n" + table)
+    found = read_frame(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.x, BIG[~lost])
+
+
+def test_a_point_at_rest_is_kept(tmp_path):
+    """u is 0, 0 at the middle of what is stretched, on a held edge, and before the test."""
+    centred = BIG - BIG[12 * 25 + 12]
+    for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred):
+        (tmp_path / "a.csv").write_text(plain(BIG, field))
+        assert len(read_frame(tmp_path / "a.csv").x) == len(BIG)
+
+
+@pytest.mark.parametrize("strain", [0.003, 0.01, 0.1, 0.2])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
+    """Of several frames by where their points are, of one by the lattice they were on."""
+    rng = np.random.default_rng(1)
+    frames = []
+    for part in (1.0, 0.6, 0.3):
+        u = part * BIG @ np.diag([strain, -0.3 * strain]) + noise * rng.standard_normal(BIG.shape)
+        (tmp_path / "a.csv").write_text(plain(BIG + u, u))
+        frames.append(read_frame(tmp_path / "a.csv"))
+    for some in (frames, frames[:1]):
+        with pytest.warns(UserWarning, match="positions are those of the current frame"):
+            found = gradient(frames_on_lattice(some, spacing=2.5))
+        np.testing.assert_allclose(found, np.diag([strain, -0.3 * strain]), atol=1e-6 + noise / 25)
+    asked = frames_on_lattice(frames, spacing=2.5, positions="current")
+    np.testing.assert_allclose(gradient(asked), found, atol=1e-6 + noise / 25)
+    names = plain(BIG + u, u).replace("x,y", "x_def,y_def", 1)
+    (tmp_path / "a.csv").write_text(names)
+    np.testing.assert_allclose(read_frame(tmp_path / "a.csv").x, BIG, atol=1e-6)
+
+
+def test_positions_that_nothing_tells_are_asked_for(tmp_path):
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        x = BIG + rng.uniform(-0.8, 0.8, BIG.shape)
+        (tmp_path / f"{name}.csv").write_text(plain(x, x @ GRADIENT.T))
+    frames = [read_frame(tmp_path / f"{name}.csv") for name in "ab"]
+    with pytest.raises(InputError, match='positions="reference" or "current" says which'):
+        frames_on_lattice(frames, spacing=2.5, radius=2.5)
+    for positions, true in (
+        ("reference", GRADIENT),
+        ("current", GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT)),
+    ):
+        found = gradient(frames_on_lattice(frames, spacing=2.5, radius=2.5, positions=positions))
+        np.testing.assert_allclose(found, true, atol=1e-9)
+    with pytest.raises(
+        InputError, match="positions: expected reference or current, got 'deformed'"
+    ):
+        frames_on_lattice(frames, positions="deformed")
 
 
 def test_frames_in_several_units_are_named(tmp_path):

@@ -70,6 +70,51 @@ def test_wrapped_atoms_of_a_tilted_box_without_images_are_refused(dumps):
         next(dump_frames(dumps / "plain.dump"))
 
 
+WRAPPED = (PARTS + np.column_stack([MOVED, np.zeros(20)]) @ np.linalg.inv(CELL)) // 1
+"""Edges of the box by which atoms left it when they moved."""
+
+
+def write_wrapped(path, fields, images=None):
+    """Frames of a tilted box with its atoms inside, in a format that is not LAMMPS's."""
+    frames = [np.column_stack([REFERENCE + u, np.zeros(20)]) for u in fields]
+    if path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            group = file.create_group("particles/all")
+            group["position/value"] = np.array(frames)
+            group["position/value"].attrs["unit"] = "angstrom"
+            group["box/edges"] = CELL
+            if images is not None:
+                group["image/value"] = np.array(images, int)
+        return
+    atoms = [ase.Atoms("C20", positions=x, cell=CELL, pbc=True) for x in frames]
+    for one, image in zip(atoms, [] if images is None else images):
+        for name, column in zip(("ix", "iy", "iz"), image.T.astype(int)):
+            one.arrays[name] = column
+    ase.io.write(path, atoms)
+
+
+@pytest.mark.parametrize("name", ["a.extxyz", "a.traj", "a.h5"])
+def test_wrapped_atoms_of_a_tilted_box_are_never_taken_for_moved_ones(tmp_path, name):
+    """Refused where nothing says where they were; by their images, the same as LAMMPS's own."""
+    assert WRAPPED.any()
+    across = MOVED - (WRAPPED @ CELL)[:, :2]
+    write_wrapped(tmp_path / name, [across])
+    with pytest.raises(InputError, match="beyond half the box; are they wrapped"):
+        dump_displacement(tmp_path / name, REFERENCE)
+    write_wrapped(tmp_path / name, [0 * MOVED, across])
+    with pytest.raises(InputError, match="frame 2 .*jump by an edge of the tilted box"):
+        list(dump_frames(tmp_path / name))
+    if name != "a.traj":  # which has no columns but ASE's own
+        write_wrapped(tmp_path / name, [0 * MOVED, across], [0 * WRAPPED, WRAPPED])
+        with pytest.warns(UserWarning, match="unwrapped by the images"):
+            found = dump_displacement(tmp_path / name, REFERENCE, skip=1)
+        np.testing.assert_allclose(found, MOVED, atol=1e-7)
+    write_wrapped(tmp_path / name, [0 * MOVED, MOVED])
+    np.testing.assert_allclose(
+        dump_displacement(tmp_path / name, REFERENCE, skip=1), MOVED, atol=1e-7
+    )
+
+
 def test_a_binary_dump_that_is_cut_is_refused(dumps, tmp_path):
     (tmp_path / "cut.bin").write_bytes((dumps / "images.bin").read_bytes()[:-40])
     with pytest.raises(InputError, match=r"cut.bin: frame 1"):

@@ -110,9 +110,9 @@ def test_near_incompressibility_takes_few_iterations(shape, side):
 
 
 def test_the_method_follows_size_and_shape(monkeypatch):
-    module = importlib.import_module("warp_peri.statics.lps")
+    module = importlib.import_module("warp_peri.statics.linear")
     monkeypatch.setattr(module, "DIRECT", 30)
-    monkeypatch.setattr(module, "LARGEST_LU", 30)
+    monkeypatch.setattr(importlib.import_module("warp_peri.statics.lps"), "LARGEST_LU", 30)
     assert choose_method(lattice(5, HORIZON), plain=True) == "sine"
     assert choose_method(lattice(5, HORIZON), plain=True, loads=3) == "lu"
     assert choose_method(lattice(5, HORIZON), plain=True, stiff=True) == "lu"

@@ -69,7 +69,7 @@ def sheet(folder):
     law = HyperelasticSolid(
         Dictionary(3.0, (), NEAREST, terms), np.array([0.1] * 4 + [0.35, 0.15]), 0.1
     )
-    points = square(5)
+    points = square(9)
     bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
     with locked(folder / "frames"):
         for n in range(4):

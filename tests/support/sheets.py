@@ -20,9 +20,10 @@ def square(interior, *, spacing=SPACING, reach=3, u=None, b=None):
 
 
 def everything():
-    """Every bond energy, deviation and strain energy once, but mooney."""
+    """Every bond energy, deviation and strain energy once, but mooney and yeoh."""
     angles = iter(np.linspace(0.2, 2.8, 8))
-    terms = [Term(kind) for kind in KINDS if not kind.startswith(("fibre", "along", "mooney"))]
+    others = ("fibre", "along", "mooney", "yeoh")
+    terms = [Term(kind) for kind in KINDS if not kind.startswith(others)]
     terms += [Term("fibre_power", next(angles), p) for p in (2.5, 3.0)]
     terms += [Term("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
     terms += [Term("along", next(angles)), Term("along", next(angles), ripple=True)]

@@ -314,10 +314,19 @@ def test_corners_of_cells_are_linear_triangles():
         Term("trace", across=(1, 0), corner=True)
 
 
-def test_the_second_energy_of_mooney_and_rivlin():
-    """I2 − 3 of an incompressible sheet in plane stress, its slopes, and its pull along an axis."""
+@pytest.mark.parametrize(
+    ("term", "pull"),
+    [
+        (Term("mooney"), 1 - 1.4**-3),
+        (Term("yeoh", exponent=2.0), 2 * (1.4 - 1.4**-2) * (1.4**2 + 2 / 1.4 - 3)),
+        (Term("yeoh", exponent=3.0), 3 * (1.4 - 1.4**-2) * (1.4**2 + 2 / 1.4 - 3) ** 2),
+    ],
+    ids=["Mooney and Rivlin", "Yeoh", "Yeoh, cubed"],
+)
+def test_energies_of_an_incompressible_sheet(term, pull):
+    """I2 − 3, and powers of I1 − 3, in plane stress: slopes, and the pull along an axis."""
     points = square(4)
-    op = HyperelasticOperator(Dictionary(3.0, (), (), (Term("mooney"),)), points)
+    op = HyperelasticOperator(Dictionary(3.0, (), (), (term,)), points)
     u, v, c = waves(points, 0.3, 1), waves(points, 0.2, 2), np.array([0.7])
     step = 1e-5
     ahead, behind = u + step * v, u - step * v
@@ -329,4 +338,5 @@ def test_the_second_energy_of_mooney_and_rivlin():
     pulled = points.x * (np.array([1.4, 1.4**-0.5]) - 1)
     P = piola_stress(op, pulled, c)[op.interior]
     np.testing.assert_allclose(P[:, 1, 1], 0, atol=1e-10)
-    np.testing.assert_allclose(P[:, 0, 0], 2 * 0.7 * (1 - 1.4**-3), rtol=1e-10)
+    np.testing.assert_allclose(P[:, 0, 0], 2 * 0.7 * pull, rtol=1e-9)
+    np.testing.assert_allclose(op.everywhere(0 * u, c), 0, atol=1e-12)

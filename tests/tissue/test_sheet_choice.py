@@ -1,6 +1,7 @@
 """A sheet's material chosen by frames left out; what fails is passed over; tension with a band."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import warp_peri as wp
 from tests.support.sheets import NEAREST, square, waves
 from tools import make_frames
 from warp_peri.cli.main import main
-from warp_peri.sources.dic import frames_of_folder
+from warp_peri.sources.dic import SheetFrame, frames_of_folder, frames_on_lattice
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, sheet_choice, uniaxial
+from warp_peri.tissue.displacement_search import DisplacementFit
 from warp_peri.tissue.kept_fits import KeptFits
 
 C1, C2 = 0.35, 0.15
@@ -28,7 +30,7 @@ def tension(stretch):
 def folder(tmp_path_factory):
     """Frames of a sheet of Mooney and Rivlin in mm, as tables."""
     out = tmp_path_factory.mktemp("frames")
-    points = square(5)
+    points = square(9)
     bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
     for number in range(6):
         edge = bent * (number + 3) / 8 + 0.6 * waves(points, 0.25, number)
@@ -92,16 +94,79 @@ def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, mo
     capsys.readouterr()
     assert main(line) == 0
     assert "2 fits are there and are taken as they are" in capsys.readouterr().err
-    assert names[2:] == ["Mooney-Rivlin, band 1 of 2"] * 2 + ["Mooney-Rivlin, band 2 of 2"]
+    bands = [f"Mooney-Rivlin, band {n} of 2" for n in (1, 2)]
+    assert names[2:] == ["Yeoh", "Yeoh", *bands]
     for broken in (tmp_path / "out" / "fits").glob("neo*.fit.json"):
         broken.write_text("{")
     assert main(line) == 0
-    assert names[5:] == ["neo-Hookean"]  # a record that cannot be read is made again
+    assert names[6:] == ["neo-Hookean"]  # a record that cannot be read is made again
     frames = frames_of_folder(folder, 4, radius=0.0)
-    for settings, count in ((sheet_choice.SETTINGS, (4, 0)), ("others", (0, 4))):
+    for settings, count in ((sheet_choice.SETTINGS, (5, 0)), ("others", (0, 5))):
         assert KeptFits(tmp_path / "out" / "fits", frames, settings).count() == count
     other = wp.Samples(frames.points, frames.u + 1e-9)
-    assert KeptFits(tmp_path / "out" / "fits", other, sheet_choice.SETTINGS).count() == (0, 4)
+    assert KeptFits(tmp_path / "out" / "fits", other, sheet_choice.SETTINGS).count() == (0, 5)
+
+
+def frames_of(solid, points, *, noise=0.0, lost=0.0, count=6):
+    """Frames of a sheet that is pulled and bent, with noise in spacings and points lost in each."""
+    rng = np.random.default_rng(3)
+    bent = points.x @ np.array([[0.5, 0.05], [0.0, 0.2]])
+    edges = [bent * (n + 3) / 8 + 0.6 * waves(points, 0.3, n) for n in range(count)]
+    u = np.array([wp.solve(solid, wp.Dirichlet(points, None, edge)).u for edge in edges])
+    u += noise * points.spacing * rng.standard_normal(u.shape)
+    frames = [
+        SheetFrame(points.x[kept], field[kept], f"frame{n}", "mm")
+        for n, field in enumerate(u)
+        for kept in [rng.uniform(size=len(points.x)) >= lost]
+    ]
+    return frames_on_lattice(frames, spacing=points.spacing)
+
+
+def powers(*numbers):
+    """A sheet of Yeoh's energy, C1, C2 and C3, without a thickness."""
+    terms = (Term("plane_stress"), *(Term("yeoh", exponent=p) for p in (2.0, 3.0)))
+    return HyperelasticSolid(
+        Dictionary(3.0, (), NEAREST, terms), np.array([0.1] * 4 + [*numbers]), 0.1
+    )
+
+
+def test_an_even_sheet_that_stiffens_is_not_called_uneven():
+    """Its tension, to 1.5, lies in the band, whatever points are lost in single frames."""
+    sheet = powers(0.25, 0.02, 0.03)
+    stretches = [1.1, 1.3, 1.5]
+    true = uniaxial(sheet, stretches) / uniaxial(sheet, [1.01])[0]
+    for lost in (0.0, 0.03):
+        frames = frames_of(sheet, square(11), noise=0.002, lost=lost)
+        assert frames.interior.sum() == 121
+        choice = wp.tissue.choose_sheet(frames)
+        assert choice.best.name == "Yeoh"
+        middle, low, high = choice.curves(stretches) / uniaxial(choice.material, [1.01])[0]
+        np.testing.assert_allclose(middle, true, rtol=0.04)
+        assert ((low < true) & (true < high)).all()
+        assert (high - low > 2 * choice.best.held_out * middle).all()
+
+
+def test_a_law_needs_ten_nodes_for_each_number():
+    frames = frames_of(powers(0.25, 0.0, 0.0), square(9))
+    found = wp.tissue.choose_sheet(frames)
+    assert {c.name for c in found.candidates if c.fit} == {"neo-Hookean", "Yeoh", "Mooney-Rivlin"}
+    passed = {c.name: c.why for c in found.candidates if c.fit is None}
+    assert passed["neo-Hookean, uneven"].endswith("100 interior nodes for 10 numbers, got 81")
+    few = square(5)
+    with pytest.raises(wp.InputError, match="expected 50 interior nodes for 5 numbers, got 25"):
+        wp.tissue.choose_sheet(frames_of(powers(0.25, 0.0, 0.0), few))
+
+
+def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
+    """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
+    even = DisplacementFit(SHEET, np.zeros(1), [], [])
+    choice = sheet_choice.SheetChoice([sheet_choice.Candidate("one", even, 0.01)], [even] * 3)
+    middle, low, high = choice.curves([1.2])
+    np.testing.assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
+    stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
+    rules = sheet_choice.Candidate("rules", replace(even, material=stiff), 0.01)
+    with pytest.raises(wp.InputError, match="282 times as stiff .* in the place of a material"):
+        sheet_choice.SheetChoice([rules]).curves([1.2])
 
 
 def test_fewer_frames_than_four_are_refused():

@@ -151,6 +151,11 @@ def dic(command: ArgumentParser) -> None:
     command.add_argument(
         "--pixel", default="1", help="length of the tables' unit, as 0.012mm; or mm alone"
     )
+    command.add_argument(
+        "--positions",
+        choices=("reference", "current"),
+        help="what positions of the tables are; told from them where none is given",
+    )
     command.add_argument("--count", type=int, default=7, help="frames that are used")
     command.add_argument("--smooth", type=float, default=0.0, help="radius of fits, in spacings")
     command.add_argument("--fibres", type=int, default=0, help="directions that are tried too")

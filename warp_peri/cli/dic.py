@@ -33,7 +33,13 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     if given.stress is not None and not 0 < given.stress < np.inf:
         raise InputError(f"stress: expected a number > 0 [MPa], got {given.stress}")
 
-    frames = frames_of_folder(given.folder, given.count, pixel=given.pixel, radius=given.smooth)
+    frames = frames_of_folder(
+        given.folder,
+        given.count,
+        pixel=given.pixel,
+        radius=given.smooth,
+        positions=given.positions,
+    )
     length_known = frames.points.units != USUAL  # what frames without a unit are taken for
     if given.stress is not None and not length_known:
         raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
@@ -62,11 +68,11 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             done=done,
             progress=not given.json,
         )
-        material, scale = choice.material, 1.0
-        if given.stress is not None:
-            material = _scaled(choice.best.fit, frames, given)
-            scale = float(np.linalg.norm(material.coefficients))
-            scale /= float(np.linalg.norm(choice.material.coefficients))
+
+        def scaled(fit: Any) -> Any:
+            return fit.material if given.stress is None else _scaled(fit, frames, given)
+
+        material = scaled(choice.best.fit)
         warp_peri.save(given.out / "material.json", material)
         told = NO_FORCE if given.stress is None else "are in MPa, by the stress that was given"
         words = [*in_words(material), *_beside(choice.best.fit, material)]
@@ -78,12 +84,16 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             words.append(f"no file for FEBio: {error}")
         top = max(1.05, material.stretch or 1.2)
         stretches = np.arange(1.0, top + 1e-9, STEP)[1:]
-        curves = {
-            f"{a:g} deg": scale * np.array(choice.curves(stretches, np.radians(a)))
-            for a in (0, 45, 90)
-        }
+        try:
+            curves = {
+                f"{a:g} deg": choice.curves(stretches, np.radians(a), scaled=scaled)
+                for a in (0, 45, 90)
+            }
+            _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
+        except InputError as error:
+            curves = {}
+            words.append(f"no curves: {error}")
         each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
-        _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
         result = {
             "frames": len(frames),
             "interior": int(frames.interior.sum()),

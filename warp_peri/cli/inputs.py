@@ -12,6 +12,7 @@ import numpy as np
 import warp_peri
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
+from warp_peri.points.arrays import checked
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset
 from warp_peri.points.points import Points
@@ -29,18 +30,17 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
             (force,) = read_arrays(path).values()
         else:
             force = np.loadtxt(path, delimiter=",", ndmin=2)
-        force = np.asarray(force, dtype=float)
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path}: expected one array in .npz (numpy.savez, not compressed), or a .csv file "
             f"({error})"
         ) from None
-    if force.shape != (atoms, 2):
+    if np.shape(force) != (atoms, 2):
         raise InputError(
-            f"{path}: expected shape [{atoms}, 2], got {list(force.shape)}; the columns are f_x, "
-            "f_y [eV/Å] alone, the rows in the order of the atoms' ids"
+            f"{path}: expected shape [{atoms}, 2], got {list(np.shape(force))}; the columns are "
+            "f_x, f_y [eV/Å] alone, the rows in the order of the atoms' ids"
         )
-    return force
+    return checked(f"{path}: force", force)
 
 
 def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> Points:

@@ -98,6 +98,11 @@ class CoupledOperator:
         self.points = diffusion.points
         body = lattice_body(self.points.x, self.points.spacing, model.horizon)
         table = body.neighbour if neighbour is None else neighbour
+        if self.points.box is not None:
+            raise InputError("box: a coupled solid is for a body that does not repeat")
+        if self.points.outside is not None:
+            gone = np.append(self.points.outside, False)
+            table = np.where(gone[table] | self.points.outside[:, None], -1, table)
         w = bond_weights(model, body.classes)
         rows = diffusion.rows
         self.rows = rows

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import eigsh, splu
 
 from warp_peri.core.grid import Grid, grid_of
 from warp_peri.dressed.bases import composed, half, spread
@@ -92,6 +92,17 @@ class Body:
                 "dtype: expected float64, or float32 of a sheet with or without maps that nothing "
                 f"cuts, got {self.dtype}"
             )
+
+    def stiffest_wave(self) -> float:
+        """A bound on the eigenvalues of L [stress / length²], for time steps.
+
+        Of sheets and blocks with maps alone it is proven, the even solid's times the largest map;
+        of others the largest eigenvalue, to a thousandth.
+        """
+        if self._even:
+            return float(self.factors.max()) * self.model.stiffest_wave()
+        value = eigsh(self.L, 1, which="LA", tol=1e-4, return_eigenvectors=False)
+        return float(1.001 * value[0])
 
     def _neighbours(self, steps: np.ndarray) -> np.ndarray:
         """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""

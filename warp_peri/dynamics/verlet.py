@@ -184,7 +184,10 @@ def march(
         raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
     start = checked(points, {"u": u, "v": v, "b": b}, step, steps, every)
     allowed = getattr(operator, "allowed", False)
-    check_step(operator.model, points.spacing, density, step, allow_uncertified=allowed)
+    if (own := getattr(operator, "stiffest_wave", None)) is not None:  # stiffer than the even solid
+        refuse_longer(step, 2 * np.sqrt(inertia(density, operator.model.units) / own()))
+    else:
+        check_step(operator.model, points.spacing, density, step, allow_uncertified=allowed)
     free = points.interior
     body = Inert(operator, free, density, start["b"][free])
     return marched(body, body.state(start["u"], start["v"][free]), step, steps, every)
@@ -254,6 +257,11 @@ def check_step(
         longest = critical_time_step(
             model, spacing=spacing, density=density, allow_uncertified=allow_uncertified
         )
+    refuse_longer(step, longest)
+
+
+def refuse_longer(step: float, longest: float) -> None:
+    """Raise InputError for a step that is longer than the longest [ps]."""
     if step > longest:
         raise InputError(
             f"step: expected at most {longest:.6g} ps (2/ω of the stiffest wave), got {step:.6g} "

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import fit
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, part
 
 LEAST_LOADS, DRAWS = 4, 40
 ONE_DEVIATION = (0.1587, 0.8413)
@@ -115,7 +115,7 @@ def resample_loads(
         try:
             with warnings.catch_warnings():  # the fit to all loads warns; a draw has less to go by
                 warnings.simplefilter("ignore", UserWarning)
-                materials.append(fit(_chosen(one, choice), law, **options).material)
+                materials.append(fit(part(one, choice), law, **options).material)
         except InputError:
             again += 1
             if leave_one_out or again > REDRAWN * draws:
@@ -134,9 +134,3 @@ def resample_loads(
         "loads share"
     )
     return Resampled(materials, count, spread, knows, drawn=not leave_one_out)
-
-
-def _chosen(samples: Samples, choice: np.ndarray) -> Samples:
-    arrays = {name: values[choice] for name, values in samples.arrays.items()}
-    b = None if samples.b is None else samples.b[choice]
-    return dataclasses.replace(samples, u=samples.u[choice], b=b, arrays=arrays)

@@ -28,9 +28,9 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
+from warp_peri.statics.equilibria import SOLVES
 from warp_peri.statics.linear import Inverse
-from warp_peri.statics.lps import choose_method
-from warp_peri.statics.nonlinear import SOLVES, PlacedThirdOrder, factorised_tangent
+from warp_peri.statics.nonlinear import PlacedThirdOrder
 
 _known: dict[tuple[object, ...], ThirdOrderCrystal] = {}
 
@@ -164,9 +164,7 @@ class PlacedCrystal(PlacedThirdOrder):
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of the tensors, of a load on the interior: factorised, or by iteration."""
-        if choose_method(self.points, plain=True, loads=SOLVES * loads) == "lu":
-            return factorised_tangent(self)
-        return lambda right, tolerance: self.straight.linear.inverse(right, tolerance)[0]
+        return self.straight.linear.cheapest_inverse(SOLVES * loads)
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """Of the energy form [stress · length²], shape [...], up to what the collar alone has: its

@@ -1,11 +1,10 @@
-"""Arrays as they enter: of the kind asked for, contiguous, finite."""
+"""Arrays as they enter: of the kind and shape asked for, contiguous, finite, nothing masked."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 
@@ -13,16 +12,34 @@ LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
 
 
-def checked(name: str, value: ArrayLike, kind: type) -> np.ndarray:
-    """An array of float64 or bool; InputError naming it and the first value that is not finite."""
+def checked(
+    name: str, value: Any, kind: type = float, shape: tuple[int | str, ...] | None = None
+) -> np.ndarray:
+    """An array of float64, of bool, or of whole numbers, whose entries are all there.
+
+    Args:
+        name: of it in messages.
+        value: what a user gave.
+        kind: float, bool or int.
+        shape: that it must have; names stand for any length.
+
+    Raises InputError for complex numbers, text and objects, for masked entries, for numbers that
+    are not finite or beyond LARGEST, and for another shape.
+    """
     try:
-        value = np.asarray(value)
+        masked = np.ma.array(value, copy=False)  # that of a list of masked arrays too
     except ValueError as error:
         raise InputError(f"{name}: expected an array ({error})") from None
-    wanted = "b" if kind is bool else "fiu"
-    if value.dtype.kind not in wanted:
+    value = np.asarray(masked.data)
+    if value.dtype.kind not in {bool: "b", int: "iu"}.get(kind, "fiu"):
         raise InputError(f"{name}: expected {kind.__name__} values, got {value.dtype}")
-    value = np.require(value, np.float64 if kind is float else bool, ["C", "W"])
+    if np.any(masked.mask):
+        first = np.argwhere(np.ma.getmaskarray(masked))[0].tolist()
+        raise InputError(
+            f"{name}: expected values everywhere, got {np.count_nonzero(masked.mask)} of "
+            f"{value.size} masked, the first at index {first}"
+        )
+    value = np.require(value, np.float64 if kind is float else value.dtype, ["C", "W"])
     if kind is float and not np.isfinite(value).all():
         bad = np.argwhere(~np.isfinite(value))[0].tolist()
         raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
@@ -32,7 +49,14 @@ def checked(name: str, value: ArrayLike, kind: type) -> np.ndarray:
         raise InputError(
             f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {index}"
         )
-    return value
+    if shape is not None and (
+        value.ndim != len(shape)
+        or any(wanted not in (n, str(wanted)) for n, wanted in zip(value.shape, shape))
+    ):
+        raise InputError(
+            f"{name}: expected shape [{', '.join(map(str, shape))}], got {list(value.shape)}"
+        )
+    return np.asarray(value)
 
 
 def is_number(value: Any) -> bool:

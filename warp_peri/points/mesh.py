@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.tetrahedra import REST, Tetrahedra, checked_cells, make_tetrahedra
+from warp_peri.points.cells import REST as REST
+from warp_peri.points.cells import outlined
+from warp_peri.points.tetrahedra import Tetrahedra, make_tetrahedra
+
+CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
+"""Of cells in the plane, by meshio's names."""
+GROUPS = (":physical", ":ref", "cell_tags")
+"""How data of cells end that are numbers of groups: of Gmsh, of Medit and others, of Salome."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +112,9 @@ def make_mesh(
     x: ArrayLike,
     triangles: ArrayLike,
     parts: Mapping[str, ArrayLike] | None = None,
-    middle: dict[tuple[int, int], np.ndarray] | None = None,
+    middle: Mapping[tuple[int, int], ArrayLike] | None = None,
+    *,
+    inner: bool = False,
 ) -> Mesh:
     """A mesh from corners and triangles.
 
@@ -113,62 +123,29 @@ def make_mesh(
         triangles: corners of each, shape [T, 3], in either sense.
         parts: edges of the outline by name, pairs of corners, shape [n, 2].
         middle: points halfway along curved edges [Å], by the pair of corners, the smaller first.
+        inner: edges of parts that are inside are left out with a warning, not refused.
 
-    Raises InputError for triangles without area, corners out of range, an edge of more than two
-    triangles, and named edges that are not of the outline.
+    Warns and raises InputError as `points.cells.outlined`.
     """
-    x, t, area = checked_cells(x, triangles, 2)
-    t = np.where((area < 0)[:, None], t[:, ::-1], t)
-    every = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    pairs = np.sort(every, axis=1)
-    _, back, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-    if count.max() > 2:
-        raise InputError("triangles: expected one or two at each edge, some edge has more")
-    edges = every[count[back.ravel()] == 1]
-    return _numbered(x, t, edges, parts or {}, middle or {})
-
-
-def _numbered(
-    x: np.ndarray,
-    triangles: np.ndarray,
-    edges: np.ndarray,
-    parts: Mapping[str, ArrayLike],
-    middle: dict[tuple[int, int], np.ndarray],
-) -> Mesh:
-    """The mesh with the edges of its parts numbered, and without corners that nothing has."""
-    keys = [(min(pair), max(pair)) for pair in edges.tolist()]
-    number = {key: n for n, key in enumerate(keys)}
-    middles = (x[edges[:, 0]] + x[edges[:, 1]]) / 2
-    for key, point in middle.items():
-        if key in number:
-            middles[number[key]] = point
-    named: dict[str, np.ndarray] = {}
-    for name, pairs in parts.items():
-        of = [number.get((min(p), max(p)), -1) for p in np.asarray(pairs).reshape(-1, 2).tolist()]
-        if -1 in of:
-            raise InputError(f"part '{name}': expected edges of the outline, some are inside")
-        named[name] = np.array(sorted(of), dtype=int)
-    taken = np.zeros(len(edges), bool)
-    for of_part in named.values():
-        taken[of_part] = True
-    if not taken.all():
-        named[REST] = np.union1d(named.get(REST, np.zeros(0, int)), np.flatnonzero(~taken))
-    used, renumbered = np.unique(triangles, return_inverse=True)
-    new = np.full(len(x), -1)
-    new[used] = np.arange(len(used))
-    return Mesh(x[used], renumbered.reshape(-1, 3), new[edges], middles, named)
+    body = outlined(x, triangles, parts or {}, middle or {}, 2, inner=inner)
+    middles = body.x[body.facets].mean(axis=1)
+    number = {tuple(sorted(pair)): n for n, pair in enumerate(body.facets.tolist())}
+    for pair, point in body.middle.items():
+        if pair in number:
+            middles[number[pair]] = point
+    return Mesh(body.x, body.cells, body.facets, middles, body.parts)
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
     """A mesh of any format that meshio reads, positions in Å.
 
-    Tetrahedra where there are some, of second order too, of which the corners count; else triangles
-    and quadrilaterals (cut in two), straight or of second order, whose edges' midpoints are kept on
-    the outline. Parts of the outline are the lines' physical names or sets, of a surface those of
-    the triangles.
+    Tetrahedra, of second order too, of which the corners count; or triangles and quadrilaterals
+    (cut in two), straight or of second order, whose edges' midpoints are kept on the outline. Parts
+    of the outline are the lines' physical names, sets or numbers of groups, of a surface those of
+    the triangles; what is named inside the body is left out with a warning.
 
-    Raises InputError for a file that is not read, without meshio (the extra `bodies`), without
-    tetrahedra and not plane, or without any of these cells.
+    Raises InputError for a file that is not read, without meshio (the extra `bodies`), with cells
+    of other kinds or none, for triangles that are not plane, and as `points.cells.outlined`.
     """
     try:
         import meshio
@@ -180,54 +157,81 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
         read = meshio.read(path)
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
         raise InputError(f"{path}: not a mesh that meshio reads ({error})") from None
-    points = np.asarray(read.points, dtype=float)
-    solid = [np.asarray(c.data)[:, :4] for c in read.cells if c.type in ("tetra", "tetra10")]
-    if solid:
-        try:
-            return make_tetrahedra(points, np.concatenate(solid), _named(read, "triangle", 3))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
-        raise InputError(f"{path}: expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
-    x, triangles = points[:, :2], []
-    middle: dict[tuple[int, int], np.ndarray] = {}
-    for block in read.cells:
-        corners = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
-        if block.type not in corners:
-            continue
-        n, cells = corners[block.type], np.asarray(block.data)
-        triangles += [cells[:, [0, k, k + 1]] for k in range(1, n - 1)]
-        if cells.shape[1] > n:
-            for k in range(n):
-                ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
-                middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
-    if not triangles:
-        kinds = ", ".join(sorted({block.type for block in read.cells})) or "nothing"
-        raise InputError(f"{path}: expected triangles or quadrilaterals, got {kinds}")
     try:
-        return make_mesh(x, np.concatenate(triangles), _named(read, "line", 2), middle)
+        return _body_of(read)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _named(read: object, kind: str, corners: int) -> dict[str, np.ndarray]:
-    """Lines or triangles of a meshio mesh by name: its sets, or Gmsh's physical groups."""
+def _body_of(read: Any) -> Mesh | Tetrahedra:
+    """The body of a meshio mesh; InputError for one with cells of other kinds."""
+    points = np.asarray(read.points, dtype=float)
+    kinds = {block.type for block in read.cells if block.dim > 1}
+    solid = any(block.dim == 3 for block in read.cells)
+    known = {"tetra", "tetra10", "triangle", "triangle6"} if solid else set(CORNERS)
+    if not kinds or not kinds <= known:
+        kinds = kinds - known or {block.type for block in read.cells}
+        raise InputError(
+            "expected triangles and quadrilaterals, or tetrahedra, and no other cells, got "
+            + (", ".join(sorted(kinds)) or "nothing")
+        )
+    if solid:
+        solids = [np.asarray(c.data)[:, :4] for c in read.cells if c.dim == 3]
+        return make_tetrahedra(points, _once(read, solids), _named(read, "triangle", 3), inner=True)
+    if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
+        raise InputError(f"expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
+    x, triangles = points[:, :2], []
+    middle: dict[tuple[int, int], np.ndarray] = {}
+    for block in read.cells:
+        if block.dim != 2:
+            continue
+        n, cells = CORNERS[block.type], np.asarray(block.data)
+        triangles.append(cells[:, :3] if n == 3 else _halves(x, cells[:, :4]))
+        if cells.shape[1] > n:
+            for k in range(n):
+                ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
+                middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
+    return make_mesh(x, _once(read, triangles), _named(read, "line", 2), middle, inner=True)
+
+
+def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Quadrilaterals [T, 4] cut in two, [n, 3], at the corner that is turned in where one is.
+
+    Those that have a corner twice are one triangle.
+    """
+    cuts = quads[:, [[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]]]
+    size = np.linalg.det(x[cuts[..., 1:]] - x[cuts[..., :1]])
+    least = (size * np.sign(size.sum(axis=2, keepdims=True))).min(axis=2)
+    second = (least[:, 0] <= 0) & (least[:, 1] > 0)
+    halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])
+    halves = np.swapaxes(halves, 0, 1).reshape(-1, 3)
+    return np.asarray(halves[(np.diff(np.sort(halves, axis=1), axis=1) > 0).all(axis=1)])
+
+
+def _once(read: Any, cells: list[np.ndarray]) -> np.ndarray:
+    """All cells; those that Gmsh writes once for each of their groups, once."""
+    every = np.concatenate(cells)
+    if "gmsh:physical" not in read.cell_data:
+        return every
+    return np.asarray(every[np.sort(np.unique(np.sort(every, 1), axis=0, return_index=True)[1])])
+
+
+def _named(read: Any, kind: str, corners: int) -> dict[str, np.ndarray]:
+    """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number."""
     sets: dict[str, list[np.ndarray]] = {}
-    cells, data = read.cells, read.cell_data  # type: ignore[attr-defined]
-    groups = read.field_data.items()  # type: ignore[attr-defined]
-    names = {int(value[0]): name for name, value in groups if value[1] == corners - 1}
-    for number, block in enumerate(cells):
+    names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == corners - 1}
+    names |= getattr(read, "cell_tags", {})
+    groups = [key for key in read.cell_data if key.endswith(GROUPS)]
+    for number, block in enumerate(read.cells):
         if not block.type.startswith(kind):
             continue
         found = np.asarray(block.data)[:, :corners]
-        if "gmsh:physical" in data:
-            for tag in np.unique(data["gmsh:physical"][number]):
-                if tag in names:
-                    sets.setdefault(names[tag], []).append(
-                        found[data["gmsh:physical"][number] == tag]
-                    )
-            continue
-        for name, kept in read.cell_sets.items():  # type: ignore[attr-defined]
-            if kept[number] is not None and len(kept[number]):
+        for key in groups:
+            tags = np.asarray(read.cell_data[key][number])
+            for tag in np.unique(tags[tags != 0]).tolist():
+                for name in names.get(tag, names.get(-tag, [str(abs(tag))])):
+                    sets.setdefault(name, []).append(found[tags == tag])
+        for name, kept in read.cell_sets.items():
+            if not name.startswith("gmsh:") and kept[number] is not None and len(kept[number]):
                 sets.setdefault(name, []).append(found[kept[number]])
-    return {name: np.concatenate(pairs) for name, pairs in sets.items()}
+    return {name: np.concatenate(facets) for name, facets in sets.items()}

@@ -61,23 +61,21 @@ class Points(Shown):
         return rows
 
     def __post_init__(self) -> None:
-        for name, kind in (("x", float), ("interior", bool)):
-            object.__setattr__(self, name, checked(name, getattr(self, name), kind))
+        object.__setattr__(self, "x", checked("x", self.x))
         if self.x.ndim != 2 or self.x.shape[1] not in (2, 3) or len(self.x) == 0:
             raise InputError(
                 f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(self.x.shape)}"
             )
         n = len(self.x)
-        if self.interior.shape != (n,):
-            raise InputError(f"interior: expected shape [{n}], got {list(self.interior.shape)}")
+        object.__setattr__(self, "interior", checked("interior", self.interior, bool, (n,)))
         if not self.interior.any():
             raise InputError("interior: expected at least one interior node, got none")
         if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
             raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
         object.__setattr__(self, "units", check_units(self.units))
         if np.ndim(self.axis) == 2 and self.dimension == 3:
-            turn = checked("axis", self.axis, float)
-            if turn.shape != (3, 3) or np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
+            turn = checked("axis", self.axis, shape=(3, 3))
+            if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
                 raise InputError(f"axis: expected a rotation [3, 3], got {self.axis!r:.60}")
             object.__setattr__(self, "axis", tuple(map(tuple, turn.tolist())))
         elif self.axis is not None:
@@ -85,13 +83,9 @@ class Points(Shown):
                 raise InputError(f"axis: expected an angle [degrees], got {self.axis!r:.60}")
             object.__setattr__(self, "axis", float(self.axis))
         if self.outside is not None:
-            outside = np.asarray(self.outside)
-            wrong = outside.shape != (n,) or outside.dtype != bool
-            if wrong or (outside & self.interior).any():
-                raise InputError(
-                    f"outside: expected shape [{n}] of bool, true for no interior node, got "
-                    f"{outside.dtype} of shape {list(outside.shape)}"
-                )
+            outside = checked("outside", self.outside, bool, (n,))
+            if (outside & self.interior).any():
+                raise InputError("outside: expected true for no interior node, got some")
             object.__setattr__(self, "outside", outside)
 
     @classmethod
@@ -116,6 +110,14 @@ class Points(Shown):
         return cls(
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
         )
+
+    def differs_from(self, other: Points) -> str:
+        """What these points have another than others: the first that differs by name, or none."""
+        for name in ("spacing", "units", "box", "axis", "x", "interior", "outside"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if (mine is None) != (theirs is None) or not np.array_equal(mine, theirs):
+                return name
+        return ""
 
     @property
     def dimension(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,6 +13,9 @@ from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.shown import Shown
 
+SEEN = "seen"
+"""Array of frames that were measured: nodes whose displacement was, shape [S, N] bool; that of the
+others is filled in."""
 FIELDS = ("x", "u", "b", "interior", "outside")
 """Names that no array of samples may bear."""
 
@@ -39,17 +42,16 @@ class Samples(Shown):
         if not isinstance(self.points, Points):
             raise InputError(f"points: expected Points, got {type(self.points).__name__}")
         for name in ("u", "b") if self.b is not None else ("u",):
-            object.__setattr__(self, name, checked(name, getattr(self, name), float))
-            shape, (n, d) = getattr(self, name).shape, self.x.shape
-            if len(shape) != 3 or shape[1:] != (n, d) or shape[0] != len(self.u):
-                raise InputError(
-                    f"{name}: expected shape [{len(self.u)}, {n}, {d}], got {list(shape)}"
-                )
+            count: int | str = "S" if name == "u" else len(self.u)
+            field = checked(name, getattr(self, name), shape=(count, *self.x.shape))
+            object.__setattr__(self, name, field)
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")
             if np.ndim(value) == 0 or len(value) != len(self.u):
                 raise InputError(f"{name}: expected one entry for each of {len(self.u)} samples")
+            if np.ma.is_masked(value):
+                raise InputError(f"{name}: expected values everywhere, got some that are masked")
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -124,6 +126,18 @@ class Samples(Shown):
         places: dict[str, Any] = {"x": (("node", "component"), self.x, {"units": length})}
         places["interior"] = ("node", self.interior)
         return xarray.Dataset(held, coords=places, attrs={"spacing": self.spacing})
+
+
+def part(samples: Samples, which: Any) -> Samples:
+    """Some of the samples, with what belongs to them."""
+    arrays = {name: values[which] for name, values in samples.arrays.items()}
+    b = None if samples.b is None else samples.b[which]
+    return replace(samples, u=samples.u[which], b=b, arrays=arrays)
+
+
+def seen_of(samples: Samples) -> np.ndarray:
+    """Nodes whose displacement was seen, shape [S, N] bool: all where nothing says otherwise."""
+    return checked(SEEN, samples.arrays.get(SEEN, np.ones(samples.u.shape[:2], bool)), bool)
 
 
 PointsLike: TypeAlias = Points | Samples

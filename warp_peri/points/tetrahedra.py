@@ -12,19 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
-
-REST = "rest"
-"""Name of the edges of an outline, or the faces of a surface, that have no other."""
-FLAT = 1e-9
-"""Size of a cell over that power of its longest side below which it counts as none."""
-OPPOSITE = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Corners of the face across from each corner."""
-ASKED = 5000
-"""Cells that are asked at once what they hold."""
-WITHIN = 1e-9
-"""How far outside a cell, in its own coordinates, a position may lie that it holds."""
+from warp_peri.points.cells import Finder, outlined
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,57 +60,11 @@ class Tetrahedra:
 
     def holding(self, x: np.ndarray) -> np.ndarray:
         """Number of a tetrahedron that holds each point, −1 where none does."""
-        middle, inverse, classes = self._finder
-        found, points = np.full(len(x), -1), cKDTree(x)
-        for size, some in classes:  # a cell is asked for what lies as near as its own corners
-            for part in np.array_split(some, len(some) // ASKED + 1):
-                near = points.query_ball_point(middle[part], size)
-                cell = np.repeat(part, [len(n) for n in near])
-                n = np.concatenate(near).astype(int)
-                own = np.einsum("nij,nj->ni", inverse[cell], x[n] - self.x[self.cells[cell, 0]])
-                held = np.minimum(own.min(axis=1), 1 - own.sum(axis=1)) >= -WITHIN
-                found[n[held]] = cell[held]
-        return found
+        return self._finder.holding(x)
 
     @cached_property
-    def _finder(self) -> tuple[np.ndarray, np.ndarray, list[tuple[float, np.ndarray]]]:
-        """Middles of the cells, what takes a position to a cell's own coordinates, and cells with
-        corners no further than so much from their middle."""
-        corners = self.x[self.cells]
-        sides = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-        middle = corners.mean(axis=1)
-        size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
-        rank = np.ceil(2 * np.log2(size)).astype(int)
-        classes = [(2.0 ** (n / 2), np.flatnonzero(rank == n)) for n in np.unique(rank)]
-        return middle, np.linalg.inv(sides), classes
-
-
-KINDS = {2: ("triangles", "area", 2), 3: ("tetrahedra", "volume", 6)}
-
-
-def checked_cells(
-    x: ArrayLike, cells: ArrayLike, d: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners [P, d], cells [T, d + 1] and their sizes [T], negative where turned over.
-
-    Raises InputError for other shapes, corners out of range and cells of no size.
-    """
-    name, measure, parts = KINDS[d]
-    x, t = checked("x", x, float), np.asarray(cells)
-    whole = t.ndim == 2 and t.shape[1] == d + 1 and len(t) > 0 and t.dtype.kind in "iu"
-    if x.ndim != 2 or x.shape[1] != d or not whole:
-        raise InputError(
-            f"mesh: expected corners [P, {d}] and {name} [T, {d + 1}], got {list(x.shape)} and "
-            f"{list(t.shape)}"
-        )
-    if t.min() < 0 or t.max() >= len(x):
-        raise InputError(f"{name}: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
-    sides = x[t[:, 1:]] - x[t[:, :1]]
-    size = np.linalg.det(sides) / parts
-    share = np.abs(size) / np.linalg.norm(sides, axis=2).max(axis=1) ** d
-    if not (share > FLAT).all():
-        raise InputError(f"{name}: number {int(np.argmin(share))} has no {measure}")
-    return x, t, np.asarray(size)
+    def _finder(self) -> Finder:
+        return Finder(self.x, self.cells)
 
 
 def make_tetrahedra(
@@ -130,6 +72,8 @@ def make_tetrahedra(
     cells: ArrayLike,
     parts: Mapping[str, ArrayLike] | None = None,
     middle: Mapping[tuple[int, int], ArrayLike] | None = None,
+    *,
+    inner: bool = False,
 ) -> Tetrahedra:
     """A body from corners and tetrahedra.
 
@@ -138,35 +82,11 @@ def make_tetrahedra(
         cells: corners of each, shape [T, 4].
         parts: faces of the surface by name, triples of corners, shape [n, 3].
         middle: points halfway along curved edges of the surface [length], by the pair of corners.
+        inner: faces of parts that are inside are left out with a warning, not refused.
 
-    Raises InputError for cells without volume, corners out of range, a face of more than two
-    cells, and named faces that are not of the surface.
+    Warns and raises InputError as `points.cells.outlined`.
     """
-    x, t, _ = checked_cells(x, cells, 3)
-    used, numbered = np.unique(t, return_inverse=True)
-    x, t = x[used], numbered.reshape(-1, 4)
-    every = np.sort(t[:, OPPOSITE].reshape(-1, 3), axis=1)
-    faces, count = np.unique(every, axis=0, return_counts=True)
-    if count.max() > 2:
-        raise InputError("tetrahedra: expected one or two at each face, some face has more")
-    faces = faces[count == 1]
-    number = {key: n for n, key in enumerate(map(tuple, faces.tolist()))}
-    place = dict(zip(used.tolist(), range(len(used))))
-    named: dict[str, np.ndarray] = {}
-    for name, given in (parts or {}).items():
-        triples = [
-            tuple(sorted(place.get(c, -1) for c in face))
-            for face in np.asarray(given).reshape(-1, 3).tolist()
-        ]
-        if missing := sum(face not in number for face in triples):
-            raise InputError(
-                f"part '{name}': expected faces of the surface, {missing} of {len(triples)} are not"
-            )
-        named[name] = np.array(sorted({number[face] for face in triples}), dtype=int)
-    rest = np.setdiff1d(np.arange(len(faces)), np.concatenate([*named.values(), []]).astype(int))
-    if len(rest):
-        named[REST] = np.union1d(named.get(REST, np.zeros(0, int)), rest)
-    bent = {tuple(sorted(place[c] for c in pair)): at for pair, at in (middle or {}).items()}
-    curved = np.array(list(bent), dtype=int).reshape(-1, 2)
-    points = np.array(list(bent.values()), dtype=float).reshape(-1, 3)
-    return Tetrahedra(np.asarray(x), np.asarray(t), faces, named, curved, points)
+    body = outlined(x, cells, parts or {}, middle or {}, 3, inner=inner)
+    curved = np.array(list(body.middle), dtype=int).reshape(-1, 2)
+    points = np.array(list(body.middle.values()), dtype=float).reshape(-1, 3)
+    return Tetrahedra(*body[:4], curved, points)

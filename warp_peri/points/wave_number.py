@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from warp_peri.points.arrays import checked
 from warp_peri.points.samples import Samples
 
 WAVE_VECTOR = "wave_vector"
@@ -18,7 +19,7 @@ def largest_wave_number(points: Samples) -> float | None:
     b, from differences of neighbouring nodes (theory.md, M1).
     """
     if WAVE_VECTOR in points.arrays:
-        k = np.asarray(points.arrays[WAVE_VECTOR], dtype=float)
+        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])
         return float(np.linalg.norm(k, axis=-1).max(initial=0.0)) or None
     h = points.spacing
     if h == 0 or points.b is None:

@@ -11,7 +11,7 @@ from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, part
 from warp_peri.points.strain import largest_strain
 from warp_peri.prediction.members import Factors, Members
 from warp_peri.prediction.placed import GROWN, PlacedMembers, pulled, spread
@@ -101,12 +101,6 @@ class FamilyFit:
     def history(self) -> Any:
         """Of the rich member's fit."""
         return getattr(self.rich, "history", None)
-
-
-def part(samples: Samples, which: Any) -> Samples:
-    """Some of the samples."""
-    arrays = {name: values[which] for name, values in samples.arrays.items()}
-    return replace(samples, u=samples.u[which], b=samples.loads[which], arrays=arrays)
 
 
 def poorer(law: Any) -> Any:

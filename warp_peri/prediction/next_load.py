@@ -15,8 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus.fields import rows
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import wave_rows
-from warp_peri.points.samples import Samples
-from warp_peri.prediction.learning import part
+from warp_peri.points.samples import Samples, part
 from warp_peri.prediction.solid_numbers import WAVES, Quantity, Told, of_solid
 
 RESIDUAL = 0.02

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 
 EV_PER_CUBIC_ANGSTROM = 0.1602176634
@@ -169,15 +170,9 @@ def coarse_grain(
     a node has no atom within the radius.
     """
     atoms = omega.shape[1]
-    fields = {"displacement": np.asarray(displacement, float), "force": np.asarray(force, float)}
-    for name, value in fields.items():
-        if value.ndim != 3 or value.shape[1:] != (atoms, 2):
-            raise InputError(f"{name}: expected shape [S, {atoms}, 2], got {list(value.shape)}")
-        if not np.isfinite(value).all():
-            raise InputError(f"{name}: expected finite values, got NaN or infinity")
-    mass = np.asarray(mass, float)
-    if mass.shape not in ((), (atoms,)):
-        raise InputError(f"mass: expected one number or shape [{atoms}], got {list(mass.shape)}")
+    moved = checked("displacement", displacement, shape=("S", atoms, 2))
+    pushed = checked("force", force, shape=(len(moved), atoms, 2))
+    mass = checked("mass", mass, shape=(atoms,) if np.ndim(mass) else ())
     for name, size in (("mass", mass), ("node_area", node_area), ("thickness", thickness)):
         if not (np.isfinite(size).all() and np.all(np.greater(size, 0))):
             what = "values" if name == "mass" else "a number"
@@ -190,8 +185,8 @@ def coarse_grain(
             f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}: expected "
             "nodes inside the body, or its periods (box)"
         )
-    u = _apply(weighted, fields["displacement"]) / density[:, None]
-    b = _apply(omega, fields["force"]) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
+    u = _apply(weighted, moved) / density[:, None]
+    b = _apply(omega, pushed) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
     return u, b
 
 
@@ -218,9 +213,8 @@ def force_on_mesh(
     Raises InputError for arrays of another shape or not finite, a thickness that is not > 0, or
     atoms that lie outside the mesh.
     """
-    atoms, force = _positions("atoms", atoms), _positions("force", force)
-    if len(force) != len(atoms):
-        raise InputError(f"force: expected shape [{len(atoms)}, 2], got {list(force.shape)}")
+    atoms = _positions("atoms", atoms)
+    force = checked("force", force, shape=atoms.shape)
     if not 0 < thickness < np.inf:
         raise InputError(f"thickness: expected a length > 0, got {thickness}")
     linear = _linear_functions(mesh, atoms)
@@ -287,9 +281,7 @@ def _tau(nodes: np.ndarray, atoms: np.ndarray, radius: float, shape: str) -> sp.
 
 
 def _positions(name: str, value: ArrayLike) -> np.ndarray:
-    value = np.asarray(value, dtype=float)
-    if value.ndim != 2 or value.shape[1] != 2 or len(value) == 0:
-        raise InputError(f"{name}: expected shape [N, 2] with N > 0, got {list(value.shape)}")
-    if not np.isfinite(value).all():
-        raise InputError(f"{name}: expected finite values, got NaN or infinity")
+    value = checked(name, value, shape=("N", 2))
+    if not len(value):
+        raise InputError(f"{name}: expected shape [N, 2] with N > 0, got [0, 2]")
     return value

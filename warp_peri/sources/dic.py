@@ -1,8 +1,9 @@
 """Frames of digital image correlation: tables of many programs, onto one lattice.
 
 A frame is a table of points with positions in the reference and displacements. Its columns are
-recognised by their header: a plain x, y, u, v; DICe's solution files; ARAMIS' nodemap.txt; tables
-with units in brackets. Separators are commas, semicolons, tabs or blanks.
+recognised by their header, behind a # or not: a plain x, y, u, v; DICe's solution files, also those
+of two cameras; ARAMIS' nodemap.txt; tables with units in brackets. Separators are commas,
+semicolons, tabs or blanks.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,26 +20,24 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
+from warp_peri.sources.tables import factors, read_table
 
-NAMES = {
-    "x": ("x", "coordinatex", "xcoordinate", "xundef", "coorx", "xpixel", "xmm"),
-    "y": ("y", "coordinatey", "ycoordinate", "yundef", "coory", "ypixel", "ymm"),
-    "u": ("u", "ux", "displacementx", "xdisplacement", "dispx", "dx"),
-    "v": ("v", "uy", "displacementy", "ydisplacement", "dispy", "dy"),
-}
-"""Names of the columns, in small letters and without units or signs."""
-NODEMAP = {"x": 1, "y": 2, "u": 4, "v": 5}
-"""Columns of a nodemap.txt, whose header is a comment: number, x, y, z, ux, uy, uz and strains."""
-LARGEST_FILE = 2**28
 LEAST = 4
 """Frames of a folder."""
 FIRST = 0.25
 """Frames of a folder before this part of a test are left: little moves there but errors."""
 ON_LATTICE = 0.02
 """Points this near to lattice nodes, in spacings, are taken as those nodes."""
+APART = 0.1
+"""How far, in spacings, points of two frames may lie apart that are the same."""
+OFTEN = 0.5
+"""Part of the frames that see a node of the sheet; the others may have lost it."""
+OWN, FILLED, AROUND = 0.75, 2.5, 12
+"""How near a node, in spacings, its own point is, and points that fill it in; so many do."""
 FOURTH = 70**0.5
 """Standard deviation of a fourth difference of independent noise of one."""
 
@@ -65,46 +64,27 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> She
 
     Args:
         path: a table with a header.
-        pixel: length of the table's unit; positions and displacements are multiplied by it. With
-            its unit, as "0.012mm", or "mm" alone, the frame carries that; without one, the unit in
-            brackets behind a column's name.
+        pixel: length of the table's unit; what is in pixels, or in no unit that is said, is
+            multiplied by it. With its unit, as "0.012mm", or "mm" alone, the frame carries that;
+            without one, the unit of the columns, of their names or a second line.
 
-    Points are left out where a number is missing or not finite, or where DICe's SIGMA is negative
-    (the correlation failed). Raises InputError for a table without the columns, or without points,
-    and a pixel that is no length > 0.
+    Points are left out where a number is missing, or the correlation failed. Positions of the
+    current frame that are named so are taken back to the reference. Raises InputError for a table
+    that is not clearly one, or without points, and a pixel that is no length > 0.
     """
     size, unit = length_of(pixel)
     path = Path(path)
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: expected at most {LARGEST_FILE} bytes")
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    body = [line for line in lines if line.strip() and not line.startswith(("#", "***"))]
-    if not body:
-        raise InputError(f"{path}: expected a table of points, got none")
-    columns = columns_of(split(body[0]))
-    if unit is None and columns and size == 1.0:
-        unit = unit_in(split(body[0])[columns["x"]])
-    if columns:
-        body = body[1:]
-    elif any(line.startswith("#") for line in lines) and len(split(body[0])) >= 6:
-        columns = NODEMAP
-    else:
-        raise InputError(f"{path}: expected columns x, y, u and v, got {body[0][:80]!r}")
-    table = np.array([numbers(split(line), columns) for line in body], float).reshape(-1, 5)
-    good = np.isfinite(table[:, :4]).all(axis=1) & ~(table[:, 4] < 0)
-    if not good.any():
-        raise InputError(f"{path}: expected points with finite numbers, got none")
-    return SheetFrame(size * table[good, :2], size * table[good, 2:4], path.name, unit)
+    table = read_table(path)
+    each, unit = factors(path, table.units, size, unit)
+    x, u = each[:2] * table.x, each[2:] * table.u
+    return SheetFrame(x - u if table.current else x, u, path.name, unit)
 
 
 def length_of(pixel: float | str) -> tuple[float, str | None]:
     """A length and the name of its unit, as of 0.012, "0.012mm", "0.5 um" or "mm"."""
     found = re.fullmatch(r"([-+.\deE]*)\s*(.*)", str(pixel))
     number, name = found.groups() if found and isinstance(pixel, str) else (str(pixel), "")
-    unit = {"µm": "um", "Å": "angstrom"}.get(name, name) or None
+    unit = {"µm": "um", "μm": "um", "Å": "angstrom"}.get(name, name) or None
     try:
         size = float(number or 1.0)
     except ValueError:
@@ -117,54 +97,6 @@ def length_of(pixel: float | str) -> tuple[float, str | None]:
     return size, unit
 
 
-def unit_in(header: str) -> str | None:
-    """The unit of length in the brackets of a column's name, if it is known."""
-    found = re.search(r"[\[(]\s*(\w+)\s*[\])]", header)
-    unit = found[1].replace("µ", "u") if found else None
-    return unit if unit in LENGTHS else None
-
-
-def split(line: str) -> list[str]:
-    """Fields of a line; a decimal comma is not one beside semicolons or tabs."""
-    for separator in (";", "\t", ","):
-        if separator in line:
-            fields = line.rstrip().rstrip(separator).split(separator)
-            if separator != ",":
-                fields = [field.replace(",", ".") for field in fields]
-            return [field.strip().strip('"') for field in fields]
-    return line.split()
-
-
-def columns_of(header: Sequence[str]) -> dict[str, int]:
-    """Places of x, y, u, v, and of sigma where there is one; empty where one is missing."""
-    plain = [re.sub(r"[^a-z]", "", re.sub(r"\[.*?\]|\(.*?\)", "", h.lower())) for h in header]
-    places_of = {}
-    for name, known in NAMES.items():
-        places = [n for n, field in enumerate(plain) if field in known]
-        if not places:
-            return {}
-        places_of[name] = places[0]
-    if "sigma" in plain:
-        places_of["sigma"] = plain.index("sigma")
-    return places_of
-
-
-def numbers(fields: Sequence[str], columns: dict[str, int]) -> list[float]:
-    """x, y, u, v and sigma of a line; NaN for what is missing, 0 for a sigma that no one gave."""
-    values = []
-    for name in ("x", "y", "u", "v"):
-        try:
-            values.append(float(fields[columns[name]]))
-        except (IndexError, ValueError):
-            values.append(np.nan)
-    sigma = columns.get("sigma")
-    try:
-        values.append(0.0 if sigma is None else float(fields[sigma]))
-    except (IndexError, ValueError):
-        values.append(-1.0)
-    return values
-
-
 def frames_on_lattice(
     frames: Sequence[SheetFrame],
     *,
@@ -173,11 +105,15 @@ def frames_on_lattice(
     reach: int = 3,
     mask: np.ndarray | None = None,
     units: Units | str | None = None,
+    positions: str | None = None,
 ) -> Samples:
-    """All frames on the nodes that every frame has, with the collar that a model needs.
+    """All frames on the nodes that most of them have, with the collar that a model needs.
+
+    A node that a frame lost is filled in there from the points around, which the array SEEN tells:
+    fits do not look at it.
 
     Args:
-        frames: with positions in one reference.
+        frames: of one sheet.
         spacing: of the lattice; that of the points where none is given.
         radius: of the local quadratic fits that smooth, in spacings; 0 keeps points that lie on
             nodes as they are, and takes 1.6 for others.
@@ -185,12 +121,16 @@ def frames_on_lattice(
         mask: polygon, shape [M, 2], whose inside alone is used.
         units: of the samples' lengths and of the stresses to be learned; by default the length
             that the frames carry, with MPa, and Å and TPa where they carry none.
+        positions: "reference" or "current", what the frames' positions are; None tells it: where
+            positions less displacements are the same in all frames, or those of one a lattice, and
+            positions are not, they are of the current frame, and a warning says so.
 
     Raises InputError for frames in several units, or other ones than asked, and where points are
     too few or no node has its surroundings.
     """
     if not frames:
         raise InputError("frames: expected at least one, got none")
+    frames = in_reference(frames, positions)
     first, lengths = frames[0].x, {frame.length for frame in frames}
     if len(lengths) > 1:
         said = {frame.length: f"{frame.length or 'no unit'} in {frame.name}" for frame in frames}
@@ -210,29 +150,38 @@ def frames_on_lattice(
         )
     nodes = np.argwhere(np.ones(counts, bool))
     x = origin + step * nodes
-    fields = np.stack([on_nodes(frame, x, step, radius) for frame in frames])
-    there = np.isfinite(fields).all(axis=(0, 2))
+    each = [on_nodes(frame, x, step, radius) for frame in frames]
+    fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])
+    there = np.isfinite(fields).all(axis=(0, 2)) & (seen.mean(axis=0) >= OFTEN)
     if mask is not None:
         from matplotlib.path import Path as Polygon
 
-        there &= Polygon(np.asarray(mask, float)).contains_points(x, radius=1e-9 * step)
+        there &= Polygon(checked("mask", mask, shape=("M", 2))).contains_points(
+            x, radius=1e-9 * step
+        )
     grid = there.reshape(counts)
     a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
     ball = a**2 + b**2 <= reach**2
     interior = binary_erosion(binary_erosion(grid, ball), ball).ravel()[there]
     if not interior.any():
-        seen = np.isfinite(fields).all(axis=2).sum(axis=1)
+        count = seen.sum(axis=1)
         raise InputError(
-            f"frames: expected nodes with all nodes within {2 * reach} spacings around them in "
-            f"every frame, got none; {frames[seen.argmin()].name} has {seen.min()} nodes of "
-            f"{len(x)}, {frames[seen.argmax()].name} has {seen.max()}"
+            f"frames: expected nodes with all nodes within {2 * reach} spacings around them, got "
+            f"none; {frames[count.argmin()].name} has {count.min()} nodes of {len(x)}, "
+            f"{frames[count.argmax()].name} has {count.max()}"
         )
     points = Points(x[there], interior, step, units=named)
-    return Samples(points, fields[:, there])
+    seen = seen[:, there]
+    return Samples(points, fields[:, there], arrays={} if seen.all() else {SEEN: seen})
 
 
 def frames_of_folder(
-    folder: Path, count: int, *, pixel: float | str = 1.0, radius: float
+    folder: Path,
+    count: int,
+    *,
+    pixel: float | str = 1.0,
+    radius: float,
+    positions: str | None = None,
 ) -> Samples:
     """So many frames of a folder, in the order of their names and numbers, on one lattice.
 
@@ -243,7 +192,7 @@ def frames_of_folder(
         folder: with files for `read_frame`.
         count: of frames.
         pixel: as for `read_frame`.
-        radius: as for `frames_on_lattice`.
+        radius, positions: as for `frames_on_lattice`.
 
     Raises InputError for what is no folder, or has fewer than four frames; for a pixel, a count or
     a radius of no sense.
@@ -267,7 +216,38 @@ def frames_of_folder(
         warnings.warn(f"passed over: {why}", stacklevel=2)
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
-    return frames_on_lattice([frames[n] for n in chosen], radius=radius)
+    return frames_on_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
+
+
+def in_reference(frames: Sequence[SheetFrame], positions: str | None) -> list[SheetFrame]:
+    """The frames with positions in the reference, as `frames_on_lattice` tells what they are."""
+    if positions not in (None, "reference", "current"):
+        raise InputError(f"positions: expected reference or current, got {positions!r}")
+    back = [replace(frame, x=frame.x - frame.u) for frame in frames]
+    if positions is None:
+        given, taken = (_apart([frame.x for frame in some]) for some in (frames, back))
+        if len(frames) > 1 and min(given, taken) > APART:
+            raise InputError(
+                "frames: expected the same points in all, in the reference or each where it is; "
+                'positions="reference" or "current" says which'
+            )
+        if 2 * taken < given and taken < (APART if len(frames) > 1 else ON_LATTICE):
+            warnings.warn(
+                "frames: positions are those of the current frame; displacements are taken off",
+                stacklevel=3,
+            )
+            positions = "current"
+    return back if positions == "current" else list(frames)
+
+
+def _apart(sets: list[np.ndarray]) -> float:
+    """How far positions are from those of the first set, of one alone from a lattice [spacings]."""
+    step = spacing_of(sets[0])
+    if len(sets) == 1:
+        parts = (sets[0] - sets[0].min(axis=0)) / step
+        return float(np.median(np.abs(parts - np.rint(parts)).max(axis=1)))
+    tree = cKDTree(sets[0])
+    return float(max(np.median(tree.query(x)[0]) for x in sets[1:])) / step
 
 
 def by_number(path: Path) -> list[tuple[int, str]]:
@@ -281,32 +261,50 @@ def spacing_of(x: np.ndarray) -> float:
     if len(x) < 2:
         raise InputError("frames: expected points on a lattice, got fewer than two")
     distance, _ = cKDTree(x).query(x, 2)
-    return float(np.median(distance[:, 1]))
+    step = float(np.median(distance[:, 1]))
+    if not step > 0:
+        raise InputError("frames: expected each point once, most lie where others do")
+    return step
 
 
-def on_nodes(frame: SheetFrame, x: np.ndarray, step: float, radius: float) -> np.ndarray:
-    """Displacement on nodes, NaN where there are too few points, shape [N, 2]."""
+def on_nodes(
+    frame: SheetFrame, x: np.ndarray, step: float, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement on nodes, shape [N, 2], and where it was seen, [N].
+
+    What was not is filled in from the points around; NaN where they are too few.
+    """
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)
     fitted = np.full(x.shape, np.nan)
-    near = distance <= ON_LATTICE * step
-    if radius <= 0:
-        fitted[near] = frame.u[nearest[near]]
-        if near.sum() >= 0.5 * len(frame.x):
-            return fitted
-        radius = 1.6
-    for n, members in enumerate(tree.query_ball_point(x, radius * step * (1 + 1e-9))):
-        if len(members) < 8:
-            continue
-        local = (frame.x[members] - x[n]) / step
-        weight = np.exp(-(local**2).sum(axis=1) / radius**2)
-        p, q = local.T
-        design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1)
-        scaled = design * weight[:, None]
-        if np.linalg.matrix_rank(scaled, tol=1e-6) == 6:
-            surface, *_ = np.linalg.lstsq(scaled, frame.u[members] * weight[:, None], rcond=None)
-            fitted[n] = surface[0]
-    return fitted
+    seen = distance <= ON_LATTICE * step
+    points = radius <= 0 and seen.sum() >= 0.5 * len(frame.x)
+    if points:
+        fitted[seen] = frame.u[nearest[seen]]
+    radius = radius or 1.6
+    for n in np.flatnonzero(np.isnan(fitted[:, 0]) & (distance <= FILLED * step)):
+        around = tree.query_ball_point(x[n], radius * step * (1 + 1e-9))
+        value = surface(frame, around, x[n], step, radius) if len(around) >= 8 else None
+        if not points:
+            seen[n] = value is not None or distance[n] <= OWN * step
+        if value is None:
+            far, more = tree.query(x[n], min(AROUND, len(frame.x)))
+            value = surface(frame, more, x[n], step, max(radius, far.max() / step))
+        if value is not None:
+            fitted[n] = value
+    return fitted, seen & np.isfinite(fitted[:, 0])
+
+
+def surface(
+    frame: SheetFrame, members: Sequence[int], x: np.ndarray, step: float, radius: float
+) -> np.ndarray | None:
+    """Displacement at a place by a quadratic surface through points; None where they tell none."""
+    p, q = local = (frame.x[members] - x).T / step
+    weight = np.exp(-(local**2).sum(axis=0) / radius**2)
+    design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) * weight[:, None]
+    if np.linalg.matrix_rank(design, tol=1e-6) < 6:
+        return None
+    return np.asarray(np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=None)[0][0])
 
 
 def noise_of(samples: Samples) -> np.ndarray:

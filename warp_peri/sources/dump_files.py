@@ -29,6 +29,12 @@ GZIP, ZSTD, HDF5, MAGIC = b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\x89HDF", b"DUMPCU
 OF_ASE = (".xyz", ".extxyz", ".traj")
 """Endings of files that ASE reads, frame by frame."""
 H5MD_LENGTHS = {"å": 1.0, "a": 1.0, "ang": 1.0} | LENGTHS
+ROUND = 1e-9
+"""Part of a box's longest edge that tilts it: less is rounding."""
+WRAPPED = (
+    "atoms jump by an edge of the tilted box, so that they are wrapped: expected the columns "
+    "xu, yu, zu, or the images ix, iy, iz (image of H5MD)"
+)
 LARGEST_HEADER = 2**16
 """Bytes of a text in a binary dump."""
 
@@ -63,25 +69,28 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
 
     LAMMPS dumps (`dump custom`) as text, packed by gzip or zstd, or binary; H5MD with units; and
     .xyz, .extxyz and .traj by ASE. What it is is told from the content. Wrapped positions are
-    unwrapped where the file has the images ix, iy, iz, and a warning says so.
+    unwrapped where the file has images, and a warning says so.
 
     Args:
         path: a dump with the columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the
             last three; in a tilted box xu, yu, zu, or x, y, z with ix, iy, iz.
 
     Raises InputError for a file that is no such thing, or ends in the middle of a frame; for ids
-    that are missing, come twice, or are others than those of the first frame; for a packed file
-    whose packer is not installed.
+    that are missing, come twice, or are others than those of the first frame; for atoms of a tilted
+    box that are wrapped, without images; for a packed file whose packer is not installed.
     """
     number, first = 0, None
     try:
         for frame in _frames_of(path):
             if first is None:
-                first = frame.ids
+                first = frame
                 if frame.unwrapped:
                     warnings.warn(f"{path}: unwrapped by the images ix, iy, iz", stacklevel=2)
-            elif not np.array_equal(first, frame.ids):
+            elif not np.array_equal(first.ids, frame.ids):
                 raise ValueError("expected the ids of frame 1, got others")
+            sure = frame.unwrapped or {"xu", "xsu"} & set(frame.columns)
+            if frame.box is None and not sure and jumps(frame, first.x):
+                raise ValueError(WRAPPED)
             yield frame
             number += 1
     except FileNotFoundError:
@@ -95,6 +104,16 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
         ) from None
     if number == 0:
         raise InputError(f"{path}: expected {EXPECTED}; found no frame")
+
+
+def jumps(frame: Frame, x: np.ndarray) -> bool:
+    """Whether some atom is half an edge of the box or more from where it was, x, shape [A, 2].
+
+    That is no displacement of a solid: such atoms were taken to the other side of the box.
+    """
+    edges = frame.cell[np.abs(frame.cell[:, :2]).max(axis=1) > ROUND * np.abs(frame.cell).max()]
+    parts = (frame.x - x) @ np.linalg.pinv(edges[:, :2])
+    return bool((np.abs(parts) >= 0.5).any())
 
 
 def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
@@ -254,17 +273,17 @@ def _frame(
     positions = np.stack([values[name] for name in list(values)[1:4]], axis=1)
     if used in ("xs", "xsu"):
         positions = low + positions @ cell
-    unwrapped = used in ("x", "xs") and set(IMAGES) <= set(values)
-    if unwrapped:
-        positions = positions + np.stack([values[name] for name in IMAGES], axis=1) @ cell
-    if tilt.any() and used in ("x", "xs") and not unwrapped:
+    images = None
+    if used in ("x", "xs") and set(IMAGES) <= set(values):
+        images = np.stack([values[name] for name in IMAGES], axis=1)
+    if tilt.any() and used in ("x", "xs") and images is None:
         raise ValueError(
             f"expected the columns xu, yu, zu in a tilted box, got {used}; or {used} with the "
             "images ix, iy, iz"
         )
     ids = values["id"].astype(np.int64)
     types = values["type"].astype(np.int64) if "type" in values else None
-    return _ordered(ids, positions, types, cell, columns, unwrapped=unwrapped)
+    return _ordered(ids, positions, types, cell, columns, images)
 
 
 def _ordered(
@@ -273,10 +292,11 @@ def _ordered(
     types: np.ndarray | None,
     cell: np.ndarray,
     columns: tuple[str, ...],
-    *,
-    unwrapped: bool = False,
+    images: np.ndarray | None = None,
 ) -> Frame:
-    """Atoms by rising id, none twice, all somewhere."""
+    """Atoms by rising id, none twice, all somewhere, unwrapped where there are images of a box."""
+    if images is not None:
+        positions = positions + images @ cell
     if not np.isfinite(positions).all():
         raise ValueError("positions that are not finite")
     order = np.argsort(ids)
@@ -286,9 +306,9 @@ def _ordered(
     types = None if types is None else types[order]
     x = positions[order]
     sides = (float(cell[0, 0]), float(cell[1, 1]))
-    straight = np.array_equal(cell, np.diag(np.diag(cell)))
+    straight = np.abs(cell - np.diag(np.diag(cell))).max() <= ROUND * np.abs(cell).max()
     box = sides if straight and min(sides) > 0 else None
-    return Frame(ids, x[:, :2], types, box, columns, x[:, 2], cell, unwrapped)
+    return Frame(ids, x[:, :2], types, box, columns, x[:, 2], cell, images is not None)
 
 
 # ------------------------------------------------------------------ other formats
@@ -302,7 +322,9 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:
         ids = np.asarray(atoms.arrays.get("id", np.arange(1, len(atoms) + 1)))
         types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
         cell = np.array(atoms.cell) * atoms.pbc[:, None]
-        yield _ordered(ids, np.array(atoms.positions), types, cell, tuple(atoms.arrays))
+        there = set(IMAGES) <= set(atoms.arrays)
+        images = np.stack([atoms.arrays[name] for name in IMAGES], axis=1) if there else None
+        yield _ordered(ids, np.array(atoms.positions), types, cell, tuple(atoms.arrays), images)
 
 
 def _h5md(path: str | os.PathLike[str]) -> Iterator[Frame]:
@@ -341,8 +363,8 @@ def _h5md(path: str | os.PathLike[str]) -> Iterator[Frame]:
                 size = edges.shape[-1]
                 cell[:size, :size] = edges if edges.ndim == 2 else np.diag(edges)
             if images is not None:
-                x = x + np.pad(images, ((0, 0), (0, 3 - images.shape[1]))) @ cell
+                images = np.pad(images, ((0, 0), (0, 3 - images.shape[1])))
             ids, types = at("id", number), at("species", number)
             ids = np.arange(1, len(x) + 1) if ids is None else np.asarray(ids)
             types = None if types is None else np.asarray(types)
-            yield _ordered(ids, x, types, cell, tuple(group), unwrapped=images is not None)
+            yield _ordered(ids, x, types, cell, tuple(group), images)

@@ -17,10 +17,11 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
+from warp_peri.points.arrays import checked
 from warp_peri.points.interpolation import interpolation, mean_spacing
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.sources.coarse_graining import coarse_grain
-from warp_peri.sources.dump_files import Frame, dump_frames
+from warp_peri.sources.dump_files import Frame, dump_frames, jumps
 
 BOX_TOLERANCE = 1e-5
 """Relative difference of a given period from that of a dump's header."""
@@ -79,7 +80,7 @@ def dump_displacement(
     Raises InputError for another number of atoms, other ids, a box that is not the header's within
     1e-5, atoms beyond half the box without one, too few frames, or ι outside 0 … 1.
     """
-    reference = np.asarray(reference, dtype=float)
+    reference = checked("reference", reference, shape=("A", 2))
     if iota is not None and not 0 < iota <= 1:
         raise InputError(f"iota: expected 0 < ι ≤ 1, got {iota}")
     if skip < 0:
@@ -99,7 +100,7 @@ def dump_displacement(
         u = x - reference
         if box is not None:
             u -= box * np.rint(u / box)
-        elif frame.box is not None and (np.abs(u) > np.divide(frame.box, 2)).any():
+        elif jumps(frame, reference):
             raise InputError(f"{path}: box: atoms moved beyond half the box; are they wrapped?")
         total += u if iota is None else iota * (u - total)
     if frames <= skip:
@@ -185,9 +186,7 @@ def coarse_grain_dumps(
     """
     if len(unloaded) not in (0, 1, len(dumps)):
         raise InputError(f"unloaded: expected 0, 1 or {len(dumps)} dumps, got {len(unloaded)}")
-    force = np.asarray(force, dtype=float)
-    if len(force) != len(dumps):
-        raise InputError(f"force: expected one field for each of {len(dumps)} dumps")
+    force = checked("force", force, shape=(len(dumps), "A", 2))
     ids = atoms.ids
     if ids is None and len(dumps):
         ids = next(dump_frames(dumps[0])).ids
@@ -238,12 +237,8 @@ def write_atoms(
     a symbol, or atoms that are all away from the nodes.
     """
     nodes = nodes_of(points)
-    displacement, u = np.asarray(displacement, dtype=float), np.asarray(u, dtype=float)
-    for name, field, wanted in (("displacement", displacement, frame.x), ("u", u, nodes.x)):
-        if field.shape != wanted.shape:
-            raise InputError(
-                f"{name}: expected shape {list(wanted.shape)}, got {list(field.shape)}"
-            )
+    displacement = checked("displacement", displacement, shape=frame.x.shape)
+    u = checked("u", u, shape=nodes.x.shape)
     types = np.ones(len(frame.x), int) if frame.types is None else frame.types
     if types.min() < 1 or types.max() > len(symbols):
         raise InputError(f"symbols: expected one for each type up to {types.max()}, got {symbols}")

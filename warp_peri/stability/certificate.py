@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -118,9 +118,11 @@ def certify(
         )
     spacing = model.nominal_spacing(spacing)
     proof = prove(lps_stencil(model, spacing), lattice_group(model.dimension))
-    figures = spacing, proof.sampled, proof.proven
+    bare = Certificate(
+        spacing, proof.sampled, proof.proven, units=model.units, dimension=model.dimension
+    )
     if points is None:
-        return Certificate(*figures, units=model.units, dimension=model.dimension)
+        return bare
 
     parts = matrices(model, points)
     unknown = np.repeat(points.interior, 2)
@@ -134,5 +136,11 @@ def certify(
         values = eigh(phi.T @ phi, gamma, eigvals_only=True)
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
-    dense: Any = (gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1]))
-    return Certificate(*figures, *dense, units=model.units)
+    return replace(
+        bare,
+        gamma_min=gamma_min,
+        inf_sup_min=inf_sup,
+        inf_sup_rank=rank,
+        gamma_minus_2phi_min=float(schwarz[0]),
+        gamma_max=float(schwarz[-1]),
+    )

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 
 from warp_peri.errors import InputError
+from warp_peri.points.cells import pieces
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.statics.rim import Field, Rim, Traction
@@ -84,20 +85,24 @@ class Loads:
         return given, fixed
 
     def refuse_loose(self, rim: Rim, fixed: np.ndarray) -> None:
-        """Raise InputError when displacements that are fixed, [n, 2], leave a rigid motion."""
-        centred = rim.x - rim.x.mean(axis=0)
-        size = np.abs(centred).max()
-        motions = [np.broadcast_to(v, rim.x.shape) for v in np.eye(rim.d)]
-        for a, c in itertools.combinations(range(rim.d), 2):
-            turn = np.zeros_like(rim.x)
-            turn[:, a], turn[:, c] = -centred[:, c] / size, centred[:, a] / size
-            motions.append(turn)
-        held_motions = np.stack([motion[fixed] for motion in motions], axis=1)
-        if np.linalg.matrix_rank(held_motions, tol=1e-6) < len(motions):
-            raise InputError(
-                "displacement: expected parts that hold the body against shifts and turns, got "
-                + (", ".join(self.held) or "none")
-            )
+        """Raise InputError when displacements that are fixed, [n, d], let a piece move rigidly."""
+        piece = pieces(rim.mesh.cells)[rim.cells >= 0]
+        for number in np.unique(piece):
+            nodes = np.unique(rim.basis.element_dofs[:, piece == number])
+            centred = rim.x[nodes] - rim.x[nodes].mean(axis=0)
+            size = np.abs(centred).max()
+            motions = [np.broadcast_to(v, centred.shape) for v in np.eye(rim.d)]
+            for a, c in itertools.combinations(range(rim.d), 2):
+                turn = np.zeros_like(centred)
+                turn[:, a], turn[:, c] = -centred[:, c] / size, centred[:, a] / size
+                motions.append(turn)
+            held_motions = np.stack([motion[fixed[nodes]] for motion in motions], axis=1)
+            if np.linalg.matrix_rank(held_motions, tol=1e-6) < len(motions):
+                raise InputError(
+                    "displacement: expected parts that hold the body against shifts and turns, got "
+                    + (", ".join(self.held) or "none")
+                    + (f"; the mesh is of {piece.max() + 1} pieces" if piece.max() else "")
+                )
 
 
 def loads_on(

@@ -19,16 +19,28 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product, convolved
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
+from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
-from warp_peri.statics.edge import Edge
+from warp_peri.statics.direct import factorised
+from warp_peri.statics.edge import Edge, block
 from warp_peri.statics.multigrid import Filter, multigrid, sine, torus_inverse
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
 METHODS = ("sine", "multigrid", "strip", "fft")
 """What stands before conjugate gradients; "fft", the inverse symbol, where nodes are few."""
-FEW = 4_000
-"""Most unknown nodes for which multigrid, whose iterations do not grow, is not worth its set-up."""
+FEW = DIRECT = 4_000
+"""Most unknown nodes for which multigrid, whose iterations do not grow, is not worth its set-up;
+and most that are factorised."""
+FEW_IN_SPACE = 500
+"""Most unknown nodes in space whose factors, which fill up there, cost less than iteration."""
+PAYS = {"sine": 1700, "fft": 3500}
+"""A factorisation pays from 2 + n B/1700 loads on n nodes with B bonds where the sine transform
+does, from 2 + n B/3500 elsewhere."""
+BONDS = 34
+"""Where nobody says how many: between δ = 2.5 and 4 spacings."""
+STIFF = 30.0
+"""λ/μ from which the strip at the edge costs less than the iterations that it saves."""
 SINGULAR = 1e-13
 """A bound of the smallest eigenvalue below this fraction of the largest is no bound."""
 WAVES = 1 << 17
@@ -132,7 +144,7 @@ class Linear:
             raise InputError("method: sine is for boxes of nodes; try multigrid")
         if asked is not None:
             return asked
-        return "sine" if grid.is_box else "fft" if len(grid.interior) <= FEW else "multigrid"
+        return cheapest_method(len(grid.interior), box=grid.is_box, loads=0)
 
     def filter(self, method: str) -> Filter:
         """z ≈ L_II⁻¹ r of planes [d, *shape], one application."""
@@ -189,10 +201,39 @@ class Linear:
         z, record = self._inverted(planes, self.method(method), tolerance)
         return self.grid.gather(z[None])[0], record
 
-    def definite_inverse(self, method: str | None = None) -> Inverse:
-        """L_II⁻¹ as a function of a load and a tolerance; InputError as check_definite raises."""
-        self.check_definite()
-        return lambda right, tolerance: self.inverse(right, tolerance, method)[0]
+    def cheapest_inverse(
+        self, loads: int, bonds: float = BONDS, *, definite: bool = True
+    ) -> Inverse:
+        """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
+
+        Few nodes are factorised too where the symbol does not prove L_II definite. Raises
+        InputError as check_definite for more, and for factors that show that it is not; with
+        `definite` false, any factors will do.
+        """
+        nodes, space = len(self.grid.interior), self.grid.dimension == 3
+        how = cheapest_method(nodes, box=self.grid.is_box, space=space, loads=loads, bonds=bonds)
+        try:
+            self.check_definite()
+            if how != "lu":
+                return lambda right, tolerance: self.inverse(right, tolerance)[0]
+        except InputError:
+            matrix = block(self.stencil, self.grid.mask())
+            if nodes > DIRECT or (definite and definite_factors(matrix) is None):
+                raise
+        factors, order = factorised(block(self.stencil, self.grid.mask())), self._order
+        axes = self.grid.axes
+
+        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+            found = np.empty_like(right)
+            found[order] = factors.solve((right @ axes)[order].ravel()).reshape(right.shape)
+            return np.asarray(found @ axes.T)
+
+        return solved
+
+    @property
+    def _order(self) -> np.ndarray:
+        """Interior nodes as they follow one another in the box."""
+        return np.argsort(self.grid.interior)
 
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float, method: str | None = None
@@ -248,3 +289,34 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
             low = np.linalg.eigvalsh(D)[:, 0]
         smallest = min(smallest, float((low / s[part]).min()))
     return smallest
+
+
+def cheapest_method(
+    nodes: int,
+    *,
+    box: bool,
+    space: bool = False,
+    stiff: bool = False,
+    loads: int = 1,
+    bonds: float = BONDS,
+) -> str:
+    """The cheapest method for so many unknown nodes of a lattice.
+
+    Args:
+        nodes: unknown.
+        box: whether they fill one.
+        space: whether it lies in space.
+        stiff: λ ≫ μ.
+        loads: how many are solved for; 0 for iteration in any case.
+        bonds: of a node, about.
+    """
+    if space and nodes <= FEW_IN_SPACE and loads:
+        return "lu"
+    pays = 2 + nodes * bonds / PAYS["sine" if box else "fft"]
+    if not space and nodes <= DIRECT and loads and (stiff or loads > pays):
+        return "lu"
+    if stiff:
+        return "strip"
+    if box:
+        return "sine"
+    return "fft" if nodes <= FEW else "multigrid"

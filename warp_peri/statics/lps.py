@@ -27,7 +27,7 @@ from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
-from warp_peri.statics.linear import FEW, Inverse, Linear
+from warp_peri.statics.linear import BONDS, DIRECT, STIFF, Inverse, Linear, cheapest_method
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.statics.settings import TOLERANCE, Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -35,17 +35,8 @@ from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.transfer.operator import LPSOperator
 
 T = TypeVar("T")
-DIRECT, LARGEST_LU = 4_000, 40_000
-"""Most unknown nodes that are factorised, on lattices and on other point sets."""
-FEW_IN_SPACE = 500
-"""Most unknown nodes in space whose factors, which fill up there, cost less than iteration."""
-PAYS = {"sine": 1700, "fft": 3500}
-"""A factorisation pays from 2 + n B/1700 loads on n nodes with B bonds where the sine transform
-does, from 2 + n B/3500 elsewhere."""
-BONDS = 34
-"""Where nobody says how many: between δ = 2.5 and 4 spacings."""
-STIFF = 30.0
-"""λ/μ from which the strip at the edge costs less than the iterations that it saves."""
+LARGEST_LU = 40_000
+"""Most unknown nodes off lattices that are factorised whole."""
 
 
 class PlacedLPS(LPSOperator):
@@ -170,8 +161,10 @@ class PlacedLPS(LPSOperator):
         once for so many loads, on scattered points by a factorisation."""
         if self.carrier is not None:
             return self.through.problem.inverse
-        if (method := self._method(None, loads)) not in ("lu", "gmres"):
-            return self.linear.definite_inverse(method)
+        if self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE:
+            return self.linear.cheapest_inverse(
+                loads, bonds_within(self.model.horizon, self.nodes.spacing)
+            )
         parts = matrices(self.model, self.nodes, bonds=self.bonds)
         L = parts.operator(self.model.lam, self.model.mu)
         return MatrixProblem(L, self.nodes.interior).inverse
@@ -337,25 +330,10 @@ def choose_method(
     nodes = int(np.count_nonzero(points.interior))
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
-    if points.x.shape[1] == 3 and nodes <= FEW_IN_SPACE:
-        return "lu"
     inside = lattice_steps(points)[0][points.interior]
-    rectangle = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
-    return cheapest_method(nodes, rectangle=rectangle, stiff=stiff, loads=loads, bonds=bonds)
-
-
-def cheapest_method(
-    nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1, bonds: float = BONDS
-) -> str:
-    """The cheapest method for so many unknown nodes of a plain sheet; as choose_method."""
-    pays = 2 + nodes * bonds / PAYS["sine" if rectangle else "fft"]
-    if nodes <= DIRECT and loads and (stiff or loads > pays):
-        return "lu"
-    if stiff:
-        return "strip"
-    if rectangle:
-        return "sine"
-    return "fft" if nodes <= FEW else "multigrid"
+    box = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
+    space = points.x.shape[1] == 3
+    return cheapest_method(nodes, box=box, space=space, stiff=stiff, loads=loads, bonds=bonds)
 
 
 def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:

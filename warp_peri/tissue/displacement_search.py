@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, seen_of
 from warp_peri.tissue.bond_slopes import bond_slopes
 from warp_peri.tissue.energy_fit import lower_bounds
 from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem
@@ -95,7 +95,9 @@ class Search:
         self.data = frames.u
         if not len(self.data):
             raise InputError("frames: expected one or more")
-        self.size = np.linalg.norm(self.data[:, self.inner].reshape(len(self.data), -1), axis=1)
+        self.seen = seen_of(frames)[:, self.inner, None]
+        inside = self.data[:, self.inner] * self.seen
+        self.size = np.linalg.norm(inside.reshape(len(self.data), -1), axis=1)
         if not self.size.all():
             raise InputError(
                 f"frames: expected interiors that move, frame {self.size.argmin()} is at rest"
@@ -137,8 +139,8 @@ class Search:
         """Coefficients of least internal force on the measured fields; biased under noise."""
         K = len(self.c)
         triangle = np.zeros((0, K))
-        for u, size in zip(self.data, self.size):
-            rows = self.problem.op.features(u).reshape(-1, K) / size
+        for u, seen, size in zip(self.data, self.seen, self.size):
+            rows = (self.problem.op.features(u) * seen[..., None]).reshape(-1, K) / size
             triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
         weight = SCALE_WEIGHT * np.abs(triangle).max() * self.measure / np.abs(self.measure).max()
         A = np.concatenate([triangle, weight[None]])
@@ -195,7 +197,7 @@ class Search:
                     return fields, squares
                 continue
             fields[n] = equilibrium.u
-            gap = (equilibrium.u - self.data[n])[self.inner]
+            gap = (equilibrium.u - self.data[n])[self.inner] * self.seen[n]
             squares[n] = (gap**2).sum() / self.size[n] ** 2
         return fields, squares
 
@@ -218,7 +220,8 @@ class Search:
                 F.append(slopes.reshape(len(F[0]), -1))
             J = -factor.solve(np.concatenate(F, axis=1)) / self.size[n]
             gap = (u - self.data[n])[self.inner].reshape(-1, 1) / self.size[n]
-            rows = np.concatenate([triangle, np.concatenate([J, gap], axis=1)])
+            rows = np.concatenate([J, gap], axis=1) * np.repeat(self.seen[n], 2, axis=0)
+            rows = np.concatenate([triangle, rows])
             triangle = np.asarray(np.linalg.qr(rows, mode="r"))
         return triangle[:, :-1], triangle[:, -1]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, seen_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.operator import HyperelasticOperator
@@ -53,6 +53,7 @@ def hyperelastic_errors(
         errors_of = {"E_res": float(residuals.mean()), "residuals": residuals}
     if solve:
         truth = samples.u if truth is None else truth
+        seen = seen_of(samples)[:, inner, None]
         problem, errors, left_branch = StaticProblem(op), np.full(len(samples), np.nan), 0
         fields = np.zeros_like(samples.u)
         for n in range(len(samples)):
@@ -60,8 +61,8 @@ def hyperelastic_errors(
             solved = problem.find(solid.coefficients, b, samples.u[n])
             if solved is not None:
                 fields[n] = solved.u
-                gap = (solved.u - truth[n])[inner]
-                errors[n] = np.linalg.norm(gap) / np.linalg.norm(truth[n][inner])
+                gap, size = (f[inner] * seen[n] for f in (solved.u - truth[n], truth[n]))
+                errors[n] = np.linalg.norm(gap) / np.linalg.norm(size)
                 left_branch += not solved.followed
         missing = int(np.isnan(errors).sum())
         mean = float(np.nanmean(errors)) if missing < len(errors) else float("nan")

@@ -146,11 +146,16 @@ def check_identifiable(frames: Samples) -> None:
         )
 
 
-def warn_of_interpolation(solid: HyperelasticSolid) -> None:
-    """Warn where the deviations of a solid with an initial stiffness of one outweigh it by far."""
+def stiffest_deviation(solid: HyperelasticSolid) -> float:
+    """Largest of the deviations, in units of an initial stiffness of one."""
     dictionary = solid.dictionary
     deviations = solid.coefficients[dictionary.first_deviation : dictionary.first_term]
-    stiffest = float(deviations.max(initial=0.0))
+    return float(deviations.max(initial=0.0))
+
+
+def warn_of_interpolation(solid: HyperelasticSolid) -> None:
+    """Warn where the deviations of a solid with an initial stiffness of one outweigh it by far."""
+    stiffest = stiffest_deviation(solid)
     if stiffest > INTERPOLATES:
         warnings.warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "

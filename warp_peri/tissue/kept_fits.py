@@ -33,7 +33,7 @@ class KeptFits:
     def __init__(self, folder: Path, frames: Samples, settings: object) -> None:
         points = frames.points
         digest = hashlib.sha256(repr((settings, points.units, points.spacing)).encode())
-        for field in (frames.x, frames.interior, frames.u):
+        for field in (frames.x, frames.interior, frames.u, *frames.arrays.values()):
             digest.update(np.ascontiguousarray(field).tobytes())
         self.folder, self.key = folder, digest.hexdigest()[:12]
 

@@ -12,21 +12,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, part, seen_of
 from warp_peri.tissue.displacement_search import DisplacementFit
 from warp_peri.tissue.fibres import rose
 from warp_peri.tissue.fit_errors import hyperelastic_errors
-from warp_peri.tissue.from_displacement import fit_displacement
+from warp_peri.tissue.from_displacement import (
+    INTERPOLATES,
+    fit_displacement,
+    stiffest_deviation,
+)
 from warp_peri.tissue.kept_fits import KeptFits
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 from warp_peri.tissue.stress import piola_stress
+from warp_peri.tissue.thickness import Thickness
 
 REACH = 3.0
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
@@ -37,6 +42,8 @@ STEPS, TOLERANCE, AGAIN = 10, 1e-3, 3
 UNEVEN = 2
 """Degree of the polynomial that is the logarithm of a thickness."""
 LEAST_FRAMES = 4
+NODES = 10
+"""Interior nodes for each number of a law, at least."""
 SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, AGAIN, UNEVEN)
 
 Candidates = dict[str, tuple[tuple[Term, ...], int]]
@@ -52,12 +59,14 @@ class Candidate:
         fit: what was learned; None where it failed.
         held_out: mean relative error of frames that it never saw; infinite where it failed.
         why: it failed, in its own words.
+        numbers: that were learned.
     """
 
     name: str
     fit: DisplacementFit | None
     held_out: float
     why: str = ""
+    numbers: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,7 +74,8 @@ class SheetChoice:
     """What candidates came to.
 
     Attributes:
-        candidates: all of them, the best first.
+        candidates: all of them, the best first: of those that as many independent residuals cannot
+            tell from the least error, that of the fewest numbers.
         others: fits of the best with each learned frame left out in turn.
     """
 
@@ -74,7 +84,7 @@ class SheetChoice:
 
     @property
     def best(self) -> Candidate:
-        """The candidate of the least error on frames that it never saw."""
+        """The first candidate."""
         return self.candidates[0]
 
     @property
@@ -84,20 +94,39 @@ class SheetChoice:
         return self.best.fit.material
 
     def curves(
-        self, stretches: ArrayLike, angle: float = 0.0, level: float = 0.9
+        self,
+        stretches: ArrayLike,
+        angle: float = 0.0,
+        level: float = 0.9,
+        scaled: Callable[[DisplacementFit], HyperelasticSolid] = lambda fit: fit.material,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band.
 
-        In the material's own scale. The band is of each learned frame left out, by Student's
-        distribution: what differs from frame to frame, no error that all share.
+        The band is of each learned frame left out, by Student's distribution, and of the relative
+        misfit of frames that were never seen, so that it is not narrower than that. It knows no
+        error that all frames share.
+
+        Args:
+            stretches: along the direction.
+            angle: of it [rad].
+            level: of the band.
+            scaled: a fit's material in the scale that is asked for; its own by default.
+
+        Raises InputError where deviations, which are no material, explain the frames.
         """
-        middle = uniaxial(self.material, stretches, angle)
-        n = len(self.others)
+        fit, n = self.best.fit, len(self.others)
+        assert fit is not None
+        if (times := stiffest_deviation(fit.material)) > INTERPOLATES:
+            raise InputError(
+                f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
+                "explain the frames in the place of a material, which has no curves then"
+            )
+        middle = uniaxial(scaled(fit), stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
-        values = np.array([uniaxial(fit.material, stretches, angle) for fit in self.others])
-        deviation = np.sqrt(n - 1) * values.std(axis=0)
-        half = stdtrit(n - 1, (1 + level) / 2) * deviation
+        values = np.array([uniaxial(scaled(fit), stretches, angle) for fit in self.others])
+        deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * values.std(axis=0)
+        half = np.hypot(deviation, ndtri((1 + level) / 2) * self.best.held_out * middle)
         return middle, middle - half, middle + half
 
 
@@ -122,8 +151,8 @@ def choose_sheet(
         progress: show a bar for each fit, with the candidate's name, and what the folder held.
 
     A candidate that fails is passed over and says why; from a folder it is tried again. Raises
-    InputError for fewer than four frames, where every candidate fails, or for a folder that another
-    job writes to.
+    InputError for fewer than four frames, where every candidate fails, as it does with fewer than
+    ten interior nodes for each of its numbers, or for a folder that another job writes to.
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
@@ -159,19 +188,21 @@ def _chosen(
     progress: bool,
 ) -> SheetChoice:
     pick = np.arange(len(frames))[::-1] % 2 == 0
-    train, test = (Samples(frames.points, frames.u[part]) for part in (pick, ~pick))
+    train, test = part(frames, pick), part(frames, ~pick)
     tried = []
     for name, (terms, degree) in candidates.items():
         dictionary = Dictionary(REACH, (), NEAREST, terms)
         tried.append(_tried(name, train, test, dictionary, degree, kept, progress))
         done(tried[-1])
-    tried.sort(key=lambda candidate: candidate.held_out)
+    least = min(candidate.held_out for candidate in tried)
+    alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
+    tried.sort(key=lambda c: (c.held_out > alike, c.held_out if c.held_out > alike else c.numbers))
     best = tried[0].fit
     if best is None:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
     others = []
     for left in range(len(train)):
-        rest = Samples(train.points, np.delete(train.u, left, axis=0))
+        rest = part(train, np.arange(len(train)) != left)
         degree = 0 if best.thickness is None else UNEVEN
         name = f"{tried[0].name}, band {left + 1} of {len(train)}"
         try:
@@ -187,6 +218,7 @@ def _chosen(
 def _candidates(fibres: int, uneven: bool) -> Candidates:
     matrix = Term("plane_stress")
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, Term("mooney"))}
+    kinds["Yeoh"] = (matrix, *(Term("yeoh", exponent=p) for p in (2.0, 3.0)))
     if fibres:
         kinds[f"{fibres} directions of fibres"] = (matrix, *rose(fibres, (2.0, 4.0)))
     found = {name: (terms, 0) for name, terms in kinds.items()}
@@ -204,6 +236,13 @@ def _tried(
     kept: KeptFits | None,
     progress: bool,
 ) -> Candidate:
+    numbers = len(dictionary) + (len(Thickness.over(train.x, degree).names) if degree else 0)
+    count = np.count_nonzero(train.interior)
+    if count < NODES * numbers:
+        why = (
+            f"{name}: expected {NODES * numbers} interior nodes for {numbers} numbers, got {count}"
+        )
+        return Candidate(name, None, np.inf, why, numbers)
     try:
         fit = _fit(name, train, dictionary, degree, None, kept, progress)
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
@@ -211,10 +250,11 @@ def _tried(
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on
-        return Candidate(name, None, np.inf, f"{name}: {error}")
+        return Candidate(name, None, np.inf, f"{name}: {error}", numbers)
     if errors["not_solved"]:
-        return Candidate(name, fit, np.inf, f"{name}: {errors['not_solved']} frames not solved")
-    return Candidate(name, fit, float(errors["E_u"]))
+        why = f"{name}: {errors['not_solved']} frames not solved"
+        return Candidate(name, fit, np.inf, why, numbers)
+    return Candidate(name, fit, float(errors["E_u"]), numbers=numbers)
 
 
 def _fit(

@@ -37,6 +37,7 @@ KINDS = {
     "shear": 15,
     "along": 16,
     "mooney": 17,
+    "yeoh": 18,
 }
 """Strain energies Φ(E) by number; docs/theory.md lists them in (H5)."""
 NAMED = {number: kind for kind, number in KINDS.items()}
@@ -50,6 +51,7 @@ GUARANTEED = {
     "volumetric",
     "plane_stress",
     "mooney",
+    "yeoh",
     *FIBRES,
     "trace",
     "shear",
@@ -71,7 +73,7 @@ class Term:
     Attributes:
         kind: a key of KINDS.
         angle: direction n of a fibre [rad], where the kind has one.
-        exponent: p of a fibre's power or k₂ of its exponential.
+        exponent: p of a fibre's power or of Yeoh's, k₂ of a fibre's exponential.
         ripple: acts on the difference of the two nodal strains, (H4), instead of on the strain.
         across: a near bond in lattice steps; the term is then the energy of the step of the short
             strain between its ends, (H17). Convex kinds only.
@@ -96,8 +98,8 @@ class Term:
         for name in ("ripple", "corner"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name}: expected true or false, got {getattr(self, name)!r}")
-        if self.kind == "fibre_power" and self.exponent < 2:
-            raise InputError(f"fibre_power: expected an exponent ≥ 2, got {self.exponent}")
+        if self.kind in ("fibre_power", "yeoh") and self.exponent < 2:
+            raise InputError(f"{self.kind}: expected an exponent ≥ 2, got {self.exponent}")
         if self.kind == "fibre_exponential" and self.exponent < 0:
             raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
         if self.corner and (self.ripple or self.across is not None):
@@ -123,7 +125,7 @@ class Term:
         words += " of corners" if self.corner else ""
         if self.kind in (*FIBRES, "along"):
             words += f" at {np.rad2deg(self.angle):.1f}°"
-        return words + (f", {self.exponent:g}" if self.kind in FIBRES else "")
+        return words + (f", {self.exponent:g}" if self.kind in (*FIBRES, "yeoh") else "")
 
 
 @dataclass(frozen=True)
