@@ -373,9 +373,8 @@ def _values(kind: Any, content: dict[str, Any], order: tuple[str, ...] = ()) -> 
             continue
         if each.key in given:
             value = given.pop(each.key)
-            if value is None and each.default == np.inf:
-                value = np.inf
-            found[each.name] = taken(each.key, each.hint, value, read=True)
+            endless = value is None and isinstance(each.default, float) and np.isinf(each.default)
+            found[each.name] = np.inf if endless else taken(each.key, each.hint, value, read=True)
         elif not (each.says.omit or each.says.later):
             missing.add(each.key)
     if missing := missing - set(given):

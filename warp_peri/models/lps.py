@@ -155,8 +155,7 @@ class Model(Record, format="warp_peri.model"):
     @property
     def dilatation(self) -> np.ndarray:
         """Coefficients of the dilatation's influence function, shape [M + 1]."""
-        assert self.D_dilatation is not None  # filled in above
-        return self.D_dilatation
+        return self.D if self.D_dilatation is None else self.D_dilatation
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """K of the deviatoric part at the distances r [Å] in (0, δ]."""
