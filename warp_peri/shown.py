@@ -8,7 +8,7 @@ from typing import Any
 
 def in_rows(title: str, rows: list[tuple[str, str]]) -> str:
     """Names and values, a line each."""
-    width = max(len(name) for name, _ in rows)
+    width = max((len(name) for name, _ in rows), default=0)
     return "\n".join([title, *(f"  {name:{width}}  {value}" for name, value in rows)])
 
 
@@ -19,6 +19,20 @@ def as_table(rows: list[tuple[str, str]]) -> str:
         for name, value in rows
     )
     return f"<table>{cells}</table>"
+
+
+class Shown:
+    """What a person looks at as names and values, its `rows`, in text and in notebooks."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        return []
+
+    def __repr__(self) -> str:
+        return in_rows(type(self).__name__, self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
 
 
 def proven_rows(certificate: dict[str, Any]) -> list[tuple[str, str]]:

@@ -136,12 +136,13 @@ def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     assert read(path, content).certified_on == (1.0,)
 
 
-def test_keys_that_are_not_known_are_refused(material):
+def test_keys_and_versions_that_are_not_known_are_refused(material):
     _, path = material
     content = json.loads(path.read_text())
     inner = [at for at, value in places(content) if isinstance(value, dict) and "format" in value]
     for at in [(), *inner]:
         refused(path, hashed(changed(content, (*at, "colour"), "red")), "unknown keys: colour")
+        refused(path, hashed(changed(content, (*at, "version"), 9)), "version: expected ., got 9")
 
 
 def bare(content):

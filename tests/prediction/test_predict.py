@@ -37,6 +37,7 @@ def scaled(model, share):
     """The same law, stiffer by a share: its answers to loads are smaller by as much."""
     linear = model.linear
     linear = replace(linear, lam=linear.lam * (1 + share), mu=linear.mu * (1 + share))
+    linear = replace(linear, certificate={"1": certify(linear, spacing=1.0).figures()})
     cubic = {name: getattr(model, name) * (1 + share) for name in ("t3", "tq2", "q3")}
     return replace(model, linear=linear, **cubic)
 

@@ -3,7 +3,7 @@
     @dataclass(frozen=True, eq=False, repr=False)
     class Crystal(Record, format="warp_peri.micromodulus"):
         spacing: Length
-        tensors: Annotated[np.ndarray, Quantity(length=-2, stress=1)]
+        tensors: Annotated[np.ndarray, Entry(length=-2, stress=1)]
         certificate: Proof | None = None
 
 is checked when it is made, has `save`, `content`, `in_units` and a table of what it is, and `load`
@@ -41,7 +41,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 LARGEST_FILE = 2**26
 """Bytes of a file that are read at most."""
@@ -68,8 +68,8 @@ HOMES = {
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """Of a field, as ``Annotated[float, Quantity(stress=1)]``.
+class Entry:
+    """Of a field, as ``Annotated[float, Entry(stress=1)]``.
 
     Attributes:
         length, stress: powers of the units that it is in.
@@ -93,9 +93,9 @@ class Quantity:
     kept: bool = True
 
 
-Positive: TypeAlias = Annotated[float, Quantity(positive=True)]
-Length: TypeAlias = Annotated[float, Quantity(length=1, positive=True)]
-Stress: TypeAlias = Annotated[float, Quantity(stress=1)]
+Positive: TypeAlias = Annotated[float, Entry(positive=True)]
+Length: TypeAlias = Annotated[float, Entry(length=1, positive=True)]
+Stress: TypeAlias = Annotated[float, Entry(stress=1)]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Field:
     name: str
     key: str
     hint: Any
-    says: Quantity
+    says: Entry
     default: Any
 
 
@@ -119,13 +119,13 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
     hints, found = get_type_hints(kind, include_extras=True), []
     for each in fields(kind):
         hint = hints[each.name]
-        says = get_args(hint)[1] if get_origin(hint) is Annotated else Quantity()
+        says = get_args(hint)[1] if get_origin(hint) is Annotated else Entry()
         default = each.default if each.default_factory is MISSING else each.default_factory
         found.append(Field(each.name, says.key or each.name, hint, says, default))
     return tuple(each for each in found if each.name != "units")
 
 
-class Record:
+class Record(Shown):
     """What a material can do as a value; its class adds its own checks and its physics.
 
     A class names its `format`, and its `version` and `kind` where it has them. `ORDER` are the keys
@@ -291,11 +291,29 @@ class Record:
                 found.append((each.name, shown + unit))
         return found
 
-    def __repr__(self) -> str:
-        return in_rows(type(self).__name__, self.rows())
 
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
+class OnLinear(Record):
+    """A material whose units, dimension and horizon are those of its linear solid."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def linear(self) -> Any: ...
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress."""
+        return self.linear.units  # type: ignore[no-any-return]
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return int(self.linear.dimension)
+
+    @property
+    def horizon(self) -> float:
+        """δ [length]."""
+        return float(self.linear.horizon)
 
 
 def _has_units(kind: Any) -> bool:
@@ -355,9 +373,8 @@ def _values(kind: Any, content: dict[str, Any], order: tuple[str, ...] = ()) -> 
             continue
         if each.key in given:
             value = given.pop(each.key)
-            if value is None and each.default == np.inf:
-                value = np.inf
-            found[each.name] = taken(each.key, each.hint, value, read=True)
+            endless = value is None and isinstance(each.default, float) and np.isinf(each.default)
+            found[each.name] = np.inf if endless else taken(each.key, each.hint, value, read=True)
         elif not (each.says.omit or each.says.later):
             missing.add(each.key)
     if missing := missing - set(given):

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from scipy.special import hyp1f1
 from tqdm import tqdm
 
-from warp_peri.core.record import Record
+from warp_peri.core.record import OnLinear
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
 from warp_peri.damage.lattice_body import (
     LatticeBody,
@@ -31,7 +31,6 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.arrays import is_number, is_positive
-from warp_peri.points.unit_names import Units
 
 NEWTON = 40
 TOLERANCE = 1e-8
@@ -120,7 +119,7 @@ class BondLaw:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SoftSolid(Record, format="warp_peri.soft_solid"):
+class SoftSolid(OnLinear, format="warp_peri.soft_solid"):
     """A solid whose bonds soften and fail by one law (C16).
 
     Attributes:
@@ -142,21 +141,6 @@ class SoftSolid(Record, format="warp_peri.soft_solid"):
     def linear(self) -> Model:
         """The solid before anything softens."""
         return self.model
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return self.model.dimension
-
-    @property
-    def horizon(self) -> float:
-        """δ [length]."""
-        return self.model.horizon
-
-    @property
-    def units(self) -> Units:
-        """Names of the units of length and stress."""
-        return self.model.units
 
 
 class SoftBody:

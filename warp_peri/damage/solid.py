@@ -12,18 +12,17 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warp_peri.core.record import Quantity, Record
+from warp_peri.core.record import Entry, OnLinear
 from warp_peri.damage.stability import breaking_time_step
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import Units
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BrittleSolid(Record, format="warp_peri.brittle_solid", version=2):
+class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
     """What breaks, and when.
 
     Attributes:
@@ -39,10 +38,10 @@ class BrittleSolid(Record, format="warp_peri.brittle_solid", version=2):
     """
 
     model: Model
-    density: Annotated[float, Quantity(length=-2, stress=1, positive=True)]
-    toughness: Annotated[float | None, Quantity(length=1, stress=1, positive=True)] = None
-    critical_stretch: Annotated[float | None, Quantity(positive=True)] = None
-    critical_energy: Annotated[float | None, Quantity(stress=1, volume=-1, positive=True)] = None
+    density: Annotated[float, Entry(length=-2, stress=1, positive=True)]
+    toughness: Annotated[float | None, Entry(length=1, stress=1, positive=True)] = None
+    critical_stretch: Annotated[float | None, Entry(positive=True)] = None
+    critical_energy: Annotated[float | None, Entry(stress=1, volume=-1, positive=True)] = None
     tension_only: bool = True
 
     def __post_init__(self) -> None:
@@ -56,21 +55,6 @@ class BrittleSolid(Record, format="warp_peri.brittle_solid", version=2):
     def linear(self) -> Model:
         """The solid before anything breaks."""
         return self.model
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return self.model.dimension
-
-    @property
-    def horizon(self) -> float:
-        """δ [length]."""
-        return self.model.horizon
-
-    @property
-    def units(self) -> Units:
-        """Names of the units of length and stress."""
-        return self.model.units
 
     def longest_step(self, spacing: float) -> float:
         """Time step on a lattice that is stable whatever breaks (theory.md, C9)."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from warp_peri.core.record import Length, Quantity, Record
+from warp_peri.core.record import Entry, Length, Record
 from warp_peri.errors import InputError
 from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.samples import PointsLike
@@ -33,7 +33,7 @@ class Conductor(Record, format="warp_peri.conductor"):
     """
 
     horizon: Length
-    conductivity: Annotated[float, Quantity(length=2, stress=1, positive=True)] = 1.0
+    conductivity: Annotated[float, Entry(length=2, stress=1, positive=True)] = 1.0
     alpha: float = 1.0
     D: np.ndarray = field(default_factory=lambda: np.ones(1))
     units: Units = USUAL

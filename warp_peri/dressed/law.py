@@ -14,7 +14,7 @@ from warp_peri.core.elastic import from_voigt, voigt
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry
 from warp_peri.core.proof import Proof
-from warp_peri.core.record import Length, Quantity, Record
+from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
 from warp_peri.errors import InputError
@@ -50,15 +50,15 @@ class DressedSolid(Record, format="warp_peri.dressed"):
 
     spacing: Length
     base: str
-    elastic: Annotated[np.ndarray, Quantity(stress=1)]
-    steps: Annotated[np.ndarray, Quantity(key="neighbours")]
-    tensors: Annotated[np.ndarray, Quantity(key="dressing")]
+    elastic: Annotated[np.ndarray, Entry(stress=1)]
+    steps: Annotated[np.ndarray, Entry(key="neighbours")]
+    tensors: Annotated[np.ndarray, Entry(key="dressing")]
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
     certificate: Proof | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
-    dilatation: Annotated[float, Quantity(later=True)] = AXIS_WEIGHT
+    dilatation: Annotated[float, Entry(later=True)] = AXIS_WEIGHT
     ORDER = ("spacing", "symmetry", "orientation", "certificate", "provenance", "base", "elastic",
              "neighbours", "dressing", "dilatation")  # fmt: skip
 

@@ -182,17 +182,3 @@ def finite(value: Any) -> Any:
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
     """Write JSON whole or not at all; NaN and infinity are refused (ValueError)."""
     write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
-
-
-def read_json(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
-    """What `write_json` wrote under this `format` and `version`; InputError for anything else."""
-    try:
-        with open(path, encoding="utf-8") as file:
-            content = json.load(file)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected a JSON file ({error})") from None
-    if not isinstance(content, dict) or content.get("format") != kind:
-        raise InputError(f"{path}: expected a file of format {kind}")
-    if content.get("version") != version:
-        raise InputError(f"{path}: expected version {version}, got {content.get('version')!r}")
-    return content

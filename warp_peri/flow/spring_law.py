@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import brentq
 
-from warp_peri.core.record import Quantity
+from warp_peri.core.record import Entry
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud, Gradients
 from warp_peri.flow.gaussian_process import GaussianProcess, condensed
@@ -72,7 +72,7 @@ class SpringLaw(LearnedLaw, format=FORMAT, kind="spring"):
 
     process: GaussianProcess
     outside: str = "warn"
-    gradients: Annotated[Gradients | None, Quantity(key="fastest", later=True)] = None
+    gradients: Annotated[Gradients | None, Entry(key="fastest", later=True)] = None
     provenance: dict[str, Any] = field(default_factory=dict, repr=False)
     ORDER = (*LearnedLaw.ORDER, "gradients")
     PROCESSES = ("process",)

@@ -11,7 +11,7 @@ from warp_peri.models.lps import Model
 from warp_peri.models.shapes import InfluenceFunction
 from warp_peri.points.unit_names import shown_moduli, symbols
 from warp_peri.regression.parameters import Parameters
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 from warp_peri.stability.certificate import Certificate
 from warp_peri.stability.conditions import LatticeConditions
 
@@ -41,7 +41,7 @@ class Settings:
 
 
 @dataclass(frozen=True, repr=False)
-class Fit:
+class Fit(Shown):
     """A learned model and how it was learned.
 
     Attributes:
@@ -92,12 +92,9 @@ class Fit:
         lines += [("", certificate.statement) for certificate in self.certificates[:1]]
         return lines
 
-    def __repr__(self) -> str:
-        return in_rows("Fit", self.rows())
-
     def _repr_html_(self) -> str:
         """For notebooks: the same as a table, and K over r."""
-        return as_table(self.rows()) + _influence_svg(self.material)
+        return super()._repr_html_() + _influence_svg(self.material)
 
 
 def _influence_svg(model: Model) -> str:

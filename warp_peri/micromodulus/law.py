@@ -16,7 +16,7 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.core.proof import Proof, largest, prove
-from warp_peri.core.record import Length, Quantity, Record
+from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.operator import Operator
@@ -67,13 +67,13 @@ class Crystal(Record, format="warp_peri.micromodulus"):
 
     spacing: Length
     steps: np.ndarray
-    tensors: Annotated[np.ndarray, Quantity(length=-2, stress=1)]
+    tensors: Annotated[np.ndarray, Entry(length=-2, stress=1)]
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
     certificate: Proof | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
-    stress: Annotated[np.ndarray | None, Quantity(stress=1, omit=True)] = None
+    stress: Annotated[np.ndarray | None, Entry(stress=1, omit=True)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

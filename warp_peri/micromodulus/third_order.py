@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.core.record import Length, Record, Stress
+from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import SAME_SPACING, Crystal
 from warp_peri.models.nonlinear import CUBIC
@@ -18,7 +18,7 @@ from warp_peri.models.smoothing import Smoothing, fitted_weights
 from warp_peri.models.uniqueness import Uniqueness, check_strain, uniqueness_of
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import Units, shown_moduli
+from warp_peri.points.unit_names import shown_moduli
 
 if TYPE_CHECKING:
     from warp_peri.micromodulus.third_order_operator import PlacedCrystal
@@ -29,7 +29,7 @@ ISOTROPIC = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ThirdOrderCrystal(Record, format="warp_peri.third_order_crystal"):
+class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
     """A law of micromodulus tensors and the energy Ψ of a displacement gradient (N22).
 
     Attributes:
@@ -79,16 +79,6 @@ class ThirdOrderCrystal(Record, format="warp_peri.third_order_crystal"):
         if self.proven.get("strain"):
             rows.append(("proven", f"one solution up to |H| = {self.proven['strain']:.2%}"))
         return rows + self.linear.rows()
-
-    @property
-    def dimension(self) -> int:
-        """2."""
-        return self.linear.dimension
-
-    @property
-    def units(self) -> Units:
-        """Names of the units of length and stress, which are the tensors'."""
-        return self.linear.units
 
     @property
     def spacing(self) -> float:

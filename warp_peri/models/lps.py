@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import Proof, prove
-from warp_peri.core.record import Length, Quantity, Record, Stress, taken
+from warp_peri.core.record import Entry, Length, Record, Stress, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.models.influence import ALPHA_BOUND, CANCELLED, LARGEST_DEGREE, bernstein_basis
@@ -65,25 +65,23 @@ class Model(Record, format="warp_peri.model"):
     Raises InputError naming the first number out of its range.
     """
 
-    lam: Annotated[float, Quantity(stress=1, key="lambda")]
+    lam: Annotated[float, Entry(stress=1, key="lambda")]
     mu: Stress
     alpha: float
     D: np.ndarray
     horizon: Length
     D_dilatation: np.ndarray | None = None
-    trained_on: Annotated[tuple[float, ...], Quantity(length=1)] = ()
-    certified_on: Annotated[tuple[float, ...], Quantity(length=1)] = ()
-    trained_strain: Annotated[float | None, Quantity(omit=True)] = None
-    largest_wave_number: Annotated[float | None, Quantity(length=-1, positive=True, omit=True)] = (
-        None
-    )
+    trained_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
+    certified_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
+    trained_strain: Annotated[float | None, Entry(omit=True)] = None
+    largest_wave_number: Annotated[float | None, Entry(length=-1, positive=True, omit=True)] = None
     certificate: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
-    file: Annotated[Path | None, Quantity(kept=False)] = None
-    dimension: Annotated[int, Quantity(omit=True)] = 2
+    file: Annotated[Path | None, Entry(kept=False)] = None
+    dimension: Annotated[int, Entry(omit=True)] = 2
     ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "D_dilatation", "quadrature",
              "trained_on", "certified_on", "certificate", "errors", "provenance", "versions",
              "trained_strain", "largest_wave_number", "dimension")  # fmt: skip
@@ -157,8 +155,7 @@ class Model(Record, format="warp_peri.model"):
     @property
     def dilatation(self) -> np.ndarray:
         """Coefficients of the dilatation's influence function, shape [M + 1]."""
-        assert self.D_dilatation is not None  # filled in above
-        return self.D_dilatation
+        return self.D if self.D_dilatation is None else self.D_dilatation
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """K of the deviatoric part at the distances r [Å] in (0, δ]."""

@@ -6,16 +6,16 @@ import warnings
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from warp_peri.core.record import Quantity, Record, Stress
+from warp_peri.core.record import Entry, OnLinear, Stress
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model, by_spacing
 from warp_peri.models.smoothing import Smoothing
 from warp_peri.models.uniqueness import check_strain, uniqueness
-from warp_peri.points.unit_names import Units, shown_moduli, symbols
+from warp_peri.points.unit_names import shown_moduli, symbols
 from warp_peri.shown import error_rows
 
 if TYPE_CHECKING:  # families load Warp
@@ -29,7 +29,7 @@ CUBIC = ("t3", "tq2", "q3")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NonlinearModel(Record, format="warp_peri.model", kind="nonlinear"):
+class NonlinearModel(OnLinear, format="warp_peri.model", kind="nonlinear"):
     """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
 
     Attributes:
@@ -56,17 +56,13 @@ class NonlinearModel(Record, format="warp_peri.model", kind="nonlinear"):
     proven: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
-    gradient: Annotated[tuple[float, ...] | None, Quantity(length=-2, omit=True)] = None
-    dimension: ClassVar[int] = 2
+    gradient: Annotated[tuple[float, ...] | None, Entry(length=-2, omit=True)] = None
     ORDER = ("linear", *CUBIC, "proven", "errors", "provenance", "smoothing", "gradient")
-
-    @property
-    def units(self) -> Units:
-        """Names of the units of length and stress, which are the linear solid's."""
-        return self.linear.units
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.linear.dimension != 2:
+            raise InputError("linear: third-order constants are for sheets, got a solid in space")
         if self.gradient is not None and self.smoothing is not None:
             raise InputError("gradient: expected None beside a smoothing")
 
@@ -74,11 +70,6 @@ class NonlinearModel(Record, format="warp_peri.model", kind="nonlinear"):
     def form(self) -> str:
         """ "energy" or "filtered"."""
         return "energy" if self.smoothing is None else "filtered"
-
-    @property
-    def horizon(self) -> float:
-        """The horizon δ [Å]."""
-        return self.linear.horizon
 
     @property
     def numbers(self) -> np.ndarray:

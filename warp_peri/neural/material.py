@@ -17,7 +17,7 @@ from warp_peri.neural.networks import evaluate, network
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.neural.at_rest import AtRest
@@ -52,7 +52,7 @@ class Curves:
     lengths: np.ndarray
 
 
-class Operator(torch.nn.Module):
+class Operator(Shown, torch.nn.Module):
     """ω as a network of the bond, the scalar force state as one of (ω, ϑ, e, |ξ|), (NO1)–(NO4).
 
     Args:
@@ -239,12 +239,6 @@ class Operator(torch.nn.Module):
             ("numbers", f"{self.numbers()}; {widths}"),
             ("learned", learned),
         ]
-
-    def __repr__(self) -> str:
-        return in_rows("Operator", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
 
 def _pair(widths: Sequence[int]) -> tuple[int, int]:

@@ -10,11 +10,11 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_positive, is_name
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Dataset:
+class Dataset(Shown):
     """Named sets of samples of one material.
 
     Attributes:
@@ -86,9 +86,3 @@ class Dataset:
             (_, count), (_, nodes), *_ = samples.rows()
             rows.append((name, f"{count} samples on nodes: {nodes}"))
         return rows
-
-    def __repr__(self) -> str:
-        return in_rows("Dataset", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())

@@ -10,14 +10,14 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 ROTATION = 1e-6
 """That a rotation may be off."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Points:
+class Points(Shown):
     """Nodes of one body.
 
     Attributes:
@@ -59,12 +59,6 @@ class Points:
             shown = f"{self.axis:g}°" if self.dimension == 2 else "a rotation"
             rows.append(("axis", shown))
         return rows
-
-    def __repr__(self) -> str:
-        return in_rows("Points", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", checked("x", self.x))

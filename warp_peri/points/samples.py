@@ -11,7 +11,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 SEEN = "seen"
 """Array of frames that were measured: nodes whose displacement was, shape [S, N] bool; that of the
@@ -21,7 +21,7 @@ FIELDS = ("x", "u", "b", "interior", "outside")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Samples:
+class Samples(Shown):
     """Samples of one body on one set of points.
 
     Attributes:
@@ -104,12 +104,6 @@ class Samples:
             largest = np.abs(self.b[:, self.interior]).max(initial=0.0)
             known = f"up to {largest:.3g} {stress}/{length}"
         return [*rows, ("b", known), *((name, "by sample") for name in self.arrays)]
-
-    def __repr__(self) -> str:
-        return in_rows("Samples", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
     def to_xarray(self) -> Any:
         """u, b and the other arrays as an xarray.Dataset over sample, node and component.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable
 from typing import Any, TypeAlias
 
@@ -69,25 +68,6 @@ def check_units(units: Any) -> Units:
                 f"got {name!r:.60}"
             )
     return length, stress
-
-
-def unit_content(units: Units) -> dict[str, str]:
-    """How a file names units."""
-    return {"length_unit": units[0], "stress_unit": units[1]}
-
-
-def units_of(content: dict[str, Any], file: str) -> Units:
-    """The units that a file's content names, which are taken out of it.
-
-    Å and TPa with a warning where it names none. Raises InputError for units that are not known.
-    """
-    keys = list(unit_content(USUAL))
-    if not set(keys) & set(content):
-        warnings.warn(f"{file}: it names no units: taken as Å and TPa", stacklevel=3)
-        return USUAL
-    if missing := [key for key in keys if key not in content]:
-        raise InputError(f"missing keys: {', '.join(missing)}")
-    return check_units([content.pop(key) for key in keys])
 
 
 def symbols(units: Units) -> tuple[str, str]:

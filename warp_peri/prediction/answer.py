@@ -14,7 +14,7 @@ from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.guarantee import Guarantee, guarantee
 from warp_peri.prediction.members import Factors
 from warp_peri.prediction.placed import Parts, PlacedMembers
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Answer:
+class Answer(Shown):
     """A body at rest, and how wrong it may be.
 
     Attributes:
@@ -161,12 +161,6 @@ class Answer:
         rows = [("likely error", f"{self.error:.2%}"), ("of it", parts or "nothing")]
         rows += [("not covered", one) for one in self.uncovered]
         return [*rows, ("why", self.why)]
-
-    def __repr__(self) -> str:
-        return in_rows("Answer", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
 
 def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) -> dict[str, Any]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
-from warp_peri.core.record import Quantity, Record
+from warp_peri.core.record import Entry, OnLinear
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
-from warp_peri.points.unit_names import Units
 from warp_peri.prediction.placed import PlacedMembers
 from warp_peri.prediction.spectrum import ErrorSpectrum
 
@@ -39,7 +38,7 @@ class Factors:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Members(Record, format="warp_peri.family", version=2):
+class Members(OnLinear, format="warp_peri.family", version=2):
     """What `fit(samples, prediction.learning.Family(…))` learns: a material with its doubts.
 
     It solves, moves and is placed on points as its rich member. `predict` uses all.
@@ -63,7 +62,7 @@ class Members(Record, format="warp_peri.family", version=2):
     factors: Factors = Factors()
     strain: float = 0.0
     temperature: float | None = None
-    coarse: Annotated[Any, Quantity(later=True)] = None
+    coarse: Annotated[Any, Entry(later=True)] = None
     provenance: dict[str, Any] = field(default_factory=dict)
     ORDER = ("rich", "second", "halves", "record", "coarse", "factors", "strain", "temperature",
              "provenance")  # fmt: skip
@@ -74,16 +73,6 @@ class Members(Record, format="warp_peri.family", version=2):
         for one in (self.rich, self.second, *self.halves, *optional):
             if not hasattr(one, "on"):
                 raise InputError(f"member: expected a material, got {one!r:.40}")
-
-    @property
-    def dimension(self) -> int:
-        """d of the space it fills."""
-        return int(self.rich.dimension)
-
-    @property
-    def units(self) -> Units:
-        """Names of the units of length and stress."""
-        return self.rich.units  # type: ignore[no-any-return]
 
     @property
     def horizon(self) -> float:

@@ -10,7 +10,7 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.core.record import Quantity
+from warp_peri.core.record import Entry
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
 
@@ -32,9 +32,9 @@ class ErrorSpectrum:
             is known stands for one that is not.
     """
 
-    wavelength: Annotated[np.ndarray, Quantity(length=1)]
+    wavelength: Annotated[np.ndarray, Entry(length=1)]
     error: np.ndarray
-    shortest: Annotated[float, Quantity(length=1)] = 0.0
+    shortest: Annotated[float, Entry(length=1)] = 0.0
 
     def of(self, shares: np.ndarray) -> float:
         """The error of a field with those shares, relative to the field."""

@@ -13,14 +13,14 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution:
+class Solution(Shown):
     """A body at rest.
 
     Attributes:
@@ -137,12 +137,6 @@ class Solution:
         lines.append(("residual", f"{self.residual:.1e}"))
         lines.append(("proven", self.proven or "nothing"))
         return lines + [("warning", text) for text in self.warnings]
-
-    def __repr__(self) -> str:
-        return in_rows("Solution", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
 
 @contextmanager

@@ -29,7 +29,7 @@ from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
-from warp_peri.shown import as_table, in_rows
+from warp_peri.shown import Shown
 from warp_peri.structures.campaign import load_campaign
 from warp_peri.structures.phonons import check_phonons, force_constants, strained_moduli
 from warp_peri.structures.rest import at_rest, usual_spacing
@@ -51,8 +51,8 @@ UNSEEN = {"waves ≥ 4 spacings": (18.0, 4.0, 8, 2), "waves of 2.7 to 4 spacings
 Symbol = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class LearnedCrystal:
+@dataclass(frozen=True, eq=False, repr=False)
+class LearnedCrystal(Shown):
     """A crystal's law, what it was learned from, and how it compares.
 
     Attributes:
@@ -171,12 +171,6 @@ class LearnedCrystal:
             for name, e in self.unseen.items()
         ]
         return [*self.said.items(), *shown]
-
-    def __repr__(self) -> str:
-        return in_rows("LearnedCrystal", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
     def plot(self) -> Any:
         """A matplotlib Figure: dispersion, E over direction, unseen loads."""

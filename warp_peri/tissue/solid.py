@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from warp_peri.core.record import Length, Quantity, Record
+from warp_peri.core.record import Entry, Length, Record
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
@@ -84,11 +84,11 @@ class Term:
     """
 
     kind: str
-    angle: Annotated[float, Quantity(later=True)] = 0.0
-    exponent: Annotated[float, Quantity(later=True)] = 0.0
-    ripple: Annotated[bool, Quantity(later=True)] = False
-    across: Annotated[tuple[int, int] | None, Quantity(later=True)] = None
-    corner: Annotated[bool, Quantity(later=True)] = False
+    angle: Annotated[float, Entry(later=True)] = 0.0
+    exponent: Annotated[float, Entry(later=True)] = 0.0
+    ripple: Annotated[bool, Entry(later=True)] = False
+    across: Annotated[tuple[int, int] | None, Entry(later=True)] = None
+    corner: Annotated[bool, Entry(later=True)] = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -231,8 +231,8 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
     Raises InputError for coefficients of another number or not finite, and units not known.
     """
 
-    dictionary: Annotated[Dictionary, Quantity(flat=True)]
-    coefficients: Annotated[np.ndarray, Quantity(stress=1)]
+    dictionary: Annotated[Dictionary, Entry(flat=True)]
+    coefficients: Annotated[np.ndarray, Entry(stress=1)]
     spacing: Length
     stretch: float | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
