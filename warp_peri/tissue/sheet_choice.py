@@ -102,17 +102,10 @@ class SheetChoice:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band.
 
-        The band is of each learned frame left out, by Student's distribution, and of the relative
-        misfit of frames that were never seen, so that it is not narrower than that. It knows no
-        error that all frames share.
-
-        Args:
-            stretches: along the direction.
-            angle: of it [rad].
-            level: of the band.
-            scaled: a fit's material in the scale that is asked for; its own by default.
-
-        Raises InputError where deviations, which are no material, explain the frames.
+        In the scale of `scaled`, by default the material's own. The band is of each learned frame
+        left out, by Student's distribution, and of the misfit of frames that were never seen: no
+        error that all frames share. Raises InputError where deviations, which are no material,
+        explain the frames.
         """
         fit, n = self.best.fit, len(self.others)
         assert fit is not None
